@@ -1,0 +1,86 @@
+"""Every error that the core raises on purpose: one root, leaves with fields.
+
+An `InputError` is the fault of what was handed in.  Its text is one line that names the file, the place in it,
+what was found and what was expected; the command line prints it and ends with exit code 2.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class CalibrationError(Exception):
+    """Root of all errors raised on purpose."""
+
+
+class InputError(CalibrationError):
+    """The input cannot be used.
+
+    Attributes:
+        file: The file or directory at fault, or a name for what has no file.
+        place: Line, field, topic or configuration within it; empty if it is the file as a whole.
+        found: What is there, the offending value quoted.
+        expected: What would have been accepted, with the valid choices where there are some.
+    """
+
+    def __init__(self, file: str | Path, place: str, found: str, expected: str) -> None:
+        """Keep the four fields; newlines are folded, so that the text stays one line."""
+        self.file = str(file)
+        self.place = _one_line(place)
+        self.found = _one_line(found)
+        self.expected = _one_line(expected)
+        where = f"{self.file}: {self.place}" if self.place else self.file
+        super().__init__(f"{where}: found {self.found}, expected {self.expected}")
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
+        """Pickle by the four fields (errors cross process borders in the batch programs)."""
+        return type(self), (self.file, self.place, self.found, self.expected)
+
+
+class CellError(InputError):
+    """The cell file is missing, malformed or contradicts itself."""
+
+
+class RecordingError(InputError):
+    """A bag or measurement table is missing, malformed or empty."""
+
+
+class ObservationError(InputError):
+    """A recording was read, but holds nothing that can be evaluated (no plateau, no configuration, no point)."""
+
+
+class ModelFileError(InputError):
+    """An identified-model file is missing, malformed or belongs to another robot."""
+
+
+class IdentificationError(InputError):
+    """The observations do not determine what was asked for (too few configurations, collinear points, no load)."""
+
+
+class PlanError(InputError):
+    """No plan can be made under the given limits."""
+
+
+class EquilibriumError(CalibrationError):
+    """The static equilibrium did not converge: the load is beyond what the joints can carry.
+
+    Attributes:
+        residual: Largest change of a joint deflection in the last iteration, rad.
+        iterations: Iterations done.
+    """
+
+    def __init__(self, residual: float, iterations: int) -> None:
+        """Keep both figures."""
+        self.residual = residual
+        self.iterations = iterations
+        super().__init__(f"no static equilibrium after {iterations} iterations (last change {residual:.3g} rad)")
+
+
+def quoted(value: object, limit: int = 60) -> str:
+    """Quote an offending value for a message, cut to `limit` characters."""
+    text = repr(value)
+    return text if len(text) <= limit else text[: limit - 1] + "…"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,0 +1,1 @@
+"""From observations and model to an estimate with honest uncertainty."""

@@ -1,0 +1,336 @@
+"""What an identification says: values with uncertainty, what was excluded, what cannot be known, and why."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Note, Readings
+
+
+@dataclasses.dataclass(frozen=True)
+class JointStiffness:
+    """Stiffness of one joint (CWA 17384, Table 2).
+
+    Attributes:
+        joint: Name of the joint.
+        value: Stiffness, N*m/rad; infinite where the compliance came out at its lower bound, zero.
+        std: One standard deviation, N*m/rad (to first order; infinite where value is).
+        interval: 95 % interval, N*m/rad; the upper end is infinite where the data allow a rigid joint.
+        compliance: rad/(N*m), not negative.
+        compliance_std: One standard deviation, rad/(N*m).
+        identifiable: Whether this recording determines it.
+        reason: Why not, or what limits it; empty if there is nothing to say.
+    """
+
+    joint: str
+    value: float
+    std: float
+    interval: tuple[float, float]
+    compliance: float
+    compliance_std: float
+    identifiable: bool
+    reason: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterEstimate:
+    """One fitted parameter other than a stiffness: frame, point or geometry.
+
+    Attributes:
+        name: For example `tracker x`, `mp1 z`, `a_2`, `theta_5`.
+        group: `tracker`, `point`, `geometry`.
+        value: Fitted value (for geometry: the correction to the nominal value), m or rad.
+        std: One standard deviation.
+        unit: `m` or `rad`.
+        nominal: What the cell file says; None if it says nothing.
+        fitted: False where it could not be identified and stays nominal.
+    """
+
+    name: str
+    group: Literal["tracker", "point", "geometry"]
+    value: float
+    std: float
+    unit: Literal["m", "rad"]
+    nominal: float | None
+    fitted: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
+class Exclusion:
+    """A reading that was not used, and why.
+
+    Attributes:
+        configuration: Its configuration.
+        step: Its step.
+        point: Its measurement point.
+        reason: One sentence.
+        size: Length of its residual when predicted from the others, m.
+        times_sigma: The same in standard deviations.
+    """
+
+    configuration: int
+    step: int
+    point: str
+    reason: str
+    size: float
+    times_sigma: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Root mean squares per coordinate, m, over all readings after the best frames (contract, section 5).
+
+    Attributes:
+        rms_before: Model with the values believed so far (cell file), frames refitted; where the cell file states
+            no stiffness, the rigid model.
+        rms_after: Identified model.
+        held_out_rms_before: As `rms_before`, every configuration predicted from the others.
+        held_out_rms_after: As `rms_after`, every configuration predicted from the others.
+        noise: Standard deviation of one coordinate expected from the instruments.
+        held_out_mean_after: Mean length of the 3-d prediction error of held-out readings, m.
+        held_out_max_after: Largest such length, m.
+    """
+
+    rms_before: float
+    rms_after: float
+    held_out_rms_before: float
+    held_out_rms_after: float
+    noise: float
+    held_out_mean_after: float
+    held_out_max_after: float
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseCheck:
+    """One way of seeing the noise without, or with, the model.
+
+    Attributes:
+        source: `rigid triangle`, `zero return`, `window scatter` or `residual`.
+        seen: Standard deviation of one coordinate, m.
+        degrees_of_freedom: On how much it rests.
+    """
+
+    source: str
+    seen: float
+    degrees_of_freedom: int
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseAudit:
+    """Claimed against seen noise.
+
+    Attributes:
+        claimed: Standard deviation of one coordinate that the cell file states, m.
+        checks: What was seen, in several ways.
+        scale: Factor on the claimed standard deviations that the uncertainties of this result use (>= 1).
+        understated: Whether the claim is rejected at the 1 % level.
+        text: One sentence for a person.
+    """
+
+    claimed: float
+    checks: tuple[NoiseCheck, ...]
+    scale: float
+    understated: bool
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Precondition:
+    """One requirement of the standard, checked on the recording.
+
+    Attributes:
+        clause: Clause of CWA 17384, for example `5.1`.
+        requirement: What the clause demands.
+        found: What the recording shows, with figures.
+        met: True, False, or None where the recording cannot tell.
+    """
+
+    clause: str
+    requirement: str
+    found: str
+    met: bool | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Unidentified:
+    """A joint or combination of parameters that this recording cannot determine.
+
+    Attributes:
+        combination: Parameter name -> weight, the largest being 1.
+        reason: Why, in one sentence.
+    """
+
+    combination: Mapping[str, float]
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """One step of the ladder for absolute recordings: kept only if held-out configurations say so.
+
+    Attributes:
+        name: `nominal`, `frames`, `geometry` or `elasticity`.
+        parameters: Number of free parameters up to and including this stage.
+        rms: 3-d root mean square over all readings, m.
+        held_out_rms: The same on configurations left out, m.
+        kept: Whether the result contains it.
+        reason: Why, with figures.
+    """
+
+    name: str
+    parameters: int
+    rms: float
+    held_out_rms: float
+    kept: bool
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Anomaly:
+    """Something wrong with the data that is no physics of the robot (contract, sections 5 and 6).
+
+    Attributes:
+        kind: A word of the contract, e.g. `noise_understated`, `unsettled`, `outlier_readings`.
+        location: For example {"point": "mp1"}.
+        configurations: First and last configuration concerned; None if all.
+        magnitude: How large.
+        unit: Unit of the magnitude.
+        text: One sentence for a person.
+    """
+
+    kind: str
+    location: Mapping[str, str | int]
+    configurations: tuple[int, int] | None
+    magnitude: float
+    unit: str
+    text: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Residuals:
+    """Measured against predicted, reading by reading (same rows as `readings`).
+
+    Attributes:
+        measured: (m, 3) m.  Loaded recordings: deflection of the point, base axes, relative to the fitted unloaded
+            position of its configuration and point.  Absolute recordings: position, base frame.
+        predicted: (m, 3) m, as `measured`.
+        residual: (m, 3) m, measured - predicted.
+        held_out: (m, 3) m, measured - predicted when the whole configuration was left out of the fit.
+        sigma: (m, 3) m, standard deviation expected per coordinate, after the noise audit.
+        load: (m,) N, size of the force at this reading (0 where no load is known).
+        excluded: (m,) whether the reading was not used.
+    """
+
+    measured: Float2D
+    predicted: Float2D
+    residual: Float2D
+    held_out: Float2D
+    sigma: Float2D
+    load: Float1D
+    excluded: Bool1D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OperatingSpace:
+    """The investigated operating space in Cartesian representation (CWA 17384, 8 g), base frame, m.
+
+    Attributes:
+        configuration: (k,) numbers of the configurations.
+        joint_origins: (k, n + 2, 3) base, every joint origin, flange: the arm as a polyline.
+        flange: (k, 3).
+        points: Measurement point -> (k, 3).
+        wrench_point: (k, 3) or None.
+        force: (k, 3) N, largest force applied at that configuration, base axes; None for absolute recordings.
+        deflection: (k, 3) m, deflection of the first point under that force; None for absolute recordings.
+        q: (k, n) rad, the configurations of Table 1.
+        singularity: (k,) smallest singular value of the Jacobian at the wrist, scaled by the reach: 0 is singular.
+        k_csm_share: (k,) m, how far neglecting K_CSM moves the predicted point (clause 6.2); None for absolute ones.
+    """
+
+    configuration: Float1D
+    joint_origins: Float3D
+    flange: Float2D
+    points: Mapping[str, Float2D]
+    wrench_point: Float2D | None
+    force: Float2D | None
+    deflection: Float2D | None
+    q: Float2D
+    singularity: Float1D
+    k_csm_share: Float1D | None
+
+
+@dataclasses.dataclass(frozen=True)
+class TestResult:
+    """How the identified model does on a second recording that was not used in the fit (`--test`).
+
+    Attributes:
+        file: The second recording.
+        readings: Number of readings.
+        rms: Per coordinate, m, after the best offsets (loaded) or with the fitted frames (absolute).
+        mean: Mean 3-d error, m.
+        maximum: Largest 3-d error, m.
+        rms_before: Per coordinate with the cell file's model, m.
+        mean_before: Mean 3-d error with the cell file's model, m.
+    """
+
+    __test__ = False
+
+    file: str
+    readings: int
+    rms: float
+    mean: float
+    maximum: float
+    rms_before: float
+    mean_before: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Identification:
+    """The complete answer of `calibration identify`.
+
+    Attributes:
+        kind: `loaded` (stiffness from loads) or `absolute` (frames, geometry, gravity).
+        method: How, in words, e.g. `equilibrium, point deflections, instrument weights, robust`.
+        readings: What was evaluated.
+        stiffness: One per joint; empty if none was to be had.
+        parameters: Frames, points and geometry.
+        names: Names of the rows of `covariance`: compliances (`C joint_1`, ...) and fitted parameters.
+        covariance: (p, p), SI units.
+        condition_number: Of the column-scaled observation matrix of the compliances (or of all parameters).
+        fit: The figures.
+        noise: Claimed against seen.
+        stages: Ladder of an absolute recording; empty for loaded ones.
+        unidentified: What cannot be determined.
+        exclusions: Readings not used.
+        anomalies: Something wrong with the data.
+        preconditions: The standard's demands, checked.
+        residuals: Row by row.
+        space: The operating space.
+        model: The identified model, as `predict` uses it.
+        test: Result on a second recording, if one was given.
+        notes: Further remarks, those of the readings included.
+    """
+
+    kind: Literal["loaded", "absolute"]
+    method: str
+    readings: Readings
+    stiffness: tuple[JointStiffness, ...]
+    parameters: tuple[ParameterEstimate, ...]
+    names: tuple[str, ...]
+    covariance: Float2D
+    condition_number: float
+    fit: Fit
+    noise: NoiseAudit
+    stages: tuple[Stage, ...]
+    unidentified: tuple[Unidentified, ...]
+    exclusions: tuple[Exclusion, ...]
+    anomalies: tuple[Anomaly, ...]
+    preconditions: tuple[Precondition, ...]
+    residuals: Residuals
+    space: OperatingSpace
+    model: ModelParameters
+    test: TestResult | None = None
+    notes: tuple[Note, ...] = ()

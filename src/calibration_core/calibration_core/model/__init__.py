@@ -1,0 +1,1 @@
+"""What we believe: the robot, its parameters, and what follows from them."""

@@ -1,0 +1,122 @@
+"""The kinematic chain as plain numbers: one normal form for DH rows and URDF.
+
+Every joint turns about the z axis of the frame before it:
+
+    T_base_flange(q) = prod_i [ P_i Rz(q_i + offset_i) ] F
+
+with P_i the fixed pose of the frame before joint i in the body frame of link i-1, and F the flange in the body frame
+of the last link.  For standard DH rows the frame before joint i is the DH frame i-1.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.timeseries import Float1D, Float2D, Float3D, read_only
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Chain:
+    """A serial chain of n revolute joints.
+
+    Attributes:
+        joints: Names, base to flange.
+        rotation: (n, 3, 3) orientation of the frame before joint i in the body frame of link i-1.
+        translation: (n, 3) m, its origin there.
+        offset: (n,) rad, added to the joint angle.
+        flange_rotation: (3, 3) flange orientation in the body frame of the last link.
+        flange_translation: (3,) m.
+        limits: (n, 2) rad.
+        gravity: (3,) m/s^2, base axes.
+        mass: (n,) kg; None where the masses are not known.
+        com: (n, 3) m, centre of gravity in the body frame (after the joint's rotation) of each link; None as `mass`.
+    """
+
+    joints: tuple[str, ...]
+    rotation: Float3D
+    translation: Float2D
+    offset: Float1D
+    flange_rotation: Float2D
+    flange_translation: Float1D
+    limits: Float2D
+    gravity: Float1D
+    mass: Float1D | None = None
+    com: Float2D | None = None
+
+    def __post_init__(self) -> None:
+        """Copy to read-only arrays."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.name != "joints" and value is not None:
+                object.__setattr__(self, field.name, read_only(value))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def reach(self) -> float:
+        """Sum of the distances between neighbouring joints and the flange, m: a length scale of the robot."""
+        steps = np.vstack([self.translation[1:], self.flange_translation[None]])
+        return float(np.linalg.norm(steps, axis=1).sum())
+
+    def corrected(self, geometry: Float2D) -> Chain:
+        """Return the chain with every frame before a joint moved by `geometry` ((n, 6): x, y, z, rx, ry, rz)."""
+        if not np.any(geometry):
+            return self
+        translation = self.translation + np.einsum("nij,nj->ni", self.rotation, geometry[:, :3])
+        rotation = np.stack(
+            [r @ rotation_xyz(*angles) for r, angles in zip(self.rotation, geometry[:, 3:], strict=True)]
+        )
+        return dataclasses.replace(self, rotation=rotation, translation=translation)
+
+    def with_gravity(self, gravity: Float1D) -> Chain:
+        """Return the chain under another acceleration of gravity, (3,) m/s^2 in base axes."""
+        return dataclasses.replace(self, gravity=gravity)
+
+
+def rotation_x(angle: float) -> Float2D:
+    """Return the (3, 3) rotation by `angle` rad about x."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rotation_y(angle: float) -> Float2D:
+    """Return the (3, 3) rotation by `angle` rad about y."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def rotation_z(angle: float) -> Float2D:
+    """Return the (3, 3) rotation by `angle` rad about z."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_xyz(rx: float, ry: float, rz: float) -> Float2D:
+    """Return Rx(rx) Ry(ry) Rz(rz), angles in rad."""
+    return rotation_x(rx) @ rotation_y(ry) @ rotation_z(rz)
+
+
+def rotation_rpy(roll: float, pitch: float, yaw: float) -> Float2D:
+    """Return Rz(yaw) Ry(pitch) Rx(roll), fixed axes (contract, section 2), angles in rad."""
+    return rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)
+
+
+def rpy_of(rotation: Float2D) -> Float1D:
+    """Return roll, pitch, yaw in rad of a (3, 3) rotation, the inverse of `rotation_rpy`."""
+    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
+    return np.array(
+        [np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])]
+    )
+
+
+def pose_matrix(xyz: Float1D, rpy: Float1D) -> Float2D:
+    """Return the (4, 4) homogeneous matrix of a pose (m, rad, fixed axes)."""
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_rpy(*(float(angle) for angle in rpy))
+    pose[:3, 3] = xyz
+    return pose

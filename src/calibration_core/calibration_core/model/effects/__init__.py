@@ -1,0 +1,1 @@
+"""Physics beyond the joint springs: one effect is one file."""

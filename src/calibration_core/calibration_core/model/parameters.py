@@ -1,0 +1,53 @@
+"""What we believe about a cell: every number that a prediction depends on and a fit may change."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from calibration_core.timeseries import Float1D, Float2D, read_only
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ModelParameters:
+    """Parameter values of the extended kinematic model.
+
+    Attributes:
+        joints: Names of the n joints.
+        compliance: (n,) rad/(N*m), one axial spring per joint (CWA 17384, 6.2); 0 is rigid.
+        geometry: (n, 6) corrections x, y, z (m), rx, ry, rz (rad) of the frame before each joint (for DH rows the
+            frame i-1 of joint i: x = a, rx = alpha of the row before, z = d, rz = theta of the row itself).
+        tracker: (4, 4) pose of the tracker frame in the base frame.
+        points: Measurement point -> (3,) m, flange frame.
+        wrench_point: (3,) m, flange frame; None if no wrench acts.
+        force_torque: (4, 4) pose of the sensor frame in the flange frame; None if there is no sensor.
+    """
+
+    joints: tuple[str, ...]
+    compliance: Float1D
+    geometry: Float2D
+    tracker: Float2D
+    points: Mapping[str, Float1D]
+    wrench_point: Float1D | None = None
+    force_torque: Float2D | None = None
+
+    def __post_init__(self) -> None:
+        """Copy to read-only arrays; raise ValueError on wrong shapes."""
+        n = len(self.joints)
+        shapes = {"compliance": (n,), "geometry": (n, 6), "tracker": (4, 4), "wrench_point": (3,), "force_torque": (4, 4)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            array = read_only(value)
+            if array.shape != shape:
+                msg = f"{name}: expected shape {shape}, got {array.shape}"
+                raise ValueError(msg)
+            object.__setattr__(self, name, array)
+        points = {name: read_only(point) for name, point in self.points.items()}
+        object.__setattr__(self, "points", MappingProxyType(points))
+
+    def replace(self, **changes: object) -> ModelParameters:
+        """Return a copy with some values changed."""
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]

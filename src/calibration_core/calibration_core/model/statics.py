@@ -1,0 +1,120 @@
+"""Loads on the joints: external wrench and gravity, and how both change with the joint angles.
+
+The change with the angles is what gives the complementary stiffness K_CSM (CWA 17384, 6.2, equation (4); Chen and
+Kao's conservative congruence transformation): it has no free parameter and is in every prediction.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.model.chain import Chain
+from calibration_core.model.kinematics import Posture, cross, dot, linear_jacobian, turn, turned
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Load:
+    """An external wrench on the flange, as it is recorded, for m readings.
+
+    Attributes:
+        force: (3, m) N, in the axes named by `rotation`.
+        torque: (3, m) N*m, about `point`.
+        point: (3,) m, flange frame: where the wrench is reduced to.
+        rotation: (3, 3) orientation of the sensor in the flange frame; None where the wrench is in base axes.
+    """
+
+    force: Float2D
+    torque: Float2D
+    point: Float1D
+    rotation: Float2D | None
+
+    def in_base(self, at: Posture) -> tuple[Float2D, Float2D, Float2D]:
+        """Return force (3, m), torque (3, m) in base axes, and the point (3, m) in the base frame."""
+        where = at.point(self.point)
+        if self.rotation is None:
+            return self.force, self.torque, where
+        axes = turned(at.flange, self.rotation)
+        return turn(axes, self.force), turn(axes, self.torque), where
+
+    def rows(self, rows: slice | Float1D) -> Load:
+        """Return the load of some of the readings."""
+        return dataclasses.replace(self, force=self.force[:, rows], torque=self.torque[:, rows])
+
+
+def load_torque(at: Posture, load: Load) -> Float2D:
+    """Return the (n, m) joint torques of the external load, N*m: tau = J_WP^T W (CWA 17384, equation (2))."""
+    force, torque, point = load.in_base(at)
+    columns = linear_jacobian(at, point)
+    return np.stack([dot(column, force) + dot(at.axis(i), torque) for i, column in enumerate(columns)])
+
+
+def gravity_torque(chain: Chain, at: Posture) -> Float2D:
+    """Return the (n, m) joint torques of the links' own weight, N*m; zeros where masses are not known.
+
+    Source: tau_i = a_i . sum_{k >= i} (c_k - o_i) x m_k g.
+    """
+    m = at.flange_origin.shape[1]
+    torque = np.zeros((chain.n, m))
+    if chain.mass is None or chain.com is None:
+        return torque
+    mass, moment = 0.0, np.zeros((3, m))
+    gravity = chain.gravity[:, None]
+    for i in reversed(range(chain.n)):
+        mass += float(chain.mass[i])
+        moment = moment + chain.mass[i] * _com(chain, at, i)
+        torque[i] = dot(at.axis(i), cross(moment - mass * at.origin[i], np.broadcast_to(gravity, (3, m))))
+    return torque
+
+
+def _com(chain: Chain, at: Posture, link: int) -> Float2D:
+    assert chain.com is not None  # noqa: S101 - asked for only where masses are known
+    # the body frame has the origin of the frame before the joint
+    return at.origin[link] + turn(at.body[link], chain.com[link])
+
+
+def load_torque_derivative(at: Posture, load: Load) -> Float3D:
+    """Return the (n, n, m) derivatives d tau_i / d q_j of the external load's torques, N*m/rad.
+
+    A wrench recorded in sensor axes turns with the robot, one in base axes does not.
+    Source: product rule on tau_i = a_i . ((p - o_i) x f + t), with da_i/dq_j = a_j x a_i and so on.
+    """
+    force, torque, point = load.in_base(at)
+    n, m = len(at.origin), point.shape[1]
+    follows = load.rotation is not None
+    derivative = np.zeros((n, n, m))
+    for i in range(n):
+        axis, lever = at.axis(i), point - at.origin[i]
+        moment = cross(lever, force) + torque
+        for j in range(n):
+            if follows and j <= i:
+                continue  # axis, lever and wrench turn together: the torque stays
+            turner = at.axis(j)
+            if j < i:
+                d_lever = cross(turner, lever)
+                derivative[i, j] = dot(cross(turner, axis), moment) + dot(axis, cross(d_lever, force))
+                continue
+            d_moment = cross(cross(turner, point - at.origin[j]), force)
+            if follows:
+                d_moment = d_moment + cross(lever, cross(turner, force)) + cross(turner, torque)
+            derivative[i, j] = dot(axis, d_moment)
+    return derivative
+
+
+def gravity_torque_derivative(chain: Chain, at: Posture) -> Float3D:
+    """Return the (n, n, m) derivatives d tau_i / d q_j of the gravity torques, N*m/rad (symmetric)."""
+    m = at.flange_origin.shape[1]
+    derivative = np.zeros((chain.n, chain.n, m))
+    if chain.mass is None or chain.com is None:
+        return derivative
+    gravity = np.broadcast_to(chain.gravity[:, None], (3, m))
+    mass, moment = 0.0, np.zeros((3, m))
+    for j in reversed(range(chain.n)):
+        mass += float(chain.mass[j])
+        moment = moment + chain.mass[j] * _com(chain, at, j)
+        shift = cross(at.axis(j), moment - mass * at.origin[j])  # how the moment of what is beyond joint j moves
+        for i in range(j + 1):
+            derivative[i, j] = derivative[j, i] = dot(at.axis(i), cross(shift, gravity))
+    return derivative

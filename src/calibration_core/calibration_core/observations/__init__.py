@@ -1,0 +1,1 @@
+"""What was seen, without an opinion: plateaus, averages, covariances, clocks."""

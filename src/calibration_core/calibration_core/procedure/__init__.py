@@ -1,0 +1,1 @@
+"""Planning and running a measurement, as pure functions and state machines."""

@@ -1,0 +1,1 @@
+"""Files of recordings to arrays and back: topics and bytes end here."""

@@ -1,0 +1,1 @@
+"""The estimate for people and programs: result.json, report, tables, pictures."""

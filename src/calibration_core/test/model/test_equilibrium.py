@@ -1,0 +1,88 @@
+"""Equilibrium on the deformed geometry: residual, derivatives, and what it says when there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration_core.errors import EquilibriumError
+from calibration_core.model.chain import Chain, rotation_rpy
+from calibration_core.model.equilibrium import joint_torque, solve_equilibrium
+from calibration_core.model.kinematics import posture
+from calibration_core.model.statics import (
+    Load,
+    gravity_torque,
+    gravity_torque_derivative,
+    load_torque,
+    load_torque_derivative,
+)
+
+M = 6
+POINT = np.array([0.1, -0.2, 0.3])
+
+
+def _load(sensor: bool) -> Load:
+    rng = np.random.default_rng(5)
+    rotation = rotation_rpy(0.3, -0.4, 1.1) if sensor else None
+    return Load(rng.normal(0, 1000, (3, M)), rng.normal(0, 300, (3, M)), np.array([0.0, 0.1, 0.2]), rotation)
+
+
+def _angles(chain: Chain) -> np.ndarray:
+    return np.random.default_rng(6).uniform(-2, 2, (M, chain.n))
+
+
+def _central(function, q: np.ndarray, step: float = 1e-6) -> np.ndarray:
+    columns = []
+    for j in range(q.shape[1]):
+        h = np.zeros(q.shape[1])
+        h[j] = step
+        columns.append((function(q + h) - function(q - h)) / (2 * step))
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("sensor", [True, False], ids=["sensor axes", "base axes"])
+def test_load_torque_derivative(chain: Chain, sensor: bool) -> None:
+    q, load = _angles(chain), _load(sensor)
+    numeric = _central(lambda x: load_torque(posture(chain, x), load), q)
+    np.testing.assert_allclose(load_torque_derivative(posture(chain, q), load), numeric, atol=2e-5)
+
+
+def test_gravity_torque_derivative(chain: Chain) -> None:
+    q = _angles(chain)
+    numeric = _central(lambda x: gravity_torque(chain, posture(chain, x)), q)
+    np.testing.assert_allclose(gravity_torque_derivative(chain, posture(chain, q)), numeric, atol=2e-5)
+
+
+@pytest.mark.parametrize("sensor", [True, False], ids=["sensor axes", "base axes"])
+def test_equilibrium_and_its_derivative_by_compliance(chain: Chain, sensor: bool) -> None:
+    q, load = _angles(chain), _load(sensor)
+    compliance = np.random.default_rng(9).uniform(2e-7, 3e-6, chain.n)
+    rest = solve_equilibrium(chain, q, compliance, load)
+    torque = joint_torque(chain, posture(chain, q + rest.deflection.T), load)
+    np.testing.assert_allclose(rest.deflection, compliance[:, None] * torque, atol=1e-12)
+
+    def moved(c: np.ndarray) -> np.ndarray:
+        return solve_equilibrium(chain, q, c, load).at.point(POINT)
+
+    exact = rest.point_by_compliance(POINT)
+    for j in range(chain.n):
+        h = np.zeros(chain.n)
+        h[j] = 1e-9
+        numeric = (moved(compliance + h) - moved(compliance - h)) / 2e-9
+        np.testing.assert_allclose(exact[:, j], numeric, rtol=2e-5, atol=1e-3 * np.abs(exact).max())
+        np.testing.assert_allclose(exact[:, j], numeric, atol=2e-6 * np.abs(exact).max())
+
+
+def test_small_loads_give_the_linear_law_of_the_standard(chain: Chain) -> None:
+    q = _angles(chain)
+    load = Load(np.full((3, M), 1e-3), np.zeros((3, M)), POINT, None)
+    compliance = np.full(chain.n, 1e-6)
+    light = Chain(**{**{f: getattr(chain, f) for f in chain.__dataclass_fields__}, "mass": None, "com": None})
+    rest = solve_equilibrium(light, q, compliance, load)
+    expected = compliance[:, None] * load_torque(posture(light, q), load)
+    np.testing.assert_allclose(rest.deflection, expected, rtol=1e-6, atol=1e-16)
+
+
+def test_a_load_beyond_the_springs_is_an_error(chain: Chain) -> None:
+    with pytest.raises(EquilibriumError, match="no static equilibrium"):
+        solve_equilibrium(chain, _angles(chain), np.full(chain.n, 1e-2), _load(sensor=False))
