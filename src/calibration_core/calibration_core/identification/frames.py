@@ -1,0 +1,131 @@
+"""Tracker pose and measurement points from absolute positions, with or without a first guess.
+
+Model: R_t y + t = p_flange + R_flange u_j for reading y (tracker frame) of point j.  It is linear in the nine entries
+of R_t, in t and in u, so a first solution needs no guess; Gauss-Newton on the rotation then finishes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calibration_core.model.kinematics import Posture
+from calibration_core.timeseries import Float1D, Float2D, Int1D
+
+ITERATIONS = 25
+CONVERGED = 1e-12  # m, rad
+RANK_TOLERANCE = 1e-4  # singular values of the scaled system below this fraction of the largest are left at the guess
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrameFit:
+    """The best frames under a given robot model.
+
+    Attributes:
+        tracker: (4, 4) pose of the tracker frame in the base frame.
+        points: (k, 3) m, measurement points in the flange frame.
+        covariance: (6 + 3 k, 6 + 3 k) of tracker position (m), tracker rotation (rad, base axes) and points (m),
+            from the residuals' own scatter.
+        rms: Root mean square per coordinate, m.
+        rank: Number of parameters that the readings determine; the others keep their first guess.
+    """
+
+    tracker: Float2D
+    points: Float2D
+    covariance: Float2D
+    rms: float
+    rank: int
+
+
+def fit_frames(
+    at: Posture, position: Float2D, point: Int1D, points: Float2D, tracker: Float2D | None, *, fit_points: bool = True
+) -> FrameFit:
+    """Fit the tracker pose and the measurement points to absolute positions by least squares.
+
+    Args:
+        at: Posture of the m readings, deflections included.
+        position: (m, 3) m, tracker frame.
+        point: (m,) index of the measurement point of each reading.
+        points: (k, 3) m, first guess of the points in the flange frame.
+        tracker: (4, 4) first guess of the tracker pose; None if there is none.
+        fit_points: False keeps the points as they are.
+    """
+    pose = _first_guess(at, position, point, points) if tracker is None else np.array(tracker)
+    tool = np.array(points, dtype=float)
+    k = len(tool) if fit_points else 0
+    scale = np.concatenate([np.ones(3), np.full(3, max(1.0, float(np.abs(position).max(initial=1.0)))), np.ones(3 * k)])
+    for _ in range(ITERATIONS):
+        residual, columns = _linearise(at, position, point, tool, pose, k)
+        step = np.linalg.lstsq(columns / scale, residual, rcond=RANK_TOLERANCE)[0] / scale
+        pose[:3, 3] += step[:3]
+        pose[:3, :3] = Rotation.from_rotvec(step[3:6]).as_matrix() @ pose[:3, :3]
+        if k:
+            tool = tool + step[6:].reshape(k, 3)
+        if np.abs(step).max() < CONVERGED:
+            break
+    residual, columns = _linearise(at, position, point, tool, pose, k)
+    scaled = columns / scale
+    rank = int(np.linalg.matrix_rank(scaled, tol=RANK_TOLERANCE * np.linalg.norm(scaled, 2)))
+    variance = float(residual @ residual) / max(len(residual) - rank, 1)
+    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=RANK_TOLERANCE**2) * variance / np.outer(scale, scale)
+    return FrameFit(pose, tool, covariance, float(np.sqrt(np.mean(residual**2))), rank)
+
+
+def _linearise(
+    at: Posture, position: Float2D, point: Int1D, tool: Float2D, pose: Float2D, k: int
+) -> tuple[Float1D, Float2D]:
+    """Return what is left, (3 m,), and its derivatives, (3 m, 6 + 3 k)."""
+    m = len(position)
+    turned = position @ pose[:3, :3].T
+    residual = at.point(tool[point].T).T - turned - pose[:3, 3]
+    columns = np.zeros((m, 3, 6 + 3 * k))
+    columns[:, :, :3] = np.eye(3)
+    columns[:, :, 3:6] = _minus_skew(turned)
+    if k:
+        flange = -np.moveaxis(at.flange, -1, 0).transpose(0, 2, 1)  # (m, 3, 3), rows are base axes
+        for j in range(k):
+            rows = point == j
+            columns[rows, :, 6 + 3 * j : 9 + 3 * j] = flange[rows]
+    return residual.reshape(-1), columns.reshape(3 * m, -1)
+
+
+def _minus_skew(vectors: Float2D) -> Float2D:
+    """Return (m, 3, 3) with row-wise d(w x v)/dw = -S(v)."""
+    result = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    result[:, 0, 1], result[:, 0, 2] = z, -y
+    result[:, 1, 0], result[:, 1, 2] = -z, x
+    result[:, 2, 0], result[:, 2, 1] = y, -x
+    return result
+
+
+def _first_guess(at: Posture, position: Float2D, point: Int1D, points: Float2D) -> Float2D:
+    """Return a tracker pose from the linear problem, or from point clouds where that one is degenerate."""
+    m, k = len(position), len(points)
+    columns = np.zeros((m, 3, 12 + 3 * k))
+    for axis in range(3):
+        columns[:, axis, 3 * axis : 3 * axis + 3] = position
+        columns[:, axis, 9 + axis] = 1.0
+    flange = np.moveaxis(at.flange, -1, 0).transpose(0, 2, 1)
+    for j in range(k):
+        rows = point == j
+        columns[rows, :, 12 + 3 * j : 15 + 3 * j] = -flange[rows]
+    target = at.flange_origin.T
+    flat = columns.reshape(3 * m, -1)
+    solution, _, rank, _ = np.linalg.lstsq(flat, target.reshape(-1), rcond=1e-9)
+    rotation = solution[:9].reshape(3, 3)
+    if rank < flat.shape[1] or np.linalg.det(rotation) <= 0:
+        rotation = _procrustes(position, at.point(points[point].T).T)
+    u, _, vt = np.linalg.svd(rotation)
+    pose = np.eye(4)
+    pose[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    pose[:3, 3] = np.mean(at.point(points[point].T).T - position @ pose[:3, :3].T, axis=0)
+    return pose
+
+
+def _procrustes(source: Float2D, target: Float2D) -> Float2D:
+    """Return the rotation that best takes the centred `source` to the centred `target` (Kabsch, 1976)."""
+    u, _, vt = np.linalg.svd((target - target.mean(0)).T @ (source - source.mean(0)))
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

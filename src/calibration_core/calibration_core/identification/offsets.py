@@ -1,0 +1,156 @@
+"""Generalised least squares with one free offset per configuration and measurement point.
+
+Absolute readings of one configuration share their unknown unloaded position.  Subtracting one unloaded reading and
+treating the differences as independent would correlate them all with its error; a free offset is the exact answer
+(equal to generalised least squares on the differences).  Readings of one step that share one wrench reading
+share its error too.  Both are handled per configuration; configurations are independent.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rows:
+    """Which rows belong together, and how noisy they are.
+
+    Attributes:
+        configuration: (m,) int64, 0 ... k-1, the index (not the number) of the configuration.
+        offset: (m,) int64, which free offset of its configuration a row has: its measurement point.
+        load: (m,) int64; rows of one configuration with the same value share one wrench reading.
+        noise: (m, d, d) covariance of the row's own reading (d = 3 for points, 6 for poses).
+        shared: (m, d, w) square root of the covariance that comes from the shared wrench reading.
+    """
+
+    configuration: Int1D
+    offset: Int1D
+    load: Int1D
+    noise: Float3D
+    shared: Float3D
+
+    def select(self, rows: Int1D) -> Rows:
+        """Return some of the rows."""
+        return Rows(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations per configuration, offsets eliminated.
+
+    Attributes:
+        matrix: (k, p, p) per configuration.
+        vector: (k, p).
+        chi2: (k,) weighted sum of squares of what the offsets alone leave.
+        freedom: (k,) rows times d minus offsets.
+    """
+
+    matrix: Float3D
+    vector: Float2D
+    chi2: Float1D
+    freedom: Int1D
+
+
+def normal_equations(rows: Rows, residual: Float2D, columns: Float3D) -> Normal:
+    """Return the normal equations of `residual` ~ `columns` x + offsets.
+
+    Args:
+        rows: Grouping and noise of the m rows.
+        residual: (m, d).
+        columns: (m, d, p).
+    """
+    k = int(rows.configuration.max()) + 1
+    p = columns.shape[2]
+    matrix, vector = np.zeros((k, p, p)), np.zeros((k, p))
+    chi2, freedom = np.zeros(k), np.zeros(k, dtype=np.int64)
+    for group, index in _groups(rows):
+        white, basis = _whiten(rows, index)
+        data = np.concatenate([columns[index], residual[index][..., None]], axis=-1)
+        b, m, d, _ = data.shape
+        projected = white @ data.reshape(b, m * d, p + 1)
+        projected = projected - basis @ (basis.transpose(0, 2, 1) @ projected)
+        gram = projected.transpose(0, 2, 1) @ projected
+        matrix[group], vector[group] = gram[:, :p, :p], gram[:, :p, p]
+        chi2[group], freedom[group] = gram[:, p, p], m * d - basis.shape[2]
+    return Normal(matrix, vector, chi2, freedom)
+
+
+def without_offsets(rows: Rows, residual: Float2D) -> Float2D:
+    """Return the (m, d) residuals after the best offsets of every configuration."""
+    left = np.empty_like(residual)
+    for _, index in _groups(rows):
+        white, basis = _whiten(rows, index)
+        b, m = index.shape
+        flat = residual[index].reshape(b, -1, 1)
+        rest = white @ flat
+        rest = rest - basis @ (basis.transpose(0, 2, 1) @ rest)
+        left[index] = np.linalg.solve(white, rest).reshape(b, m, -1)
+    return left
+
+
+def deleted(rows: Rows, residual: Float2D) -> tuple[Float1D, Float2D, Float3D]:
+    """Predict every row from the other rows of its configuration.
+
+    Returns:
+        squared: (m,) squared prediction error in units of its covariance, chi-squared with d degrees of freedom.
+        error: (m, d) prediction error.
+        covariance: (m, d, d) its covariance; infinite where no other row could predict it.
+
+    Source: deletion residuals (Q_ii)^-1 (Q r)_i with Q the precision after elimination of the offsets.
+    """
+    m_all, d = residual.shape
+    squared, error = np.zeros(m_all), np.zeros((m_all, d))
+    covariance = np.full((m_all, d, d), np.inf)
+    for _, index in _groups(rows):
+        white, basis = _whiten(rows, index)
+        b, m = index.shape
+        projector = np.eye(m * d) - basis @ basis.transpose(0, 2, 1)
+        precision = white.transpose(0, 2, 1) @ projector @ white
+        score = (precision @ residual[index].reshape(b, m * d, 1)).reshape(b, m, d)
+        own = precision.reshape(b, m, d, m, d)[:, np.arange(m), :, np.arange(m), :].transpose(1, 0, 2, 3)
+        scale = 1.0 / np.einsum("bmdd->bm", np.linalg.inv(rows.noise[index]))
+        known = np.linalg.eigvalsh(own).min(-1) * scale > 1e-9
+        inverse = np.linalg.inv(np.where(known[..., None, None], own, np.eye(d)))
+        predicted = np.einsum("bmij,bmj->bmi", inverse, score)
+        squared[index] = np.where(known, np.einsum("bmi,bmi->bm", score, predicted), 0.0)
+        error[index] = np.where(known[..., None], predicted, 0.0)
+        covariance[index] = np.where(known[..., None, None], inverse, np.inf)
+    return squared, error, covariance
+
+
+def _groups(rows: Rows) -> Iterator[tuple[Int1D, Int1D]]:
+    """Yield configurations of equal shape together: their indices (b,) and their rows (b, m)."""
+    order = np.argsort(rows.configuration, kind="stable")
+    present, starts, counts = np.unique(rows.configuration[order], return_index=True, return_counts=True)
+    shapes: dict[tuple[int, bytes], list[int]] = {}
+    for i, (start, count) in enumerate(zip(starts, counts, strict=True)):
+        offsets = rows.offset[order[start : start + count]]
+        shapes.setdefault((count, offsets.tobytes()), []).append(i)
+    for (count, _), members in shapes.items():
+        index = order[starts[members][:, None] + np.arange(count)[None, :]]
+        yield present[members], index
+
+
+def _whiten(rows: Rows, index: Int1D) -> tuple[Float3D, Float3D]:
+    """Return the inverse Cholesky factor (b, md, md) and an orthonormal basis of the whitened offsets (b, md, o)."""
+    b, m = index.shape
+    d = rows.noise.shape[1]
+    full = np.zeros((b, m, d, m, d))
+    diagonal = np.arange(m)
+    full[:, diagonal, :, diagonal, :] = rows.noise[index].transpose(1, 0, 2, 3)
+    shared = rows.shared[index]
+    if shared.shape[-1] and np.any(shared):
+        same = rows.load[index][:, :, None] == rows.load[index][:, None, :]
+        full += np.einsum("bmik,bnjk,bmn->bminj", shared, shared, same, optimize=True)
+    lower = np.linalg.cholesky(full.reshape(b, m * d, m * d))
+    white = np.linalg.inv(lower)
+    kinds, position = np.unique(rows.offset[index[0]], return_inverse=True)
+    incidence = np.zeros((m, d, len(kinds), d))
+    incidence[diagonal, :, position, :] = np.eye(d)
+    basis, _ = np.linalg.qr(white @ incidence.reshape(m * d, -1))
+    return white, basis
