@@ -1,0 +1,166 @@
+"""Static equilibrium of the elastic robot, on MuJoCo's own forces.
+
+The drive holds the motor side of every joint at the commanded angle; the link side gives way against the joint's
+spring until spring, weight and external wrench balance:
+
+    qfrc_passive(x) - qfrc_bias(x) + J(x)^T w = 0,    x = commanded angle + deflection,
+
+with the wrench w acting at the deflected wrench point.  Springs are MuJoCo's (`qfrc_passive`, reference = commanded
+angle), weight is MuJoCo's (`qfrc_bias` at rest), the wrench goes in through `mj_applyFT`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calibration_core.errors import EquilibriumError
+from calibration_core.timeseries import Float1D, Float2D
+from calibration_sim.chain import Chain
+from calibration_sim.mjcf import build_mjcf
+from calibration_sim.transforms import Placement
+
+RELATIVE_TOLERANCE = 1e-11  # of the largest torque at work
+SLOW = 0.1  # a step that removes less than nine tenths of the residual asks for a new derivative
+MAX_ITERATIONS = 50
+DIFFERENCE_STEP = 1e-6  # rad
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A robot at rest under load.
+
+    Attributes:
+        deflection: (n,) rad, link side minus commanded angle.
+        torque: (n,) N*m, what the springs exert on the links.
+        flange: Flange frame in the base frame.
+        residual: Largest unbalanced torque, relative to the largest torque at work.
+    """
+
+    deflection: Float1D
+    torque: Float1D
+    flange: Placement
+    residual: float
+
+
+class Mechanism:
+    """A robot of hinges with springs, held by MuJoCo; the only object here that has a state, and it is scratch."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        stiffness: ArrayLike,
+        gravity: ArrayLike,
+        *,
+        joint_frame_errors: Float2D | None = None,
+        joint_zero: ArrayLike | None = None,
+        wrench_point: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Compile the model.
+
+        Args:
+            chain: The robot as stated.
+            stiffness: (n,) N*m/rad.
+            gravity: (3,) m/s^2, base axes.
+            joint_frame_errors: (n, 6) m and rad, see `build_mjcf`.
+            joint_zero: (n,) rad, true angle minus encoder angle.
+            wrench_point: (3,) m, flange frame.
+        """
+        stiffness = np.asarray(stiffness, dtype=np.float64)
+        text = build_mjcf(chain, stiffness, np.asarray(gravity, dtype=np.float64), joint_frame_errors)
+        self.model = mujoco.MjModel.from_xml_string(text)
+        self.data = mujoco.MjData(self.model)
+        self._zero = np.zeros(len(chain.joints)) if joint_zero is None else np.asarray(joint_zero, dtype=np.float64)
+        self._wrench_point = np.asarray(wrench_point, dtype=np.float64)
+        self._dofs = np.array([self.model.joint(name).dofadr[0] for name in chain.joints], dtype=np.int64)
+        self._flange = int(self.model.body(chain.links[chain.flange].name).id)
+        self._joints = len(chain.joints)
+
+    def forward(self, angles: ArrayLike) -> Placement:
+        """Return the flange frame in the base frame with the links (not the motors) at `angles` (n,) rad."""
+        self.data.qpos[:] = 0.0
+        self.data.qpos[self._dofs] = np.asarray(angles) + self._zero
+        mujoco.mj_kinematics(self.model, self.data)
+        return self._flange_placement()
+
+    def jacobian(self, angles: ArrayLike, point: ArrayLike = (0.0, 0.0, 0.0)) -> Float2D:
+        """Return the Jacobian (6, n) of a point of the flange frame (m): translation above rotation, base axes."""
+        place = self.forward(angles)
+        mujoco.mj_comPos(self.model, self.data)
+        linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
+        mujoco.mj_jac(self.model, self.data, linear, angular, place.apply(point), self._flange)
+        return np.asarray(np.vstack([linear, angular])[:, self._dofs])
+
+    def origins(self, angles: ArrayLike) -> Float2D:
+        """Return the origins (links, 3) of all links in the base frame, m, with the links at `angles` (n,) rad."""
+        self.forward(angles)
+        return np.array(self.data.xpos[1:])
+
+    def equilibrium(self, q: ArrayLike, wrench: ArrayLike | None = None) -> Equilibrium:
+        """Solve for the rest position.
+
+        Args:
+            q: (n,) rad, commanded angles (the encoder sits on the motor side and reads these).
+            wrench: (6,) N and N*m, base axes, acting on the flange at the wrench point; None: no external load.
+
+        Raises:
+            EquilibriumError: Newton's method did not converge: the load is beyond what the springs can carry.
+        """
+        w = np.zeros(6) if wrench is None else np.asarray(wrench, dtype=np.float64)
+        reference = np.zeros(self.model.nv)
+        reference[self._dofs] = np.asarray(q, dtype=np.float64) + self._zero
+        self.model.qpos_spring[:] = reference
+        spring = np.array(self.model.jnt_stiffness, dtype=np.float64).reshape(self.model.nv, -1)[:, 0]
+        rounding = 8.0 * np.finfo(np.float64).eps * spring * np.maximum(1.0, np.abs(reference))
+
+        x = reference.copy()
+        slope = np.diag(-spring)
+        unbalanced, scale = self._unbalanced(x, w)
+        step = np.zeros_like(x)
+        for _ in range(MAX_ITERATIONS):
+            if np.all(np.abs(unbalanced) <= np.maximum(RELATIVE_TOLERANCE * scale, rounding)):
+                size = float(np.max(np.abs(unbalanced)))
+                deflection = (x - reference)[self._dofs]
+                torque = np.array(self.data.qfrc_passive)[self._dofs]
+                return Equilibrium(deflection, torque, self._flange_placement(), size / scale if scale > 0.0 else 0.0)
+            step = np.linalg.solve(slope, -unbalanced)
+            before = float(np.max(np.abs(unbalanced)))
+            x = x + step
+            unbalanced, scale = self._unbalanced(x, w)
+            if not np.all(np.isfinite(unbalanced)):
+                break
+            if float(np.max(np.abs(unbalanced))) > SLOW * before:
+                slope = self._slope(x, w)
+        raise EquilibriumError(float(np.max(np.abs(step))), MAX_ITERATIONS)
+
+    def _unbalanced(self, x: Float1D, wrench: Float1D) -> tuple[Float1D, float]:
+        """Return the unbalanced torque (nv,) at rest at x, and the largest single torque in it."""
+        model, data = self.model, self.data
+        data.qpos[:] = x
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_passive(model, data)
+        mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+        load = np.zeros(model.nv)
+        point = self._flange_placement().apply(self._wrench_point)
+        mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], point, self._flange, load)
+        parts = np.array([data.qfrc_passive, data.qfrc_bias, load])
+        return parts[0] - parts[1] + parts[2], float(np.max(np.abs(parts)))
+
+    def _slope(self, x: Float1D, wrench: Float1D) -> Float2D:
+        """Return the derivative (nv, nv) of the unbalanced torque by central differences."""
+        columns = []
+        for i in range(len(x)):
+            shift = np.zeros_like(x)
+            shift[i] = DIFFERENCE_STEP
+            forces = self._unbalanced(x + shift, wrench)[0] - self._unbalanced(x - shift, wrench)[0]
+            columns.append(forces / (2.0 * DIFFERENCE_STEP))
+        self._unbalanced(x, wrench)
+        return np.array(columns).T
+
+    def _flange_placement(self) -> Placement:
+        rotation = np.array(self.data.xmat[self._flange]).reshape(3, 3)
+        return Placement(rotation, np.array(self.data.xpos[self._flange]))
