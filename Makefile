@@ -1,0 +1,57 @@
+# The workspace's commands.  `make demo` and `make test` set up whatever is missing first.
+#   make PYTHON=python3.12 test    with a Python of your choice (CPython 3.11, 3.12 or 3.13)
+SHELL := /usr/bin/env bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.PHONY: help setup lint test demo bench bench-peers prove clean
+
+export OPENBLAS_NUM_THREADS ?= 1
+export OMP_NUM_THREADS ?= 1
+JOBS ?= 2
+BIN := .venv/bin
+PYTEST := $(BIN)/python -m pytest
+DEMO := build/demo
+CELL := config/cells/demo.cell.yaml
+
+# "ok PYTHON", or the sentence that says what the machine lacks.
+found = $(eval found := $$(shell .ci/prerequisites "$(PYTHON)"))$(found)
+python = $(if $(filter ok,$(firstword $(found))),$(wordlist 2,99,$(found)),$(error $(found)))
+
+help:
+	@echo "make demo     simulate a loaded recording, identify it, name the report"
+	@echo "make test     lint, types and all tests"
+	@echo "make setup    virtual environment, packages, messages"
+	@echo "make lint     ruff and mypy alone"
+	@echo "make bench    speed and accuracy against the peer tools"
+	@echo "make prove    the slow tests that make test leaves out"
+	@echo "make clean    remove everything that was made"
+
+setup:
+	@.ci/setup "$(python)"
+
+lint: setup
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+test: lint
+	@$(PYTEST) -n $(JOBS) -m "not slow"
+
+prove: setup
+	@$(PYTEST) -n $(JOBS) -m slow
+
+demo: setup
+	@rm -rf $(DEMO)
+	@$(BIN)/calibration-sim record --cell $(CELL) --out $(DEMO)/recording --seed 1
+	@$(BIN)/calibration identify $(DEMO)/recording --cell $(CELL) --out $(DEMO)/identify
+
+bench-peers: setup
+	@.ci/peers "$(python)"
+
+bench: bench-peers
+	@$(PYTEST) test/bench -o python_files="bench_*.py" -s
+
+clean:
+	rm -rf .venv build install log .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find src test -name __pycache__ -prune -exec rm -rf {} +
+	rm -rf src/*/*.egg-info
