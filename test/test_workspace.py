@@ -1,0 +1,199 @@
+"""The workspace sets itself up: prerequisites, pins, commands and the built messages."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BIN = Path(sys.prefix) / "bin"
+PACKAGES = ("calibration_core", "calibration_sim")
+PREREQUISITES = ROOT / ".ci" / "prerequisites"
+
+FIELDS = {"header": "std_msgs/Header", "configuration": "uint32", "step": "uint32", "phase": "uint8"}
+PHASES = {"MOVING": 0, "LOADING": 1, "SETTLING": 2, "MEASURING": 3, "UNLOADING": 4, "DONE": 5}
+
+
+# --- prerequisites --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> Path:
+    """A folder that, taken as PATH, holds what set-up needs and nothing else."""
+    for tool in ("bash", "uname", "cc", "c++"):
+        (tmp_path / tool).symlink_to(shutil.which(tool) or f"no {tool}")
+    return tmp_path
+
+
+def stand_in(folder: Path, name: str, version: str, *, venv: bool = True, headers: bool = True) -> Path:
+    """Writes an executable that answers the three questions of the check as a Python of this kind would."""
+    path = folder / name
+    path.write_text(
+        "#!/usr/bin/env bash\n"
+        f'case "$2" in *base_executable*) echo "{version} $0";; *ensurepip*) exit {int(not venv)};;'
+        f" *Python.h*) exit {int(not headers)};; esac\n",
+        encoding="utf-8",
+    )
+    path.chmod(0o755)
+    return path
+
+
+def prerequisites(path: Path, python: str) -> subprocess.CompletedProcess[str]:
+    environment = {"PATH": str(path)}
+    bash = shutil.which("bash") or "bash"
+    command = [bash, str(PREREQUISITES), python]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_a_complete_machine_is_accepted(bare: Path) -> None:
+    python = stand_in(bare, "python3.12", "3.12")
+    answer = prerequisites(bare, "python3.12")
+    assert (answer.returncode, answer.stdout) == (0, f"ok {python}\n")
+
+
+@pytest.mark.parametrize("version", ["2.7", "3.10", "3.14"])
+def test_python_of_another_version(bare: Path, version: str) -> None:
+    stand_in(bare, "python-old", version)
+    _expect_one_line(prerequisites(bare, "python-old"), f"python-old: {version}", "install CPython")
+
+
+def test_absent_python(bare: Path) -> None:
+    _expect_one_line(prerequisites(bare, "python-none"), "python-none: missing", "install CPython")
+
+
+def test_python_without_venv(bare: Path) -> None:
+    stand_in(bare, "python3.12", "3.12", venv=False)
+    _expect_one_line(prerequisites(bare, "python3.12"), "no venv module", "python3.12-venv")
+
+
+def test_python_without_headers(bare: Path) -> None:
+    stand_in(bare, "python3.12", "3.12", headers=False)
+    _expect_one_line(prerequisites(bare, "python3.12"), "Python.h", "python3.12-dev")
+
+
+@pytest.mark.parametrize(("compiler", "package"), [("cc", "gcc"), ("c++", "g++")])
+def test_absent_compiler(bare: Path, compiler: str, package: str) -> None:
+    stand_in(bare, "python3.12", "3.12")
+    (bare / compiler).unlink()
+    _expect_one_line(prerequisites(bare, "python3.12"), "compiler", f"apt install {package}")
+
+
+def _expect_one_line(answer: subprocess.CompletedProcess[str], *parts: str) -> None:
+    assert answer.returncode == 1
+    assert answer.stdout.count("\n") == 1
+    assert answer.stderr == ""
+    for part in parts:
+        assert part in answer.stdout
+
+
+@pytest.mark.parametrize("target", ["setup", "test", "demo"])
+def test_make_stops_with_the_one_line(target: str) -> None:
+    command = ["make", "-C", str(ROOT), "--no-print-directory", "PYTHON=python-none", target]
+    answer = subprocess.run(command, env=_outside_make(), capture_output=True, text=True, check=False)
+    assert answer.returncode == 2
+    assert answer.stdout == ""
+    assert re.fullmatch(r"Makefile:\d+: \*\*\* no suitable Python .*install CPython.*Stop\.\n", answer.stderr)
+
+
+def _outside_make() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name not in {"MAKEFLAGS", "MAKELEVEL", "MFLAGS"}}
+
+
+# --- pins -----------------------------------------------------------------------------------------------------------
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", re.split(r"[\[<>=!~ ;]", name)[0]).lower()
+
+
+def pins() -> dict[str, str]:
+    lines = (ROOT / ".ci" / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pairs = [line.split("==") for line in lines if line and not line.startswith("#")]
+    return {canonical(name): version for name, version in pairs}
+
+
+def test_every_direct_dependency_is_pinned() -> None:
+    wanted = set()
+    for package in PACKAGES:
+        declared = tomllib.loads((ROOT / "src" / package / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        wanted |= {canonical(name) for name in declared["dependencies"]}
+        wanted |= {canonical(name) for name in declared["optional-dependencies"]["test"]}
+    for requirements in (ROOT / ".ci").glob("requirements*.txt"):
+        lines = requirements.read_text(encoding="utf-8").splitlines()
+        wanted |= {canonical(line) for line in lines if line and not line.startswith("#")}
+    assert wanted - set(pins()) - {canonical(package) for package in PACKAGES} == set()
+
+
+def test_installed_versions_are_the_pinned_ones() -> None:
+    ours = importlib.metadata.distributions(path=[sysconfig.get_path("purelib")])
+    installed = {canonical(found.name): found.version for found in ours}
+    wrong = {name: (installed[name], pin) for name, pin in pins().items() if installed.get(name, pin) != pin}
+    assert wrong == {}
+
+
+# --- commands -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("program", ["calibration", "calibration-sim"])
+def test_program_is_installed(program: str) -> None:
+    answer = subprocess.run([BIN / program, "--help"], capture_output=True, text=True, check=False, timeout=60)
+    assert answer.returncode == 0
+    assert f"usage: {program}" in answer.stdout
+    assert answer.stderr == ""
+
+
+def test_readme_names_the_two_commands() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "make demo" in text
+    assert "make test" in text
+
+
+def test_one_version_everywhere() -> None:
+    versions = {re.search(r"<version>(.*?)</version>", path.read_text(encoding="utf-8"))[1] for path in manifests()}
+    for package in PACKAGES:
+        declared = tomllib.loads((ROOT / "src" / package / "pyproject.toml").read_text(encoding="utf-8"))
+        versions.add(declared["project"]["version"])
+    assert len(versions) == 1
+
+
+def manifests() -> list[Path]:
+    found = sorted((ROOT / "src").glob("*/package.xml"))
+    assert len(found) >= 3
+    return found
+
+
+# --- messages -------------------------------------------------------------------------------------------------------
+
+INSPECT = """
+import json
+from calibration_interfaces.msg import MeasurementStep
+from rclpy.serialization import deserialize_message, serialize_message
+sent = MeasurementStep(configuration=7, step=3, phase=MeasurementStep.MEASURING)
+print(json.dumps({
+    "fields": MeasurementStep.get_fields_and_field_types(),
+    "phases": {name: value for name in dir(MeasurementStep) if type(value := getattr(MeasurementStep, name)) is int},
+    "round_trip": deserialize_message(serialize_message(sent), MeasurementStep) == sent,
+}, sort_keys=True))
+"""
+
+
+def test_built_messages_are_those_of_the_contract() -> None:
+    setup = ROOT / "install" / "setup.bash"
+    assert setup.is_file(), "the messages are not built: run make setup"
+    command = ["bash", "-c", 'source "$0" && "$1" -c "$2"', str(setup), str(BIN / "python"), INSPECT]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert answer.returncode == 0, answer.stderr
+    found = json.loads(answer.stdout)
+    assert found["fields"] == FIELDS
+    assert found["phases"] == PHASES
+    assert found["round_trip"] is True
