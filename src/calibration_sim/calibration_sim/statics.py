@@ -23,7 +23,7 @@ from calibration_sim.chain import Chain
 from calibration_sim.mjcf import build_mjcf
 from calibration_sim.transforms import Placement
 
-RELATIVE_TOLERANCE = 1e-11  # of the largest torque at work
+RELATIVE_TOLERANCE = 1e-12  # of the largest torque at work
 SLOW = 0.1  # a step that removes less than nine tenths of the residual asks for a new derivative
 MAX_ITERATIONS = 50
 DIFFERENCE_STEP = 1e-6  # rad
@@ -126,7 +126,10 @@ class Mechanism:
                 deflection = (x - reference)[self._dofs]
                 torque = np.array(self.data.qfrc_passive)[self._dofs]
                 return Equilibrium(deflection, torque, self._flange_placement(), size / scale if scale > 0.0 else 0.0)
-            step = np.linalg.solve(slope, -unbalanced)
+            try:
+                step = np.linalg.solve(slope, -unbalanced)
+            except np.linalg.LinAlgError:  # the springs buckle here
+                break
             before = float(np.max(np.abs(unbalanced)))
             x = x + step
             unbalanced, scale = self._unbalanced(x, w)

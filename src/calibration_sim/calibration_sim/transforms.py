@@ -60,7 +60,7 @@ def rotation_vector(vector: ArrayLike) -> Float2D:
         return np.eye(3)
     x, y, z = vector / angle
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew
+    return np.asarray(np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew)
 
 
 def placement(pose: Pose | None) -> Placement:
