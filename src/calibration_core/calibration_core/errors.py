@@ -6,6 +6,7 @@ what was found and what was expected; the command line prints it and ends with e
 
 from __future__ import annotations
 
+import reprlib
 from pathlib import Path
 
 
@@ -61,6 +62,10 @@ class PlanError(InputError):
     """No plan can be made under the given limits."""
 
 
+class OutputError(InputError):
+    """The output directory cannot be made or a file in it cannot be written."""
+
+
 class EquilibriumError(CalibrationError):
     """The static equilibrium did not converge: the load is beyond what the joints can carry.
 
@@ -77,8 +82,11 @@ class EquilibriumError(CalibrationError):
 
 
 def quoted(value: object, limit: int = 60) -> str:
-    """Quote an offending value for a message, cut to `limit` characters."""
-    text = repr(value)
+    """Quote an offending value for a message, cut to `limit` characters; nested values cost no more than that."""
+    shortened = reprlib.Repr()
+    shortened.maxlevel = 3  # a few hundred bytes of YAML can nest into 10^9 elements
+    shortened.maxstring = shortened.maxother = shortened.maxlong = 2 * limit
+    text = shortened.repr(value)
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 

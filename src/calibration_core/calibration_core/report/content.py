@@ -1,0 +1,194 @@
+"""Everything the report says, built once from the answer; HTML and PDF print the same value."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import math
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.estimate import Identification
+from calibration_core.report.document import (
+    Block,
+    Document,
+    Facts,
+    Paragraph,
+    Section,
+    Verdict,
+    cleaned,
+    numbered,
+)
+from calibration_core.report.result import result_dict, result_json
+from calibration_core.report.rounding import counted, length_unit, listed, shortened, spread
+from calibration_core.report.sections import procedure, records, residuals, stiffness, uncertainty
+from calibration_core.report.verdict import Rest, rest
+
+TITLE = "Elastostatic compliance calibration"
+STATEMENT = (
+    "The results hold for the robot, the configurations and the loads stated here. The uncertainties are "
+    "those of the fit: they "
+    "contain the noise of the tracker and wrench readings, not the compliance of end effector, load device "
+    "or foundation, "
+    "nor errors of parameters that were kept nominal."
+)
+SIGNATURES = ("Measured by", "Evaluated by", "Approved by")
+
+
+def build(identification: Identification, cell: Cell, evaluated: dt.date | None = None) -> Document:
+    """Build the report of an identification (CWA 17384, clause 8).
+
+    Args:
+        identification: The answer.
+        cell: The cell it belongs to.
+        evaluated: Date of evaluation; today (UTC) if not given.
+    """
+    result, left = identification, rest(identification)
+    day = evaluated or dt.datetime.now(dt.UTC).date()
+    sections = _sections(result, cell, left)
+    front: tuple[Block, ...] = (Paragraph(_no_stiffness(result)),)
+    if result.stages:
+        front = (*front, *uncertainty.stage_blocks(result))
+    if result.stiffness:
+        front = (*front[1:], stiffness.table_2(result, cell), stiffness.drawing_of(result, cell))
+    document = Document(
+        number=report_number(result, cell),
+        title=TITLE,
+        subtitle="Test report according to CWA 17384",
+        facts=_facts(result, cell, day),
+        verdict=_verdict(result, left),
+        front=(*front, Paragraph(_where(sections))),
+        sections=sections,
+        signatures=SIGNATURES,
+        statement=STATEMENT,
+    )
+    return numbered(cleaned(document))
+
+
+def report_number(identification: Identification, cell: Cell) -> str:
+    """Return the report's number: a short digest of input files and result; the same for the same answer."""
+    digest = hashlib.sha256(result_json(result_dict(identification, cell))).hexdigest()
+    return f"{digest[:4]}-{digest[4:8]}-{digest[8:12]}".upper()
+
+
+def date_of_test(start: str) -> str:
+    """Return the date of the test as printed, from the ISO 8601 start of the recording."""
+    if not start:
+        return "not stated in the recording"
+    try:
+        moment = dt.datetime.fromisoformat(start)
+    except ValueError:
+        return start
+    return f"{moment:%Y-%m-%d}" if len(start) <= 10 else f"{moment:%Y-%m-%d %H:%M} UTC"
+
+
+def _facts(result: Identification, cell: Cell, day: dt.date) -> Facts:
+    provenance = result.readings.provenance
+    rows = [
+        ("Industrial robot", cell.robot.name),
+        ("Cell", cell.name),
+        ("Date of the test", date_of_test(provenance.start)),
+        ("Date of evaluation", f"{day:%Y-%m-%d}"),
+        ("Recording", f"{provenance.path} ({provenance.kind})"),
+        ("Extent", procedure.counts_text(result)),
+        ("Applied load", procedure.load_text(result, cell)),
+    ]
+    rows += [(label, text) for label, text in (("Origin of the data", cell.source), ("Note", cell.note)) if text]
+    return Facts(tuple(rows))
+
+
+def _verdict(result: Identification, left: Rest) -> Verdict:
+    known = [joint for joint in result.stiffness if joint.identifiable]
+    total = len(result.stiffness) or len(result.model.joints)
+    lines: list[tuple[str, str]] = []
+    if known:
+        headline = f"Joint stiffness identified: {len(known)} of {counted(total, 'joint')}"
+        worst = max(known, key=lambda joint: joint.std / joint.value if joint.value else math.inf)
+        share = spread(100 * worst.std / worst.value)
+        lines.append(("Uncertainty", f"largest relative standard uncertainty {share} % ({shortened(worst.joint)})"))
+    else:
+        fitted = [parameter for parameter in result.parameters if parameter.fitted]
+        headline = "Joint stiffness not identified"
+        if fitted:
+            headline += (
+                f"; {len(fitted)} of {counted(len(result.parameters), 'parameter')} of frames and geometry identified"
+            )
+    open_joints = [joint.joint for joint in result.stiffness if not joint.identifiable]
+    if open_joints:
+        lines.append(("Not determined", listed(open_joints)))
+    lines.append(("Residual", stiffness.rest_text(left)))
+    unit = length_unit(result.fit.held_out_mean_after)
+    mean, largest = (
+        f"{spread(length * unit.factor)} {unit.name}"
+        for length in (result.fit.held_out_mean_after, result.fit.held_out_max_after)
+    )
+    prediction = f"configurations left out of the fit are predicted to {mean} on average, {largest} at worst (3-D)"
+    lines.append(("Prediction", prediction))
+    if result.preconditions:
+        failed = [item.requirement for item in result.preconditions if item.met is False]
+        text = procedure.requirement_text(result.preconditions)
+        lines.append(("Requirements", text + (f"; not met: {'; '.join(failed)}" if failed else "")))
+    excluded = int(np.count_nonzero(result.residuals.excluded))
+    used = len(result.readings) - excluded
+    lines.append(
+        (
+            "Readings",
+            f"{used:,} of {len(result.readings):,} used" + (f", {excluded:,} set aside and named" if excluded else ""),
+        )
+    )
+    if result.noise.understated:
+        lines.append(("Noise", result.noise.text))
+    if left.significant:
+        headline += "; the residual is more than noise"
+    return Verdict(headline, tuple((label, text[:1].upper() + text[1:]) for label, text in lines))
+
+
+def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, ...]:
+    sections = [
+        Section("What the recording determines", "8", stiffness.limits(result)),
+        Section("Agreement of model and recording", "", stiffness.fit_section(result, cell, left)),
+    ]
+    sections.append(Section("Test parameters", "8 f)", procedure.parameters(result, cell)))
+    if result.preconditions:
+        sections.append(Section("Requirements of the standard", "5", procedure.requirements(result.preconditions)))
+    sections += [
+        Section("Measuring equipment", "8 e)", procedure.equipment(cell)),
+        Section("Operating space", "8 g)", procedure.operating_space(result)),
+        Section("Measurement configurations", "8 d)", procedure.configurations(result)),
+        Section("Residuals", "", residuals.residual_section(result)),
+        Section("Noise", "5.3", uncertainty.noise_section(result)),
+        Section("Condition and correlation", "5.4", uncertainty.correlation_section(result)),
+    ]
+    if result.parameters:
+        sections.append(
+            Section("Frames, points and geometry", "7.1 to 7.5", uncertainty.parameter_section(result.parameters))
+        )
+    sections += [
+        Section("Readings not used", "", records.exclusion_section(result)),
+        Section("Anomalies and remarks", "", records.remark_section(result)),
+        Section("Input and software", "", records.traceability_section(result, cell)),
+    ]
+    return tuple(sections)
+
+
+def _where(sections: tuple[Section, ...]) -> str:
+    """Return where the information stands that clause 8 asks for."""
+    place = {section.clause: i + 1 for i, section in enumerate(sections)}
+    return (
+        "Information asked for by CWA 17384, clause 8: a) reference, b) date and c) robot on this page; "
+        f"d) configurations in section {place['8 d)']}; e) equipment in section {place['8 e)']}; "
+        f"f) parameters in section {place['8 f)']}; g) operating space in section {place['8 g)']}."
+    )
+
+
+def _no_stiffness(result: Identification) -> str:
+    reasons = [stage.reason for stage in result.stages if stage.name == "elasticity" and not stage.kept]
+    why = f" Elasticity was examined and not kept: {reasons[0]}." if reasons else ""
+    if result.kind == "absolute":
+        return (
+            "Table 2 of the standard stays empty: the recording holds one position per configuration under "
+            "the robot's own weight, "
+            "no loaded and unloaded pairs." + why
+        )
+    return "Table 2 of the standard stays empty: this recording determines no joint stiffness." + why

@@ -1,0 +1,36 @@
+"""What a result rests on: software versions and digests of every input file."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from importlib import metadata
+
+from calibration_core.cell import Cell
+from calibration_core.timeseries import Provenance
+
+PACKAGES = ("calibration_core", "numpy", "scipy", "pin", "rosbags")
+
+
+def software() -> dict[str, str]:
+    """Return name -> version of the interpreter and of the packages that take part in a result."""
+    versions = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed as a package"
+    return versions
+
+
+def digests(
+    cell: Cell, provenance: Provenance, test: Mapping[str, str] | None = None
+) -> tuple[tuple[str, str, str], ...]:
+    """Return (role, file, SHA-256) of every input file: recording, cell, URDF and the second recording."""
+    rows = [("recording", name, digest) for name, digest in sorted(provenance.sha256.items())]
+    rows.append(("cell", str(cell.path), cell.sha256))
+    if cell.urdf_path is not None and cell.urdf_path.is_file():
+        rows.append(("robot", str(cell.robot.urdf), hashlib.sha256(cell.urdf_path.read_bytes()).hexdigest()))
+    rows += [("test", name, digest) for name, digest in sorted((test or {}).items())]
+    return tuple(rows)

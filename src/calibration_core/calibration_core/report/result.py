@@ -1,0 +1,179 @@
+"""result.json: the answer for programs (contract, section 5)."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.estimate import Identification, JointStiffness
+from calibration_core.report.output import write_files
+from calibration_core.report.provenance import digests, software
+from calibration_core.report.verdict import rest
+
+SCHEMA = 1
+RESULT = "result.json"
+
+
+def result_dict(identification: Identification, cell: Cell, command: str = "identify") -> dict[str, Any]:
+    """Return the content of result.json: the contract's keys in its order, further keys after them.
+
+    Numbers that are not finite are None.  The verdict is `consistent` where the residuals agree with the noise, else
+    `unexplained`: an identification looks for no causes, so it has no findings.
+    """
+    result, left = identification, rest(identification)
+    where: dict[str, Any] = {}
+    if left.significant:
+        where = {"configurations": list(left.configurations), "axis": left.axis}
+    content = {
+        "schema": SCHEMA,
+        "command": command,
+        "robot": cell.robot.name,
+        "recording": _recording(result),
+        "stiffness": [_stiffness(joint) for joint in result.stiffness],
+        "fit": _fit(result),
+        "verdict": "unexplained" if left.significant else "consistent",
+        "findings": [],
+        "anomalies": [
+            {
+                "kind": anomaly.kind,
+                "location": dict(anomaly.location),
+                "configurations": None if anomaly.configurations is None else list(anomaly.configurations),
+                "magnitude": anomaly.magnitude,
+                "unit": anomaly.unit,
+                "text": anomaly.text,
+            }
+            for anomaly in result.anomalies
+        ],
+        "unexplained": {"rms": left.rms if left.significant else 0.0, "significant": left.significant, "where": where},
+        "next_measurements": [],
+        **_further(result, cell),
+    }
+    return {key: _plain(value) for key, value in content.items()}
+
+
+def result_json(content: dict[str, Any]) -> bytes:
+    """Return result.json: UTF-8, indented, same bytes for the same content."""
+    return (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()
+
+
+def write_result(identification: Identification, cell: Cell, out_dir: Path, command: str = "identify") -> Path:
+    """Write `result.json` into a directory, which is made if missing, and return its path.
+
+    Raises:
+        OutputError: The directory or file cannot be written.
+    """
+    write_files(out_dir, {RESULT: result_json(result_dict(identification, cell, command))})
+    return out_dir / RESULT
+
+
+def _recording(result: Identification) -> dict[str, Any]:
+    readings = result.readings
+    pairs = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
+    return {
+        "file": readings.provenance.path,
+        "configurations": len(np.unique(readings.configuration)),
+        "steps": len(pairs),
+        "points": list(readings.points),
+        "loaded": result.kind == "loaded",
+        "readings": len(readings),
+    }
+
+
+def _stiffness(joint: JointStiffness) -> dict[str, Any]:
+    return {
+        "joint": joint.joint,
+        "value": joint.value,
+        "std": joint.std,
+        "unit": "N*m/rad",
+        "identifiable": joint.identifiable,
+        "interval_95": list(joint.interval),
+        "reason": joint.reason,
+        "compliance": joint.compliance,
+        "compliance_std": joint.compliance_std,
+    }
+
+
+def _fit(result: Identification) -> dict[str, Any]:
+    fit = result.fit
+    return {
+        "rms_before": fit.rms_before,
+        "rms_after": fit.rms_after,
+        "held_out_rms_before": fit.held_out_rms_before,
+        "held_out_rms_after": fit.held_out_rms_after,
+        "noise": fit.noise,
+        "unit": "m",
+        "held_out_mean_after": fit.held_out_mean_after,
+        "held_out_max_after": fit.held_out_max_after,
+    }
+
+
+def _further(result: Identification, cell: Cell) -> dict[str, Any]:
+    """Return the keys beyond the contract's."""
+    provenance = result.readings.provenance
+    return {
+        "kind": result.kind,
+        "method": result.method,
+        "condition_number": result.condition_number,
+        "unidentified": [
+            {"combination": dict(item.combination), "reason": item.reason} for item in result.unidentified
+        ],
+        "noise": _record(result.noise),
+        "stages": [_record(stage) for stage in result.stages],
+        "parameters": [_record(parameter) for parameter in result.parameters],
+        "correlation": {"names": list(result.names), "matrix": correlation(result)},
+        "preconditions": [_record(precondition) for precondition in result.preconditions],
+        "exclusions": [_record(exclusion) for exclusion in result.exclusions],
+        "test": None if result.test is None else _record(result.test),
+        "notes": [_record(note) for note in result.notes],
+        "input": {
+            "recording": {
+                "path": provenance.path,
+                "kind": provenance.kind,
+                "start": provenance.start,
+                "messages": dict(provenance.messages),
+            },
+            "cell": str(cell.path),
+            "sha256": [
+                {"role": role, "file": name, "sha256": digest} for role, name, digest in digests(cell, provenance)
+            ],
+            "software": software(),
+        },
+    }
+
+
+def correlation(identification: Identification) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the (p, p) correlation matrix; NaN in the rows of parameters without a finite, positive variance."""
+    covariance = np.asarray(identification.covariance, dtype=np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        std = np.sqrt(np.diag(covariance))
+        std = np.where((std > 0) & np.isfinite(std), std, np.nan)
+        matrix = covariance / np.outer(std, std)
+    return np.asarray(np.clip(matrix, -1.0, 1.0))
+
+
+def _record(value: object) -> dict[str, Any]:
+    return dict(vars(value))
+
+
+def _plain(value: Any) -> Any:
+    """Return the value with JSON types only: arrays and tuples as lists, non-finite numbers as None."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if hasattr(value, "__dataclass_fields__"):
+        return _plain(_record(value))
+    return value

@@ -1,0 +1,86 @@
+"""What was left out, what was noticed, and on which files and programs the result rests."""
+
+from __future__ import annotations
+
+import math
+
+from calibration_core.cell import Cell
+from calibration_core.identification.estimate import Identification
+from calibration_core.report.document import Block, Column, Items, Paragraph, Table
+from calibration_core.report.provenance import digests, software
+from calibration_core.report.rounding import counted, length_unit, padded, shortened, spread
+from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
+
+
+def exclusion_section(result: Identification) -> tuple[Block, ...]:
+    """Return every reading that was not used, why, and how to use it after all."""
+    exclusions = result.exclusions
+    if not exclusions:
+        return (Paragraph("Every reading was used."),)
+    largest = max((item.size for item in exclusions if math.isfinite(item.size)), default=0.0)
+    unit = length_unit(largest)
+    shown = exclusions if len(exclusions) <= MOST_ROWS else exclusions[:SHOWN_ROWS]
+    rows = [
+        (
+            str(item.configuration),
+            str(item.step),
+            shortened(item.point),
+            spread(item.size * unit.factor),
+            spread(item.times_sigma),
+            item.reason,
+        )
+        for item in shown
+    ]
+    columns = (
+        Column("Configuration"),
+        Column("Step"),
+        Column("Point", "left", wide=True),
+        Column(f"Residual [{unit.name}]"),
+        Column("In σ"),
+        Column("Reason", "left", wide=True),
+    )
+    note = (
+        ""
+        if len(shown) == len(exclusions)
+        else f"First {len(shown)} of {len(exclusions):,}; all stand in result.json and residuals.csv."
+    )
+    return (
+        Paragraph(
+            f"{counted(len(exclusions), 'reading was', 'readings were')} not used. Nothing was deleted: each "
+            "stays in the recording and, "
+            "marked, in residuals.csv. " + (READMIT if result.kind == "loaded" else "") + USE_ALL
+        ),
+        Table("Readings not used", columns, padded(rows), note),
+    )
+
+
+READMIT = "A single one is used after all with --readmit CONFIGURATION:STEP:POINT. "
+USE_ALL = "All of them are used with --no-robust."
+
+
+def remark_section(result: Identification) -> tuple[Block, ...]:
+    """Return anomalies of the data and remarks on reading them."""
+    texts = [
+        f"{item.kind.replace('_', ' ')}: {item.text}"
+        + (f" (configurations {item.configurations[0]} to {item.configurations[1]})" if item.configurations else "")
+        for item in result.anomalies
+    ]
+    texts += [f"{note.kind.replace('_', ' ')}, {note.place}: {note.text}" for note in result.notes[:MOST_ROWS]]
+    if len(result.notes) > MOST_ROWS:
+        texts.append(f"{len(result.notes) - MOST_ROWS:,} further remarks stand in result.json.")
+    return (Items(tuple(texts)),) if texts else (Paragraph("Nothing was noticed."),)
+
+
+def traceability_section(result: Identification, cell: Cell) -> tuple[Block, ...]:
+    """Return the input files with their digests, and the versions of the software."""
+    provenance = result.readings.provenance
+    files = tuple((role, name, digest) for role, name, digest in digests(cell, provenance))
+    messages = tuple((topic, f"{count:,}") for topic, count in provenance.messages.items())
+    versions = tuple(software().items())
+    return (
+        Table(
+            "Input files", (Column("Role", "left"), Column("File", "left", wide=True), Column("SHA-256", "left")), files
+        ),
+        Table("Messages or rows read", (Column("Topic or table", "left", wide=True), Column("Number")), messages),
+        Table("Software", (Column("Package", "left", wide=True), Column("Version", "left")), versions),
+    )

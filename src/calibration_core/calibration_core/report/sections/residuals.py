@@ -1,0 +1,174 @@
+"""What the model leaves: residuals per configuration, axis, point and load, and predicted against measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.identification.estimate import Identification
+from calibration_core.report.document import Block, Column, Figure, Table
+from calibration_core.report.figures import grouped_rms, prediction_figure, residual_figure
+from calibration_core.report.rounding import Unit, decimals, fixed, length_unit, padded, rms, shortened, spread
+from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
+from calibration_core.timeseries import Bool1D, Float1D
+
+
+def residual_section(result: Identification) -> tuple[Block, ...]:
+    """Return figures and tables of the residuals."""
+    rows = result.residuals
+    used: Bool1D = ~np.asarray(rows.excluded, dtype=bool)
+    unit = length_unit(rms(rows.residual[used]))
+    blocks: list[Block] = [
+        Figure(
+            "residuals",
+            "Residuals (measured minus predicted): a) rms per coordinate of every configuration, fitted and "
+            "predicted from a fit "
+            "to all others; b) per base axis, box: quartiles, whiskers: 95 %, dashed: 95 % of the expected "
+            "noise; c) length of the "
+            "residual.",
+            "Residuals per configuration, per axis and against load",
+            residual_figure(result.readings, rows, reach_of_rows(result)),
+        ),
+        _per_axis(result, used, unit),
+        _per_point(result, used, unit),
+    ]
+    if np.any(rows.load > 0):
+        blocks.append(_per_load(result, used, unit))
+    blocks.append(_per_configuration(result, used, unit))
+    loaded = result.kind == "loaded"
+    what = "Deflection" if loaded else "Position"
+    blocks.append(
+        Figure(
+            "prediction",
+            f"{what} predicted and measured, base axes (left; line: equality), and what remains (right; "
+            "dashed: twice the expected "
+            "standard deviation).",
+            "Predicted against measured values",
+            prediction_figure(rows, loaded),
+        )
+    )
+    return tuple(blocks)
+
+
+def reach_of_rows(result: Identification) -> Float1D:
+    """Return (m,) m, horizontal distance of the configuration's flange from the base's z axis, row by row."""
+    radius = np.linalg.norm(np.asarray(result.space.flange)[:, :2], axis=1)
+    order = np.argsort(result.space.configuration, kind="stable")
+    sorted_numbers = np.asarray(result.space.configuration)[order]
+    place = np.clip(np.searchsorted(sorted_numbers, result.readings.configuration), 0, len(order) - 1)
+    return np.asarray(radius[order[place]])
+
+
+def _per_axis(result: Identification, used: Bool1D, unit: Unit) -> Table:
+    rows = result.residuals
+    places = decimals(rms(rows.residual[used]) * unit.factor)
+    body = [
+        (
+            axis,
+            _size(rms(rows.measured[used, i] - np.mean(rows.measured[used, i])), length_unit(rms(rows.measured[used]))),
+            _size(rms(rows.residual[used, i]), unit),
+            fixed(float(np.mean(rows.residual[used, i])) * unit.factor, places),
+            _size(float(np.max(np.abs(rows.residual[used, i]), initial=0.0)), unit),
+            _size(rms(rows.held_out[used, i]), unit),
+            _size(rms(rows.sigma[used, i]), unit),
+        )
+        for i, axis in enumerate("xyz")
+    ]
+    coarse = length_unit(rms(rows.measured[used])).name
+    columns = (
+        Column("Axis", "left"),
+        Column(f"Spread measured [{coarse}]"),
+        Column(f"rms residual [{unit.name}]"),
+        Column(f"Mean [{unit.name}]"),
+        Column(f"Largest [{unit.name}]"),
+        Column(f"rms, left out [{unit.name}]"),
+        Column(f"Expected σ [{unit.name}]"),
+    )
+    return Table("Residuals per base axis", columns, padded(body))
+
+
+def _per_point(result: Identification, used: Bool1D, unit: Unit) -> Table:
+    body = []
+    for i, name in enumerate(result.readings.points):
+        mine = used & (result.readings.point == i)
+        left = result.residuals.residual[mine]
+        largest = float(np.max(np.linalg.norm(left, axis=1), initial=0.0))
+        body.append((shortened(name), f"{int(np.count_nonzero(mine)):,}", _size(rms(left), unit), _size(largest, unit)))
+    columns = (
+        Column("Point", "left", wide=True),
+        Column("Readings used"),
+        Column(f"rms residual [{unit.name}]"),
+        Column(f"Largest, 3-D [{unit.name}]"),
+    )
+    return Table("Residuals per measurement point", columns, padded(body))
+
+
+def _per_load(result: Identification, used: Bool1D, unit: Unit) -> Table:
+    rows = result.residuals
+    load = rows.load
+    edges = np.unique(np.quantile(load[used], np.linspace(0, 1, 6)))
+    group = np.clip(np.searchsorted(edges, load, side="right") - 1, 0, max(len(edges) - 2, 0))
+    coarse = length_unit(rms(rows.measured[used]))
+    body = []
+    for index in range(max(len(edges) - 1, 1)):
+        mine = used & (group == index)
+        if not np.any(mine):
+            continue
+        low, high = float(np.min(load[mine])), float(np.max(load[mine]))
+        span = f"{low:,.0f}" if round(low) == round(high) else f"{low:,.0f} to {high:,.0f}"
+        body.append(
+            (
+                span,
+                f"{int(np.count_nonzero(mine)):,}",
+                _size(rms(rows.measured[mine]), coarse),
+                _size(rms(rows.residual[mine]), unit),
+                _size(rms(rows.held_out[mine]), unit),
+            )
+        )
+    columns = (
+        Column("Force [N]", "left", wide=True),
+        Column("Readings used"),
+        Column(f"rms deflection [{coarse.name}]"),
+        Column(f"rms residual [{unit.name}]"),
+        Column(f"rms, left out [{unit.name}]"),
+    )
+    return Table("Residuals per load", columns, padded(body))
+
+
+def _per_configuration(result: Identification, used: Bool1D, unit: Unit) -> Table:
+    rows = result.residuals
+    chosen = result.readings.configuration[used]
+    numbers, fitted, largest = grouped_rms(chosen, rows.residual[used])
+    _, held_out, _ = grouped_rms(chosen, rows.held_out[used])
+    index = np.searchsorted(numbers, chosen)
+    load = np.zeros(len(numbers))
+    np.maximum.at(load, index, rows.load[used])
+    count = np.bincount(index, minlength=len(numbers))
+    order, note = np.arange(len(numbers)), ""
+    if len(numbers) > MOST_ROWS:
+        order = np.argsort(-fitted, kind="stable")[:SHOWN_ROWS]
+        note = f"The {SHOWN_ROWS} largest of {len(numbers):,}; every reading stands in residuals.csv."
+    loaded = bool(np.any(rows.load > 0))
+    body = [
+        (
+            f"{int(numbers[i])}",
+            f"{count[i]:,}",
+            *((f"{load[i]:,.0f}",) if loaded else ()),
+            _size(float(fitted[i]), unit),
+            _size(float(largest[i]), unit),
+            _size(float(held_out[i]), unit),
+        )
+        for i in order
+    ]
+    columns = (
+        Column("Configuration"),
+        Column("Readings used"),
+        *((Column("Largest force [N]"),) if loaded else ()),
+        Column(f"rms residual [{unit.name}]"),
+        Column(f"Largest, 3-D [{unit.name}]"),
+        Column(f"rms, left out [{unit.name}]"),
+    )
+    return Table("Residuals per configuration", columns, padded(body), note)
+
+
+def _size(value: float, unit: Unit) -> str:
+    return spread(value * unit.factor)

@@ -1,0 +1,190 @@
+"""Table 2, what cannot be identified, and how well the model fits (CWA 17384, clause 8)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.estimate import Identification, JointStiffness, TestResult
+from calibration_core.report.document import Block, Column, Figure, Items, Paragraph, Table
+from calibration_core.report.figures import stiffness_figure
+from calibration_core.report.rounding import (
+    DASH,
+    STIFFNESS,
+    Unit,
+    aligned,
+    counted,
+    decimals,
+    fixed,
+    length_unit,
+    padded,
+    shortened,
+    spread,
+    subscript,
+)
+from calibration_core.report.verdict import Rest
+
+
+def symbol(index: int) -> str:
+    """Return the standard's symbol of a joint's stiffness, joints counted from 1."""
+    return "kθ" + subscript(index)
+
+
+def table_2(result: Identification, cell: Cell) -> Table:
+    """Return Table 2 of the standard with intervals, standard uncertainties and what the cell file states."""
+    nominal = cell.robot.stiffness
+    cells = [_cells(joint) for joint in result.stiffness]
+    value, std, relative = (aligned(column) for column in zip(*[c[:3] for c in cells], strict=True))
+    rows = []
+    for i, joint in enumerate(result.stiffness):
+        stated = fixed(nominal[i] * STIFFNESS.factor, _places(joint)) if nominal else DASH
+        rows.append(
+            (
+                symbol(i + 1),
+                shortened(joint.joint),
+                value[i],
+                cells[i][3],
+                std[i],
+                relative[i],
+                stated,
+                "yes" if joint.identifiable else "no",
+            )
+        )
+    stated_column = aligned([row[6] for row in rows])
+    rows = [(*row[:6], cell_file, row[7]) for row, cell_file in zip(rows, stated_column, strict=True)]
+    columns = (
+        Column("Joint", "left"),
+        Column("Name", "left", wide=True),
+        Column(f"Stiffness [{STIFFNESS.name}]"),
+        Column("95 % interval", "center"),
+        Column("Standard uncertainty"),
+        Column("Relative [%]"),
+        Column("Cell file"),
+        Column("Identifiable", "center"),
+    )
+    note = (
+        f"All in {STIFFNESS.name}. Values are rounded to two significant digits of their standard uncertainty "
+        "(one standard "
+        "deviation). “Cell file” is what the simulation has believed so far."
+    )
+    return Table("Test results: joint stiffness", columns, tuple(rows), note, number=2)
+
+
+def limits(result: Identification) -> tuple[Block, ...]:
+    """Return what this recording cannot determine, joint by joint and combination by combination."""
+    texts = [
+        f"{symbol(i + 1)} ({shortened(joint.joint)}): {joint.reason}"
+        for i, joint in enumerate(result.stiffness)
+        if joint.reason
+    ]
+    for item in result.unidentified:
+        terms = ", ".join(f"{fixed(weight, 2)} × {name}" for name, weight in item.combination.items())
+        name = next(iter(item.combination)) if len(item.combination) == 1 else f"Combination ({terms})"
+        texts.append(f"{name}: {item.reason}")
+    if not texts:
+        return (Paragraph("Every parameter asked for is determined by this recording."),)
+    return (Paragraph("This recording limits or does not determine:"), Items(tuple(texts)))
+
+
+def drawing_of(result: Identification, cell: Cell) -> Figure:
+    """Return the drawing of the stiffnesses with their intervals and what the cell file states."""
+    return Figure(
+        "stiffness",
+        "Joint stiffness, logarithmic (left), and its 95 % interval relative to the value (right). Dots: "
+        "identified, hollow "
+        "where this recording does not determine the joint; diamonds: cell file.",
+        "Dot plot of the stiffness of every joint with 95 percent intervals",
+        stiffness_figure(result.stiffness, cell.robot.stiffness),
+    )
+
+
+def fit_section(result: Identification, cell: Cell, rest: Rest) -> tuple[Block, ...]:
+    """Return how well the model explains the recording, on fitted and on held-out configurations."""
+    fit = result.fit
+    unit = length_unit(fit.rms_after)
+    before = "cell file, frames refitted" if result.kind == "absolute" or cell.robot.stiffness else "rigid robot"
+    used: tuple[tuple[str, str, str], ...] = ()
+    if math.isfinite(fit.rms_used) and np.any(result.residuals.excluded):
+        used = (("after, without the readings set aside", _length(fit.rms_used, unit), DASH),)
+    rows = (
+        (f"before ({before})", _length(fit.rms_before, unit), _length(fit.held_out_rms_before, unit)),
+        ("after (identified)", _length(fit.rms_after, unit), _length(fit.held_out_rms_after, unit)),
+        *used,
+        ("expected from the instruments", _length(fit.noise, unit), DASH),
+    )
+    columns = (
+        Column("Model", "left", wide=True),
+        Column(f"rms residual [{unit.name}]"),
+        Column(f"rms, configuration left out [{unit.name}]"),
+    )
+    blocks: list[Block] = [
+        Table(
+            "Residuals before and after the identification, per coordinate",
+            columns,
+            padded(rows),
+            "“Left out”: every configuration is predicted from a fit to all others.",
+        ),
+        Paragraph(
+            "Prediction error of configurations left out (3-D): mean "
+            f"{_length(fit.held_out_mean_after, unit)} {unit.name}, "
+            f"largest {_length(fit.held_out_max_after, unit)} {unit.name}. {rest_text(rest)}"
+        ),
+    ]
+    if result.test is not None:
+        blocks += _test_blocks(result.test, unit)
+    return tuple(blocks)
+
+
+def _test_blocks(test: TestResult, unit: Unit) -> tuple[Block, ...]:
+    rows = (
+        ("before (cell file)", _length(test.rms_before, unit), _length(test.mean_before, unit), DASH),
+        ("after (identified)", _length(test.rms, unit), _length(test.mean, unit), _length(test.maximum, unit)),
+    )
+    columns = (
+        Column("Model", "left", wide=True),
+        Column(f"rms per coordinate [{unit.name}]"),
+        Column(f"Mean, 3-D [{unit.name}]"),
+        Column(f"Largest, 3-D [{unit.name}]"),
+    )
+    note = f"{test.file}, {counted(test.readings, 'reading')}; it took no part in the fit."
+    return (Table("Test of the identified model on a second recording", columns, padded(rows), note),)
+
+
+def rest_text(rest: Rest) -> str:
+    """Return in words whether the residuals are noise."""
+    unit = length_unit(rest.seen)
+    source = (
+        "the instruments' stated noise"
+        if rest.source == "instruments"
+        else f"the noise seen without the model ({rest.source})"
+    )
+    seen, noise = f"{spread(rest.seen * unit.factor)} {unit.name}", f"{spread(rest.noise * unit.factor)} {unit.name}"
+    if not rest.significant:
+        return f"The residual, {seen} per coordinate, agrees with {source}, {noise}."
+    numbers = ", ".join(str(number) for number in rest.configurations)
+    return (
+        f"The residual, {seen} per coordinate, exceeds {source}, {noise}, beyond chance: "
+        f"{spread(rest.rms * unit.factor)} {unit.name} "
+        f"are not explained by the identified model or by the stated noise; largest along {rest.axis} and in "
+        f"configurations {numbers}."
+    )
+
+
+def _cells(joint: JointStiffness) -> tuple[str, str, str, str]:
+    places, scale = _places(joint), STIFFNESS.factor
+    low, high = (fixed(end * scale, places) for end in joint.interval)
+    interval = f"{low} to {high}" if math.isfinite(joint.interval[1]) else f"≥ {low}"
+    relative = 100 * joint.std / joint.value if math.isfinite(joint.value) and joint.value > 0 else math.nan
+    return fixed(joint.value * scale, places), fixed(joint.std * scale, places), spread(relative), interval
+
+
+def _places(joint: JointStiffness) -> int:
+    if math.isfinite(joint.std) and joint.std > 0:
+        return decimals(joint.std * STIFFNESS.factor)
+    return decimals(joint.interval[0] * STIFFNESS.factor, 2)
+
+
+def _length(value: float, unit: Unit) -> str:
+    return spread(value * unit.factor)

@@ -1,0 +1,124 @@
+"""CSV tables: the standard's two templates, predictions, and the residuals row by row."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calibration_core.identification.estimate import Identification, JointStiffness
+from calibration_core.report.output import write_files
+from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
+
+TABLE_1, TABLE_2, PREDICTIONS, RESIDUALS = "table1.csv", "table2.csv", "predictions.csv", "residuals.csv"
+
+
+def table1_csv(number: Int1D | Float1D | Sequence[int], q: Float2D) -> bytes:
+    """Return Table 1 of CWA 17384: No, theta_1 ... theta_n in degrees, six decimals.
+
+    Args:
+        number: (k,) numbers of the configurations.
+        q: (k, n) rad.
+    """
+    head = ["No", *(f"theta_{i + 1}" for i in range(np.shape(q)[1]))]
+    return _csv(head, ([int(no), *(f"{x:.6f}" for x in row)] for no, row in zip(number, np.degrees(q), strict=True)))
+
+
+def table2_csv(stiffness: Sequence[JointStiffness]) -> bytes:
+    """Return Table 2 of CWA 17384 with uncertainties, in 10^5 N*m/rad; an empty cell is a value that is not finite."""
+    unit = "1e5_Nm_per_rad"
+    head = [
+        "joint",
+        f"stiffness_{unit}",
+        f"interval_95_low_{unit}",
+        f"interval_95_high_{unit}",
+        f"std_{unit}",
+        "identifiable",
+        "reason",
+    ]
+    return _csv(
+        head,
+        (
+            [
+                joint.joint,
+                *(_scaled(x) for x in (joint.value, *joint.interval, joint.std)),
+                "yes" if joint.identifiable else "no",
+                joint.reason,
+            ]
+            for joint in stiffness
+        ),
+    )
+
+
+def predictions_csv(readings: Readings, predicted: Float2D) -> bytes:
+    """Return predictions: `configuration step point x y z px py pz`, m, tracker frame.
+
+    Args:
+        readings: What was measured.
+        predicted: (m, 3) m, predicted position of each reading in the tracker frame.
+    """
+    head = ["configuration", "step", "point", "x", "y", "z", "px", "py", "pz"]
+    return _csv(head, _rows(readings, np.hstack([readings.position, predicted]).tolist()))
+
+
+def residuals_csv(identification: Identification) -> bytes:
+    """Return measured, predicted, residual and held-out residual of every reading, m, base axes; load in N."""
+    rows, axes = identification.residuals, ("x", "y", "z")
+    head = [
+        "configuration",
+        "step",
+        "point",
+        "load",
+        *(f"{kind}_{axis}" for kind in ("measured", "predicted", "residual", "held_out", "sigma") for axis in axes),
+        "excluded",
+    ]
+    values = np.hstack([rows.load[:, None], rows.measured, rows.predicted, rows.residual, rows.held_out, rows.sigma])
+    excluded = ("yes" if flag else "no" for flag in np.asarray(rows.excluded, dtype=bool))
+    cells = ([*map(_micro, row), flag] for row, flag in zip(values.tolist(), excluded, strict=True))
+    return _csv(head, _rows(identification.readings, cells))
+
+
+def table_files(identification: Identification) -> dict[str, bytes]:
+    """Return the tables that `identify` writes: file name -> content."""
+    space = identification.space
+    return {
+        TABLE_1: table1_csv(space.configuration, space.q),
+        TABLE_2: table2_csv(identification.stiffness),
+        RESIDUALS: residuals_csv(identification),
+    }
+
+
+def write_predictions(readings: Readings, predicted: Float2D, out_dir: Path) -> Path:
+    """Write `predictions.csv` into a directory and return its path.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    write_files(out_dir, {PREDICTIONS: predictions_csv(readings, predicted)})
+    return out_dir / PREDICTIONS
+
+
+def _rows(readings: Readings, cells: Iterable[Sequence[object]]) -> Iterable[list[object]]:
+    index = zip(readings.configuration.tolist(), readings.step.tolist(), readings.point.tolist(), strict=True)
+    for (configuration, step, point), row in zip(index, cells, strict=True):
+        yield [configuration, step, readings.points[point], *row]
+
+
+def _scaled(value: float) -> str:
+    return f"{value * 1e-5:.6g}" if math.isfinite(value) else ""
+
+
+def _micro(value: float) -> str:
+    return f"{value:.9g}" if math.isfinite(value) else ""
+
+
+def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return text.getvalue().encode("utf-8", "replace")

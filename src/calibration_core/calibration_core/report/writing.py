@@ -1,0 +1,69 @@
+"""Everything an identification hands out, written as one set: all of it, or nothing."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping
+from pathlib import Path
+
+from calibration_core.cell import Cell
+from calibration_core.identification.estimate import Identification
+from calibration_core.report.content import build
+from calibration_core.report.html import render_html
+from calibration_core.report.output import write_files
+from calibration_core.report.pdf import render_pdf
+from calibration_core.report.result import RESULT, result_dict, result_json
+from calibration_core.report.tables import table_files
+
+REPORT_HTML, REPORT_PDF = "report.html", "report.pdf"
+
+
+def report_files(identification: Identification, cell: Cell, evaluated: dt.date | None = None) -> dict[str, bytes]:
+    """Return `report.html` and `report.pdf`: file name -> content.
+
+    Args:
+        identification: The answer.
+        cell: The cell it belongs to.
+        evaluated: Date of evaluation; today (UTC) if not given.
+    """
+    document = build(identification, cell, evaluated)
+    return {REPORT_HTML: render_html(document, identification.space), REPORT_PDF: render_pdf(document)}
+
+
+def write_report(identification: Identification, cell: Cell, out_dir: Path, evaluated: dt.date | None = None) -> Path:
+    """Write `report.html` and `report.pdf` into a directory, which is made if missing; return the path of the HTML.
+
+    Raises:
+        OutputError: They cannot be written; then neither of them is.
+    """
+    write_files(out_dir, report_files(identification, cell, evaluated))
+    return out_dir / REPORT_HTML
+
+
+def write_identification(
+    identification: Identification,
+    cell: Cell,
+    out_dir: Path,
+    further: Mapping[str, bytes] | None = None,
+    evaluated: dt.date | None = None,
+) -> Path:
+    """Write result, tables and report as one set; return the path of `result.json`.
+
+    Args:
+        identification: The answer.
+        cell: The cell it belongs to.
+        out_dir: Directory, made if missing.
+        further: More files of the same set, for example the identified model: file name -> content.
+        evaluated: Date of evaluation; today (UTC) if not given.
+
+    Raises:
+        OutputError: They cannot be written; then none of them is.
+    """
+    files = {
+        RESULT: result_json(result_dict(identification, cell)),
+        **table_files(identification),
+        **report_files(identification, cell, evaluated),
+        **(further or {}),
+    }
+    write_files(out_dir, files)
+    return out_dir / RESULT
