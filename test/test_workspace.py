@@ -181,7 +181,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 sent = MeasurementStep(configuration=7, step=3, phase=MeasurementStep.MEASURING)
 print(json.dumps({
     "fields": MeasurementStep.get_fields_and_field_types(),
-    "phases": {name: value for name in dir(MeasurementStep) if type(value := getattr(MeasurementStep, name)) is int},
+    "phases": {name: value for name in dir(MeasurementStep)
+               if name.isupper() and isinstance(value := getattr(MeasurementStep, name), int)},
     "round_trip": deserialize_message(serialize_message(sent), MeasurementStep) == sent,
 }, sort_keys=True))
 """
