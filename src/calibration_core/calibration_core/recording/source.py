@@ -1,0 +1,50 @@
+"""What a recording is, as a file: its kind and the fingerprint that ties a result to its input."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Literal
+
+from calibration_core.errors import RecordingError
+
+BAG_SUFFIXES = (".mcap", ".db3")
+EXPECTED = "a rosbag2 directory, an .mcap or .db3 file, or a measurement table (.csv)"
+
+
+def recording_kind(path: Path) -> Literal["bag", "table"]:
+    """Tell a bag from a measurement table by what the path names.
+
+    Raises:
+        RecordingError: The path does not exist, or is neither.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            return "bag"
+        exists = path.exists()
+    except (OSError, ValueError) as error:
+        raise RecordingError(path, "", getattr(error, "strerror", None) or str(error), EXPECTED) from None
+    if not exists:
+        raise RecordingError(path, "", "no such file or directory", EXPECTED)
+    if not path.is_file():
+        raise RecordingError(path, "", "no regular file", EXPECTED)
+    suffix = path.suffix.lower()
+    if suffix in BAG_SUFFIXES:
+        return "bag"
+    if suffix == ".csv":
+        return "table"
+    raise RecordingError(path, "", f"a file that ends in {suffix!r}", EXPECTED)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 hex digest of a file, read as a stream.
+
+    Raises:
+        RecordingError: The file cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise RecordingError(path, "", error.strerror or str(error), "a readable file") from None

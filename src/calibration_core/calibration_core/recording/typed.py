@@ -1,0 +1,152 @@
+"""The typed reader: any message that the definitions in the bag describe, one at a time (rosbags)."""
+
+from __future__ import annotations
+
+import functools
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+
+from calibration_core.errors import RecordingError
+from calibration_core.recording.batch import Batch, Channel
+from calibration_core.recording.definitions import STEP_DEFINITION, STEP_TYPE
+from calibration_core.recording.kinds import Kind, Samples
+from calibration_core.timeseries import NANOSECONDS, Int1D
+
+Deserialize = Callable[[bytes], Any]
+FAULTS = (SerdeError, struct.error, ValueError, IndexError, AssertionError, TypeError, AttributeError, OverflowError)
+_SEPARATOR = "=" * 80 + "\n"
+
+
+@functools.cache
+def standard_types() -> Any:
+    """Return the types of ROS 2 Jazzy and our own `MeasurementStep`."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(STEP_DEFINITION, STEP_TYPE))
+    return store
+
+
+@functools.lru_cache(maxsize=64)
+def _types(channel: Channel) -> Any:
+    """Type store with the definitions that the bag itself carries, or the standard ones if it carries none."""
+    if not channel.definition:
+        return standard_types()
+    store = get_typestore(Stores.EMPTY)
+    if channel.definition_format == "ros2idl":
+        for part in channel.definition.split(_SEPARATOR):
+            text = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
+            if text.strip():
+                store.register(get_types_from_idl(text))
+    else:
+        store.register(get_types_from_msg(channel.definition, channel.type))
+    store.get_msgdef(channel.type)
+    return store
+
+
+def deserializer(file: str, channel: Channel) -> Deserialize:
+    """Return the function that turns a message of the channel into an object.
+
+    Raises:
+        RecordingError: The definition in the bag cannot be read, or the encoding is not CDR.
+    """
+    if channel.encoding != "cdr":
+        raise RecordingError(file, channel.topic, f"messages encoded as {channel.encoding!r}", "cdr")
+    try:
+        store = _types(channel)
+        store.get_msgdef(channel.type)
+    except (TypesysError, KeyError, ValueError, AssertionError, RecursionError, IndexError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:80]
+        found = f"a definition of {channel.type} that cannot be read ({reason})"
+        raise RecordingError(file, channel.topic, found, "a message definition (ros2msg or ros2idl)") from None
+    return lambda payload: store.deserialize_cdr(payload, channel.type)
+
+
+@functools.lru_cache(maxsize=64)
+def is_standard(channel: Channel) -> bool:
+    """Tell whether the bag's definition of the type has the fields of ROS 2 Jazzy, all the way down."""
+    if not channel.definition:
+        return True
+    own, standard = _types(channel).fielddefs, standard_types().fielddefs
+    todo, seen = [channel.type], set[str]()
+    while todo:
+        name = todo.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        if name not in own or name not in standard or own[name][1] != standard[name][1]:
+            return False
+        todo += [str(node[1]) for _, node in own[name][1] if node[0] == Nodetype.NAME]
+    return True
+
+
+def stamp_of(header: Any) -> int:
+    """Return `header.stamp` in ns."""
+    return int(header.stamp.sec) * NANOSECONDS + int(header.stamp.nanosec)
+
+
+def _numbers(kind: Kind, message: Any) -> list[float]:
+    if kind is Kind.POINT:
+        return [message.point.x, message.point.y, message.point.z]
+    if kind is Kind.WRENCH:
+        force, torque = message.wrench.force, message.wrench.torque
+        return [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+    return [message.temperature]
+
+
+def read_typed(file: str, kind: Kind, batch: Batch, index: Int1D, joints: tuple[str, ...]) -> Samples:
+    """Read messages one at a time.
+
+    Args:
+        file: Name for error messages.
+        kind: What the messages are.
+        batch: The messages.
+        index: (n,) rows of the batch to read.
+        joints: For joint states: names of the joints wanted.
+
+    Raises:
+        RecordingError: The bag's own definition of the type cannot be read.
+    """
+    read = deserializer(file, batch.channel)
+    rows: list[tuple[int, int, list[float], list[float]]] = []
+    order: list[int] = []
+    frames: dict[str, int] = {}
+    malformed, unusable = 0, 0
+    example: tuple[str, ...] = ()
+    for row in index:
+        try:
+            message = read(batch.payload(int(row)))
+            stamp = stamp_of(message.header)
+            values, efforts = [], []
+            if kind is Kind.JOINTS:
+                names = tuple(message.name)
+                if len(message.position) != len(names) or not set(joints) <= set(names):
+                    unusable += 1
+                    example = example or names
+                    continue
+                pick = [names.index(joint) for joint in joints]
+                values = [float(message.position[i]) for i in pick]
+                has_efforts = len(message.effort) == len(names)
+                efforts = [float(message.effort[i]) if has_efforts else np.nan for i in pick]
+            else:
+                values = [float(number) for number in _numbers(kind, message)]
+            frame = str(message.header.frame_id)
+        except FAULTS:
+            malformed += 1
+            continue
+        frames[frame] = frames.get(frame, 0) + 1
+        order.append(int(row))
+        rows.append((stamp, int(batch.received[row]), values, efforts))
+    columns = len(joints) if kind is Kind.JOINTS else kind.columns
+    return Samples(
+        np.array(order, np.int64),
+        np.array([row[0] for row in rows], np.int64),
+        np.array([row[1] for row in rows], np.int64),
+        np.array([row[2] for row in rows], np.float64).reshape(len(rows), columns),
+        np.array([row[3] for row in rows], np.float64).reshape(len(rows), columns) if kind is Kind.JOINTS else None,
+        frames, malformed, unusable, example,
+    )  # fmt: skip
