@@ -156,7 +156,8 @@ class Tracker(_Strict):
         spherical = self.sigma_range is not None or self.sigma_angle is not None or self.sigma_range_per_m > 0
         if (self.sigma is not None) == spherical:
             raise _field(
-                "", "both sigma and sigma_range/sigma_angle" if spherical else "no uncertainty",
+                "",
+                "both sigma and sigma_range/sigma_angle" if spherical else "no uncertainty",
                 "either sigma, or sigma_range (and sigma_range_per_m) with sigma_angle",
             )
         if spherical and (self.sigma_angle is None or self.sigma_range is None):
@@ -217,7 +218,7 @@ class Topics(_Strict):
             if isinstance(key, str) and key.startswith("/tracker/"):
                 tracker[key.removeprefix("/tracker/")] = value
             else:
-                named[roles.get(key, key)] = value
+                named[roles.get(str(key), str(key))] = value
         if tracker:
             given = named.get("tracker", {})
             named["tracker"] = {**given, **tracker} if isinstance(given, dict) else given
@@ -286,7 +287,7 @@ def load_cell(path: str | Path) -> Cell:
     data = _parse(path, raw)
     reserved = {"path", "sha256"} & data.keys()
     if reserved:
-        raise CellError(path, sorted(reserved)[0], "an unknown key", _choices(Cell))
+        raise CellError(path, min(reserved), "an unknown key", _choices(Cell))
     try:
         return Cell.model_validate({**data, "path": path, "sha256": hashlib.sha256(raw).hexdigest()})
     except ValidationError as error:
@@ -302,7 +303,7 @@ def _read(path: Path) -> bytes:
         raise CellError(path, "", error.strerror or str(error), "a readable cell file (YAML)") from None
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
+class _UniqueKeyLoader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
         for key, _ in node.value:
@@ -310,7 +311,8 @@ class _UniqueKeyLoader(yaml.SafeLoader):
                 if key.value in seen:
                     raise yaml.constructor.ConstructorError(None, None, f"key {key.value!r} twice", key.start_mark)
                 seen.add(key.value)
-        return super().construct_mapping(node, deep)
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
 
 
 def _parse(path: Path, raw: bytes) -> dict[str, Any]:
@@ -319,7 +321,7 @@ def _parse(path: Path, raw: bytes) -> dict[str, Any]:
         aliases = sum(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=yaml.SafeLoader))
         if aliases > MAX_ALIASES:
             raise CellError(path, "", f"{aliases} YAML aliases", f"at most {MAX_ALIASES}")
-        data = yaml.load(text, Loader=_UniqueKeyLoader)  # noqa: S506 - derived from SafeLoader
+        data = yaml.load(text, Loader=_UniqueKeyLoader)
     except UnicodeDecodeError as error:
         raise CellError(path, f"byte {error.start}", quoted(raw[error.start : error.start + 1]), "UTF-8") from None
     except yaml.YAMLError as error:

@@ -26,7 +26,7 @@ NANOSECONDS = 1_000_000_000
 
 def read_only(values: ArrayLike, dtype: type = np.float64) -> NDArray[np.float64]:
     """Copy `values` into a contiguous array that cannot be written to."""
-    array = np.array(values, dtype=dtype, order="C")
+    array: NDArray[np.float64] = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Note, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Note, Readings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +92,9 @@ class Fit:
         noise: Standard deviation of one coordinate expected from the instruments.
         held_out_mean_after: Mean length of the 3-d prediction error of held-out readings, m.
         held_out_max_after: Largest such length, m.
+        rms_used: As `rms_after`, over the readings that were used (exclusions left out).
+        chi2: Weighted sum of squares over the readings used.
+        degrees_of_freedom: Readings used times three, less offsets and parameters.
     """
 
     rms_before: float
@@ -101,6 +104,9 @@ class Fit:
     noise: float
     held_out_mean_after: float
     held_out_max_after: float
+    rms_used: float = float("nan")
+    chi2: float = float("nan")
+    degrees_of_freedom: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -250,7 +256,7 @@ class OperatingSpace:
         k_csm_share: (k,) m, how far neglecting K_CSM moves the predicted point (clause 6.2); None for absolute ones.
     """
 
-    configuration: Float1D
+    configuration: Int1D
     joint_origins: Float3D
     flange: Float2D
     points: Mapping[str, Float2D]

@@ -58,7 +58,8 @@ def fit_frames(
     scale = np.concatenate([np.ones(3), np.full(3, max(1.0, float(np.abs(position).max(initial=1.0)))), np.ones(3 * k)])
     for _ in range(ITERATIONS):
         residual, columns = _linearise(at, position, point, tool, pose, k)
-        step = np.linalg.lstsq(columns / scale, residual, rcond=RANK_TOLERANCE)[0] / scale
+        inverse, _ = _inverse(columns, scale)
+        step = inverse @ (columns.T @ residual)
         pose[:3, 3] += step[:3]
         pose[:3, :3] = Rotation.from_rotvec(step[3:6]).as_matrix() @ pose[:3, :3]
         if k:
@@ -66,11 +67,18 @@ def fit_frames(
         if np.abs(step).max() < CONVERGED:
             break
     residual, columns = _linearise(at, position, point, tool, pose, k)
-    scaled = columns / scale
-    rank = int(np.linalg.matrix_rank(scaled, tol=RANK_TOLERANCE * np.linalg.norm(scaled, 2)))
+    inverse, rank = _inverse(columns, scale)
     variance = float(residual @ residual) / max(len(residual) - rank, 1)
-    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=RANK_TOLERANCE**2) * variance / np.outer(scale, scale)
-    return FrameFit(pose, tool, covariance, float(np.sqrt(np.mean(residual**2))), rank)
+    return FrameFit(pose, tool, inverse * variance, float(np.sqrt(np.mean(residual**2))), rank)
+
+
+def _inverse(columns: Float2D, scale: Float1D) -> tuple[Float2D, int]:
+    """Return the inverse of the normal matrix in the directions that the readings determine, and their number."""
+    scaled = columns / scale
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    kept = values > RANK_TOLERANCE**2 * values[-1]
+    weights = np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)
+    return (vectors * weights) @ vectors.T / np.outer(scale, scale), int(kept.sum())
 
 
 def _linearise(

@@ -109,10 +109,11 @@ def deleted(rows: Rows, residual: Float2D) -> tuple[Float1D, Float2D, Float3D]:
     for _, index in _groups(rows):
         white, basis = _whiten(rows, index)
         b, m = index.shape
-        projector = np.eye(m * d) - basis @ basis.transpose(0, 2, 1)
-        precision = white.transpose(0, 2, 1) @ projector @ white
-        score = (precision @ residual[index].reshape(b, m * d, 1)).reshape(b, m, d)
-        own = precision.reshape(b, m, d, m, d)[:, np.arange(m), :, np.arange(m), :].transpose(1, 0, 2, 3)
+        projected = white - basis @ (basis.transpose(0, 2, 1) @ white)
+        flat = residual[index].reshape(b, m * d, 1)
+        score = (projected.transpose(0, 2, 1) @ (projected @ flat)).reshape(b, m, d)
+        per_row = np.ascontiguousarray(projected.reshape(b, m * d, m, d).transpose(0, 2, 3, 1))
+        own = per_row @ per_row.transpose(0, 1, 3, 2)
         scale = 1.0 / np.einsum("bmdd->bm", np.linalg.inv(rows.noise[index]))
         known = np.linalg.eigvalsh(own).min(-1) * scale > 1e-9
         inverse = np.linalg.inv(np.where(known[..., None, None], own, np.eye(d)))

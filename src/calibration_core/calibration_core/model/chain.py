@@ -109,9 +109,7 @@ def rotation_rpy(roll: float, pitch: float, yaw: float) -> Float2D:
 def rpy_of(rotation: Float2D) -> Float1D:
     """Return roll, pitch, yaw in rad of a (3, 3) rotation, the inverse of `rotation_rpy`."""
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
-    return np.array(
-        [np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])]
-    )
+    return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
 
 
 def pose_matrix(xyz: Float1D, rpy: Float1D) -> Float2D:

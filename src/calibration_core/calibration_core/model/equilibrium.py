@@ -92,4 +92,5 @@ def _amplification(chain: Chain, at: Posture, compliance: Float1D, load: Load | 
     if load is not None:
         slope = slope + load_torque_derivative(at, load)
     system = np.eye(chain.n)[:, :, None] - compliance[:, None, None] * slope
-    return np.moveaxis(np.linalg.inv(np.moveaxis(system, -1, 0)), 0, -1)
+    inverse = np.asarray(np.linalg.inv(np.moveaxis(system, -1, 0)), dtype=np.float64)
+    return np.moveaxis(inverse, 0, -1)

@@ -35,7 +35,13 @@ class ModelParameters:
     def __post_init__(self) -> None:
         """Copy to read-only arrays; raise ValueError on wrong shapes."""
         n = len(self.joints)
-        shapes = {"compliance": (n,), "geometry": (n, 6), "tracker": (4, 4), "wrench_point": (3,), "force_torque": (4, 4)}
+        shapes = {
+            "compliance": (n,),
+            "geometry": (n, 6),
+            "tracker": (4, 4),
+            "wrench_point": (3,),
+            "force_torque": (4, 4),
+        }
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is None:

@@ -11,7 +11,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pinocchio as pin
@@ -129,10 +129,10 @@ def _load_urdf(cell: Cell) -> Any:
         if path.stat().st_size > MAX_URDF_BYTES:
             raise CellError(path, "", f"{path.stat().st_size} bytes", f"a URDF of at most {MAX_URDF_BYTES} bytes")
         text = path.read_text(encoding="utf-8")
-        root = ElementTree.fromstring(text)  # noqa: S314 - expat refuses entity bombs; size is bounded
+        root = ET.fromstring(text)
     except OSError as error:
         raise CellError(path, "", error.strerror or str(error), "a URDF (robot.urdf of the cell file)") from None
-    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+    except (ET.ParseError, UnicodeDecodeError) as error:
         raise CellError(path, "", str(error), "well-formed XML (URDF)") from None
     if root.tag != "robot":
         raise CellError(path, "", f"<{root.tag}>", "<robot> as the outermost element")
@@ -140,7 +140,7 @@ def _load_urdf(cell: Cell) -> Any:
     try:
         with _captured_stderr(said):
             return pin.buildModelFromXML(text)
-    except Exception as error:  # pinocchio raises bare RuntimeError and ValueError for any fault of the file
+    except (RuntimeError, ValueError) as error:
         raise CellError(path, "", " ".join(said) or str(error), "a URDF that pinocchio can read") from None
 
 
@@ -172,13 +172,17 @@ def _joint_ids(cell: Cell, model: Any) -> list[int]:
     ids = []
     for i, name in enumerate(cell.robot.joints):
         if name not in known:
-            raise CellError(cell.path, f"robot.joints.{i}", quoted(name), "a moving joint of the URDF: " + ", ".join(known))
+            raise CellError(
+                cell.path, f"robot.joints.{i}", quoted(name), "a moving joint of the URDF: " + ", ".join(known)
+            )
         ids.append(model.getJointId(name))
     support = list(model.supports[model.frames[model.getFrameId(cell.robot.flange)].parentJoint])
     chain = [joint for joint in support if joint in ids]
     if chain != ids:
         order = ", ".join(model.names[joint] for joint in chain) or "none of them"
-        raise CellError(cell.path, "robot.joints", ", ".join(cell.robot.joints), f"the joints from base to flange: {order}")
+        raise CellError(
+            cell.path, "robot.joints", ", ".join(cell.robot.joints), f"the joints from base to flange: {order}"
+        )
     return ids
 
 
@@ -188,7 +192,9 @@ def _axes(cell: Cell, model: Any, data: Any, ids: list[int]) -> list[Float1D]:
     for i, joint in enumerate(ids):
         column = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, model.joints[joint].idx_v]
         if model.joints[joint].nv != 1 or np.linalg.norm(column[3:]) < 0.5:
-            raise CellError(cell.path, f"robot.joints.{i}", f"{cell.robot.joints[i]!r}, no rotary joint", "a rotary joint")
+            raise CellError(
+                cell.path, f"robot.joints.{i}", f"{cell.robot.joints[i]!r}, no rotary joint", "a rotary joint"
+            )
         axes.append(column[3:] / np.linalg.norm(column[3:]))
     return axes
 
@@ -237,5 +243,3 @@ def _limits(cell: Cell, model: Any, ids: list[int]) -> Float2D:
         known = np.isfinite([low, high]).all() and low < high and abs(low) < 1e6 and abs(high) < 1e6
         limits[i] = (low, high) if known else (-CONTINUOUS_LIMIT, CONTINUOUS_LIMIT)
     return limits
-
-

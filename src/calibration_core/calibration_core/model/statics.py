@@ -12,7 +12,7 @@ import numpy as np
 
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import Posture, cross, dot, linear_jacobian, turn, turned
-from calibration_core.timeseries import Float1D, Float2D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Load:
         axes = turned(at.flange, self.rotation)
         return turn(axes, self.force), turn(axes, self.torque), where
 
-    def rows(self, rows: slice | Float1D) -> Load:
+    def rows(self, rows: slice | Int1D) -> Load:
         """Return the load of some of the readings."""
         return dataclasses.replace(self, force=self.force[:, rows], torque=self.torque[:, rows])
 

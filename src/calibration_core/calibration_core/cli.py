@@ -1,0 +1,121 @@
+"""The command line: arguments in, core called, summary printed (contract, section 1).
+
+Exit code 0: done, whatever the verdict.  2: the input cannot be used, one line on stderr says why.  1: a defect of
+ours.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from calibration_core import __version__
+from calibration_core.errors import EquilibriumError, InputError
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads cost time on these small problems
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; return the exit code."""
+    options = _parser().parse_args(arguments)
+    options.out = options.out or Path("build/calibration") / options.command
+    from calibration_core import commands  # imported late: `--help` needs no numerics
+
+    try:
+        summary = commands.COMMANDS[options.command](options)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except EquilibriumError as error:
+        named = InputError(options.recording, "wrench", str(error), "a load within the robot's capacity, in N and N·m")
+        print(named, file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        return 0
+    print(summary)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="calibration", description="Elastostatic compliance calibration of industrial robots (CWA 17384)."
+    )
+    parser.add_argument("--version", action="version", version=f"calibration {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _plan(_command(commands, "plan", "choose measurement configurations (Table 1 of the standard)"))
+    _simulate(_command(commands, "simulate", "write a recording as the cell's model predicts it"))
+    _identify(_command(commands, "identify", "joint stiffness, frames and geometry from a recording"))
+    _predict(_command(commands, "predict", "predicted points and residuals of a recording"))
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
+) -> argparse.ArgumentParser:
+    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    parser.add_argument("--cell", type=Path, required=True, metavar="CELL.yaml", help="the cell file")
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"where results go (default build/calibration/{name})")
+    parser.set_defaults(recording=None)
+    return parser
+
+
+def _recording(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "recording", type=Path, metavar="RECORDING", help="rosbag2 directory, .mcap file or measurement table (.csv)"
+    )
+
+
+def _identify(parser: argparse.ArgumentParser) -> None:
+    _recording(parser)
+    parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
+    parser.add_argument(
+        "--method",
+        choices=("equilibrium", "linear"),
+        default="equilibrium",
+        help="deformed geometry with K_CSM and gravity, or equations (6) and (7) as they stand in the standard",
+    )
+    parser.add_argument(
+        "--weights",
+        choices=("instrument", "plain"),
+        default="instrument",
+        help="weights from the instruments' uncertainties, or every coordinate alike",
+    )
+    parser.add_argument(
+        "--deflections",
+        choices=("points", "pose"),
+        default="points",
+        help="position deflections, or the full pose from three or more points",
+    )
+    parser.add_argument("--no-robust", action="store_true", help="use every reading, gross errors too")
+    parser.add_argument(
+        "--readmit",
+        action="append",
+        default=[],
+        metavar="CONFIGURATION:STEP:POINT",
+        help="use this reading after all (repeatable)",
+    )
+
+
+def _predict(parser: argparse.ArgumentParser) -> None:
+    _recording(parser)
+    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+
+
+def _plan(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--configurations", type=int, default=18, help="configurations to measure (default 18, at least 12)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the search (default 0)")
+
+
+def _simulate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--plan", type=Path, metavar="PLAN.yaml", help="the plan; without it one is made")
+    parser.add_argument("--model", type=Path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
+    parser.add_argument("--seed", type=int, help="add instrument noise from this seed (default: none)")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,37 @@
+"""The one entry: a recording goes in, an identification comes out, whatever kind of recording it is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.absolute import identify_absolute
+from calibration_core.identification.estimate import Identification
+from calibration_core.identification.loaded import Options, identify_loaded
+from calibration_core.timeseries import Readings
+
+
+def is_loaded(readings: Readings) -> bool:
+    """Say whether a recording carries loaded-minus-unloaded information (contract, section 4)."""
+    keys = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
+    return readings.wrench is not None and len(keys) > len(np.unique(readings.configuration))
+
+
+def identify(
+    readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None
+) -> Identification:
+    """Identify stiffness from a loaded recording, frames, geometry and elasticity from an absolute one.
+
+    Args:
+        readings: The recording.
+        cell: The cell file.
+        options: How to evaluate.
+        test: A second recording of the same kind that is predicted, not fitted.
+
+    Raises:
+        InputError: The input cannot be used; the message names file, place, what was found and what was expected.
+    """
+    options = options or Options()
+    if is_loaded(readings):
+        return identify_loaded(readings, cell, options, test)
+    return identify_absolute(readings, cell, robust=options.robust, test=test)

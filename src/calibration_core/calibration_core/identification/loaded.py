@@ -1,0 +1,348 @@
+"""Joint stiffness from a loaded recording: frames, compliances, exclusions, uncertainty, held-out proof."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.errors import IdentificationError
+from calibration_core.identification.estimate import (
+    Anomaly,
+    Fit,
+    Identification,
+    NoiseAudit,
+    ParameterEstimate,
+    Residuals,
+    TestResult,
+)
+from calibration_core.identification.fit import Deflections, LoadedFit, fit_compliance
+from calibration_core.identification.frames import FrameFit, fit_frames
+from calibration_core.identification.held_out import held_out_compliance
+from calibration_core.identification.noise import audit, rigid_triangle, window_scatter, zero_return
+from calibration_core.identification.observability import stiffness_table, weak_directions
+from calibration_core.identification.offsets import without_offsets
+from calibration_core.identification.preconditions import check_preconditions
+from calibration_core.identification.problem import (
+    Linearised,
+    LoadedProblem,
+    Method,
+    Weights,
+    build_problem,
+    load_of,
+)
+from calibration_core.identification.robust import Key, Screened, fit_screened
+from calibration_core.identification.space import operating_space
+from calibration_core.model.chain import Chain, rpy_of
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Readings
+
+SET_ASIDE = 1e12  # factor on the variance of an excluded reading, so that offsets do not depend on it
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """How a recording is to be evaluated.
+
+    Attributes:
+        method: `equilibrium`: deformed geometry, K_CSM and gravity included; `linear`: equations (6) and (7) as they
+            stand in the standard.
+        weights: `instrument`: tracker and wrench covariance; `plain`: every coordinate alike, scaled by the residual.
+        deflections: `points`, or `pose` for the rigid displacement of three or more points.
+        robust: Set gross errors aside.
+        readmit: Readings that must be used: (configuration, step, point).
+    """
+
+    method: Method = "equilibrium"
+    weights: Weights = "instrument"
+    deflections: Deflections = "points"
+    robust: bool = True
+    readmit: frozenset[Key] = frozenset()
+
+    def in_words(self) -> str:
+        """Describe the method for the report."""
+        return ", ".join(
+            (
+                {
+                    "equilibrium": "static equilibrium on the deformed geometry (K_CSM and gravity included)",
+                    "linear": "linear least squares, equations (6) and (7) of CWA 17384 (K_CSM neglected)",
+                }[self.method],
+                {"points": "position deflections", "pose": "full-pose deflections"}[self.deflections],
+                {"instrument": "weights from the instruments' uncertainties", "plain": "equal weights"}[self.weights],
+                "one free offset per configuration and point",
+                "gross errors excluded by name" if self.robust else "every reading used",
+            )
+        )
+
+
+def identify_loaded(
+    readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None
+) -> Identification:
+    """Identify the joint stiffnesses from a recording with several load steps per configuration.
+
+    Args:
+        readings: The recording.
+        cell: The cell file.
+        options: How to evaluate.
+        test: A second recording, predicted but not fitted.
+
+    Raises:
+        CellError: A frame is needed and missing.
+        IdentificationError: Fewer than two steps everywhere, or no load.
+        EquilibriumError: The load is beyond what the joints can carry.
+    """
+    options = options or Options()
+    chain = chain_of(cell)
+    nominal = nominal_parameters(cell)
+    _require_load(readings)
+    parameters, frames = _with_frames(readings, cell, chain, nominal)
+    problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
+    screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
+    if frames is not None:
+        believed = parameters.replace(compliance=screened.fit.compliance)
+        parameters, frames = _with_frames(readings, cell, chain, believed, screened.used)
+        problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
+        screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
+    used = problem.select(np.flatnonzero(screened.used))
+    fit = screened.fit
+    if options.deflections == "pose":
+        fit = fit_compliance(used, fit.compliance, "pose")
+    parameters = parameters.replace(compliance=fit.compliance)
+
+    noise = _audit(problem, screened, fit, cell)
+    plain = options.weights == "plain"
+    scale = float(np.sqrt(fit.chi2 / max(fit.freedom, 1))) if plain else noise.scale
+    estimated = plain or noise.scale > 1.0
+    load = load_of(readings, cell, parameters)
+    torque_rms = np.sqrt(np.mean(_load_torques(problem, parameters) ** 2, axis=1))
+    joints = tuple(f"C {joint}" for joint in chain.joints)
+    residuals, figures = _figures(problem, screened, fit, nominal.compliance, scale, cell)
+    space = operating_space(chain, parameters, readings, load)
+    return Identification(
+        kind="loaded",
+        method=options.in_words(),
+        readings=readings,
+        stiffness=stiffness_table(chain.joints, fit.solution, scale, fit.freedom if estimated else None, torque_rms),
+        parameters=() if frames is None else _frame_estimates(frames, cell, readings),
+        names=joints,
+        covariance=fit.solution.covariance * scale**2,
+        condition_number=fit.solution.condition_number,
+        fit=figures,
+        noise=noise,
+        stages=(),
+        unidentified=weak_directions(joints, fit.solution),
+        exclusions=screened.exclusions,
+        anomalies=_anomalies(noise, screened, readings),
+        preconditions=check_preconditions(readings, cell, space, figures.noise),
+        residuals=residuals,
+        space=space,
+        model=parameters,
+        test=None if test is None else predict_loaded(test, cell, chain, parameters, nominal.compliance),
+        notes=readings.notes,
+    )
+
+
+def predict_loaded(
+    readings: Readings, cell: Cell, chain: Chain, parameters: ModelParameters, before: Float1D
+) -> TestResult:
+    """Predict a recording that was not fitted; only the offsets of its configurations are free.
+
+    Args:
+        readings: The other recording.
+        cell: The cell file.
+        chain: The robot.
+        parameters: The identified model.
+        before: (n,) compliances of the cell file, for comparison.
+    """
+    _require_load(readings)
+    problem = build_problem(readings, cell, chain, parameters)
+    after, nominal = (_relative(problem, problem.linearise(c), cell) for c in (parameters.compliance, before))
+    shown = _shown(problem, cell)
+    lengths = np.linalg.norm(after[shown], axis=1)
+    return TestResult(
+        file=readings.provenance.path,
+        readings=int(shown.sum()),
+        rms=_rms(after[shown]),
+        mean=float(lengths.mean()),
+        maximum=float(lengths.max()),
+        rms_before=_rms(nominal[shown]),
+        mean_before=float(np.linalg.norm(nominal[shown], axis=1).mean()),
+    )
+
+
+def _require_load(readings: Readings) -> None:
+    path = readings.provenance.path
+    if readings.wrench is None:
+        raise IdentificationError(path, "fx ... tz", "no wrench", "the measured load (a loaded recording)")
+    several = [
+        c for c in np.unique(readings.configuration) if len(np.unique(readings.step[readings.configuration == c])) > 1
+    ]
+    if not several:
+        raise IdentificationError(path, "step", "one step in every configuration", "unloaded and loaded steps")
+    if not np.any(np.ptp(readings.wrench, axis=0) > 0):
+        raise IdentificationError(path, "fx ... tz", "the same wrench everywhere", "a load that changes between steps")
+
+
+def _with_frames(
+    readings: Readings, cell: Cell, chain: Chain, believed: ModelParameters, used: Bool1D | None = None
+) -> tuple[ModelParameters, FrameFit | None]:
+    """Refit tracker pose and points where the recording holds absolute positions."""
+    if cell.measurements.points == "displacement":
+        return believed, None
+    rows = np.arange(len(readings)) if used is None else np.flatnonzero(used)
+    some = readings.select(rows)
+    rest = solve_equilibrium(chain, some.q, believed.compliance, load_of(some, cell, believed))
+    points = np.stack([believed.points[name] for name in readings.points])
+    guess = None if cell.frames.tracker is None else believed.tracker
+    fit = fit_frames(rest.at, some.position, some.point, points, guess)
+    if guess is None and fit.rank < 6:
+        raise IdentificationError(
+            readings.provenance.path,
+            "",
+            "configurations that do not fix the tracker pose",
+            "frames.tracker in the cell file",
+        )
+    fitted = dict(zip(readings.points, fit.points, strict=True))
+    return believed.replace(tracker=fit.tracker, points={**believed.points, **fitted}), fit
+
+
+def _audit(problem: LoadedProblem, screened: Screened, fit: LoadedFit, cell: Cell) -> NoiseAudit:
+    linear = problem.linearise(fit.compliance)
+    absolute = cell.measurements.points == "absolute"
+    checks = (
+        rigid_triangle(problem.readings.position, problem.readings, screened.used) if absolute else None,
+        zero_return(linear.residual, problem.readings, screened.used) if absolute else None,
+        window_scatter(problem.readings, screened.used),
+    )
+    return audit(problem.noise[screened.used], checks, fit.chi2, fit.freedom)
+
+
+def _load_torques(problem: LoadedProblem, parameters: ModelParameters) -> Float2D:
+    """Return the (n, m) joint torques of the external load alone, N*m."""
+    loaded = solve_equilibrium(problem.chain, problem.readings.q, parameters.compliance, problem.load)
+    own = solve_equilibrium(problem.chain, problem.readings.q, parameters.compliance, None)
+    return loaded.torque - own.torque
+
+
+def _figures(
+    problem: LoadedProblem, screened: Screened, fit: LoadedFit, before: Float1D, scale: float, cell: Cell
+) -> tuple[Residuals, Fit]:
+    linear = problem.linearise(fit.compliance)
+    rigid = problem.linearise(np.zeros_like(before))
+    after = _relative(problem, linear, cell, screened.used)
+    nominal = _relative(problem, problem.linearise(before), cell, screened.used)
+    compliances = held_out_compliance(fit, problem.configuration)
+    moved = np.einsum("mij,mj->mi", linear.columns, compliances[problem.configuration] - fit.compliance)
+    left_out = dataclasses.replace(linear, residual=linear.residual - moved)
+    held_out = _relative(problem, left_out, cell, screened.used)
+    shown = _shown(problem, cell)
+    lengths = np.linalg.norm(held_out[shown], axis=1)
+    deflection = linear.predicted - rigid.predicted
+    predicted = _from_first_step(problem, deflection) if cell.measurements.points == "displacement" else deflection
+    doubled = 2.0 if cell.measurements.points == "displacement" else 1.0
+    variance = np.einsum("mii->mi", problem.noise) + np.einsum("mij,mij->mi", linear.rows.shared, linear.rows.shared)
+    assert problem.readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
+    residuals = Residuals(
+        measured=predicted + after,
+        predicted=predicted,
+        residual=after,
+        held_out=held_out,
+        sigma=scale * np.sqrt(doubled * variance),
+        load=np.linalg.norm(problem.readings.wrench[:, :3], axis=1),
+        excluded=~screened.used,
+    )
+    figures = Fit(
+        rms_before=_rms(nominal[shown]),
+        rms_after=_rms(after[shown]),
+        held_out_rms_before=_rms(nominal[shown]),
+        held_out_rms_after=_rms(held_out[shown]),
+        noise=float(np.sqrt(doubled * variance[shown].mean())),
+        held_out_mean_after=float(lengths.mean()),
+        held_out_max_after=float(lengths.max()),
+        rms_used=_rms(after[shown & screened.used]),
+        chi2=fit.chi2,
+        degrees_of_freedom=fit.freedom,
+    )
+    return residuals, figures
+
+
+def _relative(problem: LoadedProblem, linear: Linearised, cell: Cell, used: Bool1D | None = None) -> Float2D:
+    """Return residuals after the best offsets; for displacement recordings, relative to step 0."""
+    if cell.measurements.points == "displacement":
+        return _from_first_step(problem, linear.residual)
+    rows = linear.rows
+    if used is not None:
+        rows = dataclasses.replace(rows, noise=rows.noise * np.where(used, 1.0, SET_ASIDE)[:, None, None])
+    return without_offsets(rows, linear.residual)
+
+
+def _from_first_step(problem: LoadedProblem, values: Float2D) -> Float2D:
+    readings = problem.readings
+    order = np.lexsort((readings.step, readings.point, problem.configuration))
+    keys = np.column_stack([problem.configuration, readings.point])[order]
+    starts = np.r_[True, np.any(np.diff(keys, axis=0) != 0, axis=1)]
+    first = order[starts][np.cumsum(starts) - 1]
+    reference = np.empty_like(values)
+    reference[order] = values[first]
+    return values - reference
+
+
+def _shown(problem: LoadedProblem, cell: Cell) -> Bool1D:
+    """Say which rows count in the figures: all but step 0 of a displacement recording, zero by definition."""
+    if cell.measurements.points == "absolute":
+        return np.ones(len(problem.readings), dtype=bool)
+    first = _from_first_step(problem, problem.readings.step[:, None].astype(float))[:, 0]
+    return first > 0
+
+
+def _rms(values: Float2D) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _frame_estimates(frames: FrameFit, cell: Cell, readings: Readings) -> tuple[ParameterEstimate, ...]:
+    std = np.sqrt(np.diag(frames.covariance))
+    nominal = cell.frames.tracker
+    values = np.concatenate([frames.tracker[:3, 3], rpy_of(frames.tracker[:3, :3])])
+    believed = [None] * 6 if nominal is None else [*nominal.xyz, *nominal.rpy]
+    labels = ("x", "y", "z", "roll", "pitch", "yaw")
+    estimates = [
+        ParameterEstimate(
+            f"tracker {label}", "tracker", float(values[i]), float(std[i]), "m" if i < 3 else "rad", believed[i]
+        )
+        for i, label in enumerate(labels)
+    ]
+    for j, name in enumerate(readings.points):
+        for axis, label in enumerate("xyz"):
+            index = 6 + 3 * j + axis
+            before = cell.frames.measurement_points[name][axis]
+            value = float(frames.points[j, axis])
+            estimates.append(ParameterEstimate(f"{name} {label}", "point", value, float(std[index]), "m", before))
+    return tuple(estimates)
+
+
+def _anomalies(noise: NoiseAudit, screened: Screened, readings: Readings) -> tuple[Anomaly, ...]:
+    found = []
+    if noise.understated:
+        found.append(
+            Anomaly("noise_understated", {"instrument": "tracker"}, None, noise.claimed * noise.scale, "m", noise.text)
+        )
+    if screened.exclusions:
+        largest = max(screened.exclusions, key=lambda exclusion: exclusion.size)
+        numbers = [exclusion.configuration for exclusion in screened.exclusions]
+        found.append(
+            Anomaly(
+                "outlier_readings",
+                {"point": largest.point, "configuration": largest.configuration, "step": largest.step},
+                (min(numbers), max(numbers)),
+                largest.size,
+                "m",
+                f"{len(screened.exclusions)} readings excluded, each named",
+            )
+        )
+    unsettled = [note for note in readings.notes if note.kind == "unsettled"]
+    found += [Anomaly("unsettled", {"place": n.place}, None, float(n.count), "1", n.text) for n in unsettled]
+    return tuple(found)

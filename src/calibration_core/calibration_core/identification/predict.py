@@ -1,0 +1,52 @@
+"""Predicted readings of an identified model, in the tracker frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.errors import RecordingError
+from calibration_core.identification.problem import load_of
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import Float2D, Readings
+
+
+def predict_readings(readings: Readings, cell: Cell, model: ModelParameters) -> Float2D:
+    """Predict where the tracker sees every reading's point, from encoder angles and wrench alone.
+
+    Nothing is fitted.  For displacement recordings the difference to step 0 of the configuration and point is returned,
+    as recorded.
+
+    Args:
+        readings: Angles and, for a loaded recording, wrenches.
+        cell: The cell file.
+        model: An identified model.
+
+    Returns:
+        (m, 3) m, tracker frame.
+
+    Raises:
+        RecordingError: The recording has a point that the model does not know.
+        EquilibriumError: The load is beyond what the joints can carry.
+    """
+    unknown = [name for name in readings.points if name not in model.points]
+    if unknown:
+        known = ", ".join(model.points)
+        raise RecordingError(readings.provenance.path, "point", repr(unknown[0]), f"a point of the model: {known}")
+    chain = chain_of(cell).corrected(model.geometry)
+    load = None if readings.wrench is None else load_of(readings, cell, model)
+    rest = solve_equilibrium(chain, readings.q, model.compliance, load)
+    points = np.stack([model.points[name] for name in readings.points])[readings.point].T
+    predicted = (rest.at.point(points).T - model.tracker[:3, 3]) @ model.tracker[:3, :3]
+    return predicted if cell.measurements.points == "absolute" else predicted - _at_step_zero(readings, predicted)
+
+
+def _at_step_zero(readings: Readings, values: Float2D) -> Float2D:
+    keys = np.column_stack([readings.configuration, readings.point])
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    order = np.lexsort((readings.step, group))
+    _, starts = np.unique(group[order], return_index=True)
+    return values[order[starts]][group]

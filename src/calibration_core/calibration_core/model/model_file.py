@@ -1,0 +1,151 @@
+"""The identified model as a file: what `identify` writes and `predict`, `simulate`, `identify` and `diagnose` read.
+
+YAML, SI units.  `geometry` holds corrections to the cell file's nominal geometry, so the file goes with its robot;
+joint names are checked, the cell file's hash is kept for the record.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from calibration_core.cell import Cell
+from calibration_core.errors import ModelFileError, quoted
+from calibration_core.model.chain import pose_matrix, rpy_of
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Float1D, Float2D
+
+SCHEMA = 1
+MAX_BYTES = 16 << 20
+KEYS = (
+    "schema",
+    "robot",
+    "cell",
+    "joints",
+    "compliance",
+    "stiffness",
+    "geometry",
+    "tracker",
+    "measurement_points",
+    "wrench_point",
+    "force_torque",
+    "effects",
+)
+GEOMETRY = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def model_dict(parameters: ModelParameters, cell: Cell) -> dict[str, Any]:
+    """Return the content of the file as plain values, in the order in which it is written."""
+    compliance = [float(c) for c in parameters.compliance]
+    return {
+        "schema": SCHEMA,
+        "robot": cell.robot.name,
+        "cell": {"file": cell.path.name, "sha256": cell.sha256},
+        "joints": list(parameters.joints),
+        "compliance": compliance,
+        "stiffness": [1 / c if c > 0 else None for c in compliance],
+        "geometry": [dict(zip(GEOMETRY, map(float, row), strict=True)) for row in parameters.geometry],
+        "tracker": _pose_dict(parameters.tracker),
+        "measurement_points": {name: [float(x) for x in point] for name, point in parameters.points.items()},
+        "wrench_point": None if parameters.wrench_point is None else [float(x) for x in parameters.wrench_point],
+        "force_torque": None if parameters.force_torque is None else _pose_dict(parameters.force_torque),
+        "effects": [],
+    }
+
+
+def model_text(parameters: ModelParameters, cell: Cell) -> str:
+    """Return the file's text; every float keeps all its digits."""
+    head = "# Identified model: SI units; geometry is the correction to the nominal geometry of the cell file.\n"
+    return head + yaml.safe_dump(model_dict(parameters, cell), sort_keys=False, allow_unicode=True, width=120)
+
+
+def read_model(path: str | Path, cell: Cell) -> ModelParameters:
+    """Read an identified model.
+
+    Raises:
+        ModelFileError: It is missing, malformed, or belongs to a robot with other joints.
+    """
+    path = Path(path)
+    data = _parse(path)
+    joints = tuple(data.get("joints") or ())
+    if joints != cell.robot.joints:
+        raise ModelFileError(path, "joints", quoted(list(joints)), f"the cell's joints {list(cell.robot.joints)}")
+    n = len(joints)
+    points = data.get("measurement_points")
+    if not isinstance(points, dict) or not points:
+        raise ModelFileError(path, "measurement_points", quoted(points), "a mapping of points")
+    compliance = _vector(path, "compliance", data.get("compliance"), n)
+    if np.any(compliance < 0):
+        raise ModelFileError(path, "compliance", quoted(float(compliance.min())), "compliances that are not negative")
+    if data.get("effects"):
+        raise ModelFileError(path, "effects", quoted(data["effects"]), "none (no effect is known to this version)")
+    optional = {key: data.get(key) for key in ("wrench_point", "force_torque")}
+    return ModelParameters(
+        joints=joints,
+        compliance=compliance,
+        geometry=_geometry(path, data.get("geometry"), n),
+        tracker=_pose(path, "tracker", data.get("tracker")),
+        points={str(name): _vector(path, f"measurement_points.{name}", xyz, 3) for name, xyz in points.items()},
+        wrench_point=None
+        if optional["wrench_point"] is None
+        else _vector(path, "wrench_point", optional["wrench_point"], 3),
+        force_torque=None
+        if optional["force_torque"] is None
+        else _pose(path, "force_torque", optional["force_torque"]),
+    )
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ModelFileError(path, "", f"{path.stat().st_size} bytes", f"at most {MAX_BYTES} bytes")
+        data = yaml.safe_load(path.read_bytes())
+    except OSError as error:
+        raise ModelFileError(path, "", error.strerror or str(error), "a readable model file (YAML)") from None
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = "" if mark is None else f"line {mark.line + 1}"
+        raise ModelFileError(path, place, getattr(error, "problem", None) or "no YAML", "YAML") from None
+    if not isinstance(data, dict):
+        raise ModelFileError(path, "", quoted(data), f"a mapping with the keys {', '.join(KEYS)}")
+    if data.get("schema") != SCHEMA:
+        raise ModelFileError(path, "schema", quoted(data.get("schema")), str(SCHEMA))
+    unknown = [str(key) for key in data if key not in KEYS]
+    if unknown:
+        raise ModelFileError(path, unknown[0], "an unknown key", f"one of {', '.join(KEYS)}")
+    return data
+
+
+def _vector(path: Path, place: str, value: object, length: int) -> Float1D:
+    if not isinstance(value, list) or len(value) != length or not all(_finite(x) for x in value):
+        raise ModelFileError(path, place, quoted(value), f"{length} finite numbers")
+    return np.array(value, dtype=float)
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _geometry(path: Path, value: object, n: int) -> Float2D:
+    if not isinstance(value, list) or len(value) != n:
+        raise ModelFileError(path, "geometry", quoted(value), f"{n} entries, one per joint")
+    rows = []
+    for i, row in enumerate(value):
+        if not isinstance(row, dict) or set(row) != set(GEOMETRY):
+            raise ModelFileError(path, f"geometry.{i}", quoted(row), f"the keys {', '.join(GEOMETRY)}")
+        rows.append(_vector(path, f"geometry.{i}", [row[key] for key in GEOMETRY], 6))
+    return np.stack(rows)
+
+
+def _pose(path: Path, place: str, value: object) -> Float2D:
+    if not isinstance(value, dict) or set(value) != {"xyz", "rpy"}:
+        raise ModelFileError(path, place, quoted(value), "a pose with the keys xyz, rpy")
+    return pose_matrix(_vector(path, f"{place}.xyz", value["xyz"], 3), _vector(path, f"{place}.rpy", value["rpy"], 3))
+
+
+def _pose_dict(pose: Float2D) -> dict[str, list[float]]:
+    return {"xyz": [float(x) for x in pose[:3, 3]], "rpy": [float(x) for x in rpy_of(pose[:3, :3])]}

@@ -1,0 +1,63 @@
+"""An identification in a few lines for the terminal."""
+
+from __future__ import annotations
+
+import math
+
+from calibration_core.identification.estimate import Identification, JointStiffness
+from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed
+
+
+def summary(found: Identification) -> str:
+    """Return what came out, at most a screen long: stiffness table, fit, warnings."""
+    readings = found.readings
+    lines = [
+        f"{found.kind} recording: {counted(len(found.space.configuration), 'configuration')}, "
+        f"{counted(len(readings), 'reading')}, {counted(len(readings.points), 'point')}"
+    ]
+    if found.stiffness:
+        lines.append(f"{'joint':<24} {'stiffness [' + STIFFNESS.name + ']':>26}   95 % interval")
+        lines += [_joint(joint) for joint in found.stiffness]
+    lines += [
+        f"{stage.name:<12} {1e3 * stage.rms:.4f} mm rms, held out {1e3 * stage.held_out_rms:.4f} mm: {stage.reason}"
+        for stage in found.stages
+    ]
+    fit = found.fit
+    lines.append(
+        f"residual {_um(fit.rms_after)} per coordinate (before {_um(fit.rms_before)}), on held-out configurations "
+        f"{_um(fit.held_out_rms_after)}, noise {_um(fit.noise)}"
+    )
+    lines.append(
+        f"held-out error in space: mean {1e3 * fit.held_out_mean_after:.3f} mm, largest "
+        f"{1e3 * fit.held_out_max_after:.3f} mm"
+    )
+    if found.test is not None:
+        test = found.test
+        lines.append(
+            f"test recording {test.file}: mean error {1e3 * test.mean:.3f} mm, rms {_um(test.rms)} per coordinate "
+            f"(before: mean {1e3 * test.mean_before:.3f} mm)"
+        )
+    lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in found.anomalies]
+    lines += [
+        f"excluded: configuration {e.configuration}, step {e.step}, {e.point}: {e.reason}"
+        for e in found.exclusions[:10]
+    ]
+    if len(found.exclusions) > 10:
+        lines.append(f"excluded: {len(found.exclusions) - 10} more, all in the report")
+    lines += [f"note: {note.place}: {note.text}" for note in found.notes[:10]]
+    unmet = [p for p in found.preconditions if p.met is False]
+    lines += [f"not as the standard demands ({p.clause}): {p.requirement}: {p.found}" for p in unmet]
+    return "\n".join(lines)
+
+
+def _joint(joint: JointStiffness) -> str:
+    places = decimals(STIFFNESS.factor * joint.std)
+    value = fixed(STIFFNESS.factor * joint.value, places) if math.isfinite(joint.value) else DASH
+    std = fixed(STIFFNESS.factor * joint.std, places) if math.isfinite(joint.std) else DASH
+    low, high = (fixed(STIFFNESS.factor * end, places) if math.isfinite(end) else "∞" for end in joint.interval)
+    reason = f"   {joint.reason}" if joint.reason else ""
+    return f"{joint.joint:<24} {value + ' ± ' + std:>26}   {low} … {high}{reason}"
+
+
+def _um(value: float) -> str:
+    return f"{1e6 * value:.1f} µm"

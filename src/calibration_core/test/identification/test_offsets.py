@@ -1,0 +1,93 @@
+"""Free offsets: equal to generalised least squares on differences, whatever the grouping."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration_core.identification.offsets import Rows, deleted, normal_equations, without_offsets
+
+
+def _rows(rng: np.random.Generator, configurations: int = 3, steps: int = 4, points: int = 2) -> Rows:
+    grid = np.array([(c, s, p) for c in range(configurations) for s in range(steps) for p in range(points)])
+    m = len(grid)
+    factor = rng.normal(size=(m, 3, 3)) * 1e-5
+    noise = factor @ factor.transpose(0, 2, 1) + np.eye(3) * 1e-10
+    return Rows(grid[:, 0], grid[:, 2], grid[:, 0] * steps + grid[:, 1], noise, rng.normal(size=(m, 3, 6)) * 1e-5)
+
+
+def _dense(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """Return the full covariance and the offsets' design matrix, written down directly."""
+    m = len(rows.configuration)
+    covariance = np.zeros((3 * m, 3 * m))
+    for i in range(m):
+        for j in range(m):
+            block = rows.shared[i] @ rows.shared[j].T if rows.load[i] == rows.load[j] else np.zeros((3, 3))
+            covariance[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] = block + (rows.noise[i] if i == j else 0.0)
+    keys = sorted({(c, o) for c, o in zip(rows.configuration, rows.offset, strict=True)})
+    design = np.zeros((3 * m, 3 * len(keys)))
+    for i, key in enumerate(zip(rows.configuration, rows.offset, strict=True)):
+        k = keys.index(key)
+        design[3 * i : 3 * i + 3, 3 * k : 3 * k + 3] = np.eye(3)
+    return covariance, design
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_normal_equations_equal_the_full_problem(shuffled: bool) -> None:
+    rng = np.random.default_rng(1)
+    rows = _rows(rng)
+    if shuffled:
+        rows = rows.select(rng.permutation(len(rows.configuration))[:-3])  # incomplete configurations too
+    m = len(rows.configuration)
+    residual, columns = rng.normal(size=(m, 3)), rng.normal(size=(m, 3, 5))
+    normal = normal_equations(rows, residual, columns)
+
+    covariance, design = _dense(rows)
+    weight = np.linalg.inv(covariance)
+    full = np.hstack([columns.reshape(3 * m, 5), design])
+    matrix = full.T @ weight @ full
+    reduced = matrix[:5, :5] - matrix[:5, 5:] @ np.linalg.solve(matrix[5:, 5:], matrix[5:, :5])
+    np.testing.assert_allclose(normal.matrix.sum(0), reduced, rtol=1e-9)
+    right = full.T @ weight @ residual.reshape(-1)
+    expected = right[:5] - matrix[:5, 5:] @ np.linalg.solve(matrix[5:, 5:], right[5:])
+    np.testing.assert_allclose(normal.vector.sum(0), expected, rtol=1e-8, atol=1e-6 * np.abs(expected).max())
+    assert normal.freedom.sum() == 3 * m - design.shape[1]
+
+
+def test_two_readings_with_one_offset_are_one_difference() -> None:
+    sigma = 3e-5
+    rows = Rows(
+        np.zeros(2, int), np.zeros(2, int), np.arange(2), np.tile(np.eye(3) * sigma**2, (2, 1, 1)), np.zeros((2, 3, 0))
+    )
+    residual = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    columns = np.array([np.zeros((3, 1)), np.ones((3, 1))])
+    normal = normal_equations(rows, residual, columns)
+    np.testing.assert_allclose(normal.matrix[0], [[3 / (2 * sigma**2)]])  # a difference has twice the variance
+    np.testing.assert_allclose(normal.vector[0], [6 / (2 * sigma**2)])
+    np.testing.assert_allclose(without_offsets(rows, residual), [[-0.5, -1, -1.5], [0.5, 1, 1.5]], atol=1e-12)
+
+
+def test_deleted_predicts_a_row_from_the_others() -> None:
+    rng = np.random.default_rng(2)
+    rows = _rows(rng, configurations=1)
+    residual = rng.normal(size=(len(rows.configuration), 3)) * 1e-5
+    squared, error, covariance = deleted(rows, residual)
+    full, design = _dense(rows)
+    i, others = 5, [k for k in range(len(residual)) if k != 5]
+    keep = np.concatenate([np.arange(3 * k, 3 * k + 3) for k in others])
+    own = np.arange(3 * i, 3 * i + 3)
+    weight = np.linalg.inv(full[np.ix_(keep, keep)])
+    offsets = np.linalg.solve(design[keep].T @ weight @ design[keep], design[keep].T @ weight)
+    flat = residual.reshape(-1)
+    best = offsets @ flat[keep]
+    gain = full[np.ix_(own, keep)] @ weight
+    predicted = design[own] @ best + gain @ (flat[keep] - design[keep] @ best)
+    np.testing.assert_allclose(error[i], flat[own] - predicted, rtol=1e-7, atol=1e-16)
+    np.testing.assert_allclose(squared[i], error[i] @ np.linalg.solve(covariance[i], error[i]), rtol=1e-9)
+
+
+def test_a_row_that_nothing_predicts_is_never_suspicious() -> None:
+    rows = Rows(np.zeros(1, int), np.zeros(1, int), np.zeros(1, int), np.eye(3)[None] * 1e-10, np.zeros((1, 3, 0)))
+    squared, error, _ = deleted(rows, np.ones((1, 3)))
+    assert squared[0] == 0.0
+    assert not error.any()

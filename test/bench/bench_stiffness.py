@@ -1,0 +1,117 @@
+"""Stiffness from 100,000 configurations: regressor, solution and covariance against a pinocchio loop and lstsq."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+M = 100_000
+SIGMA = 2e-5
+
+
+def _problem() -> tuple:
+    from calibration_core.model.chain import Chain, rotation_x
+    from calibration_core.model.statics import Load
+
+    a, d = [0.35, 1.25, 0.041, 0.0, 0.0], [0.75, 0.0, 0.0, 1.1, 0.0]
+    alpha = [-np.pi / 2, 0.0, -np.pi / 2, np.pi / 2, -np.pi / 2]
+    chain = Chain(
+        joints=tuple(f"joint_{i}" for i in range(1, 7)),
+        rotation=np.stack([np.eye(3), *(rotation_x(x) for x in alpha)]),
+        translation=np.array([[0.0, 0.0, 0.0], *([x, 0.0, z] for x, z in zip(a, d, strict=True))]),
+        offset=np.array([0, -np.pi / 2, 0, 0, 0, 0]),
+        flange_rotation=np.eye(3),
+        flange_translation=np.array([0.0, 0.0, 0.23]),
+        limits=np.tile([-2.5, 2.5], (6, 1)),
+        gravity=np.array([0.0, 0.0, -9.80665]),
+    )
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-2.5, 2.5, (M, 6))
+    wrench = np.column_stack([rng.normal(0, 1000, (M, 3)), rng.normal(0, 200, (M, 3))])
+    load = Load(wrench[:, :3].T.copy(), wrench[:, 3:].T.copy(), np.array([0.0, 0.1, 0.2]), None)
+    stiffness = np.array([1.41e6, 4.01e6, 9.35e5, 3.6e5, 3.7e5, 3.8e5])
+    point = np.array([0.1, 0.0, 0.3])
+    return chain, q, wrench, load, point, stiffness, rng
+
+
+def _deflection(chain, q, load, point, stiffness, rng) -> np.ndarray:
+    from calibration_core.identification.standard import observation_matrix
+
+    parts = []
+    for start in range(0, M, 2000):
+        rows = slice(start, start + 2000)
+        columns = observation_matrix(chain, q[rows], load.rows(rows), point)
+        parts.append(np.einsum("anm,n->ma", columns, 1 / stiffness))
+    return np.vstack(parts) + rng.normal(0, SIGMA, (M, 3))
+
+
+def _ours() -> None:
+    from calibration_core.identification.standard import fit_standard
+
+    chain, q, _, load, point, stiffness, rng = _problem()
+    deflection = _deflection(chain, q, load, point, stiffness, rng)
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        fit = fit_standard(chain, q, load, point, deflection)
+        times.append(time.perf_counter() - start)
+    np.testing.assert_allclose(1 / fit.solution.value, stiffness, rtol=0.01)
+    print(np.median(times), *fit.solution.value, *np.sqrt(np.diag(fit.covariance)))
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+
+
+def _loop() -> None:
+    import pinocchio as pin
+
+    from calibration_core.model.robot import pinocchio_model
+
+    chain, q, wrench, load, point, stiffness, rng = _problem()
+    deflection = _deflection(chain, q, load, point, stiffness, rng)
+    model = pinocchio_model(chain)
+    for name, where in (("mp", point), ("wp", load.point)):
+        flange = model.frames[model.getFrameId("flange")]
+        placement = flange.placement * pin.SE3(np.eye(3), where.copy())
+        model.addFrame(pin.Frame(name, flange.parentJoint, 0, placement, pin.FrameType.OP_FRAME))
+    data = model.createData()
+    mp, wp = model.getFrameId("mp"), model.getFrameId("wp")
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        columns = np.empty((M, 3, 6))
+        for k in range(M):
+            pin.computeJointJacobians(model, data, q[k])
+            pin.updateFramePlacements(model, data)
+            at_mp = pin.getFrameJacobian(model, data, mp, pin.LOCAL_WORLD_ALIGNED)
+            at_wp = pin.getFrameJacobian(model, data, wp, pin.LOCAL_WORLD_ALIGNED)
+            columns[k] = at_mp[:3] * (at_wp.T @ wrench[k])
+        flat = columns.reshape(-1, 6)
+        c, rest, _, _ = np.linalg.lstsq(flat, deflection.reshape(-1), rcond=None)
+        covariance = np.linalg.inv(flat.T @ flat) * rest[0] / (3 * M - 6)
+        times.append(time.perf_counter() - start)
+    print(np.median(times), *c, *np.sqrt(np.diag(covariance)))
+
+
+def test_stiffness_of_100000_configurations() -> None:
+    answers = {}
+    for name in ("_ours", "_loop"):
+        done = subprocess.run([sys.executable, __file__, name], check=True, capture_output=True, text=True)
+        lines = done.stdout.splitlines()
+        answers[name] = np.array(lines[0].split(), dtype=float)
+        if name == "_ours":
+            megabytes = int(lines[1]) / 1024
+    ratio = answers["_ours"][0] / answers["_loop"][0]
+    print(
+        f"\n100,000 configurations: {answers['_ours'][0]:.3f} s and {megabytes:.0f} MB, "
+        f"pinocchio loop + lstsq {answers['_loop'][0]:.3f} s, ratio {ratio:.2f}"
+    )
+    np.testing.assert_allclose(answers["_ours"][1:], answers["_loop"][1:], rtol=1e-8)
+    assert ratio <= 0.5
+    assert megabytes <= 400
+
+
+if __name__ == "__main__":
+    {"_ours": _ours, "_loop": _loop}[sys.argv[1]]()
