@@ -48,10 +48,10 @@ def stand_in(folder: Path, name: str, version: str, *, venv: bool = True, header
     return path
 
 
-def prerequisites(path: Path, python: str) -> subprocess.CompletedProcess[str]:
+def prerequisites(path: Path, python: str, script: Path = PREREQUISITES) -> subprocess.CompletedProcess[str]:
     environment = {"PATH": str(path)}
     bash = shutil.which("bash") or "bash"
-    command = [bash, str(PREREQUISITES), python]
+    command = [bash, str(script), python]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
@@ -94,6 +94,15 @@ def _expect_one_line(answer: subprocess.CompletedProcess[str], *parts: str) -> N
     assert answer.stderr == ""
     for part in parts:
         assert part in answer.stdout
+
+
+def test_path_with_a_blank(bare: Path) -> None:
+    workspace = bare / "with blank"
+    (workspace / ".ci").mkdir(parents=True)
+    shutil.copy(PREREQUISITES, workspace / ".ci")
+    stand_in(bare, "python3.12", "3.12")
+    script = workspace / ".ci" / PREREQUISITES.name
+    _expect_one_line(prerequisites(bare, "python3.12", script), str(workspace), "move the workspace")
 
 
 @pytest.mark.parametrize("target", ["setup", "test", "demo"])
