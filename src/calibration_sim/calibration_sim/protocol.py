@@ -118,7 +118,7 @@ def _load(path: Path) -> object:
     try:
         if path.stat().st_size > MAX_PLAN_BYTES:
             raise PlanError(path, "", f"{path.stat().st_size} bytes", f"a plan of at most {MAX_PLAN_BYTES} bytes")
-        return yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise PlanError(path, "", error.strerror or str(error), "a readable plan (YAML)") from None
     except UnicodeDecodeError as error:

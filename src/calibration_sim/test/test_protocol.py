@@ -19,6 +19,12 @@ from calibration_sim.transforms import placement
 
 ROW = {"number": 1, "q": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "spare": False, "steps": [[0] * 6, [0, 0, -500.0, 0, 0, 0]]}
 
+# A few hundred bytes that nest into 9^10 elements.
+BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
+    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 10)
+)
+BOMB += "configurations: *a9\n"
+
 
 def _write(folder: Path, content: object) -> Path:
     path = folder / "plan.yaml"
@@ -50,6 +56,7 @@ def test_a_plan_is_read_in_order_without_spares(demo: Cell, tmp_path: Path) -> N
         ({"configurations": [{**ROW, "number": "one"}]}, "configurations.0.number"),
         ({"configurations": [ROW, ROW]}, "configurations.1.number"),
         ({"configurations": [{**ROW, "spare": True}]}, "configurations"),
+        (BOMB, "configurations.0"),
     ],
 )
 def test_faults_of_a_plan_are_named(demo: Cell, tmp_path: Path, content: object, place: str) -> None:

@@ -1,0 +1,102 @@
+"""`calibration-sim`: records a measurement of a simulated cell.  Arguments only."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from calibration_core.cell import load_cell
+from calibration_core.errors import InputError, RecordingError
+from calibration_core.recording.bag_writer import write_bag
+from calibration_core.recording.table import write_table
+from calibration_sim.configurations import random_protocol
+from calibration_sim.protocol import read_plan
+from calibration_sim.streams import simulate_recording
+from calibration_sim.table import simulate_readings
+from calibration_sim.truth import ROUGH, WORKSHOP, draw_truth, write_truth
+
+UNUSABLE_INPUT = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; return 0, or 2 with one line on stderr where the input cannot be used."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.storage == "sqlite3" and options.compression == "lz4":
+        parser.error("--compression lz4 exists for mcap alone")
+    try:
+        _record(options)
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        return UNUSABLE_INPUT
+    return 0
+
+
+def _record(options: argparse.Namespace) -> None:
+    for path in (options.out, options.table, options.truth_out):
+        if path is not None and path.exists():
+            raise RecordingError(path, "", "something", "a path that does not exist yet")
+    cell = load_cell(options.cell)
+    truth = draw_truth(cell, options.seed, spread=WORKSHOP if options.imperfect else ROUGH)
+    if options.plan is None:
+        protocol = random_protocol(cell, options.configurations, options.seed)
+    else:
+        protocol = read_plan(options.plan, cell)
+    recording = simulate_recording(cell, truth, protocol, options.seed, markers=not options.no_markers)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    write_bag(options.out, recording, cell, storage=options.storage, compression=_compression(options))
+    if options.table is not None:
+        options.table.parent.mkdir(parents=True, exist_ok=True)
+        write_table(options.table, simulate_readings(cell, truth, protocol, options.seed))
+    if options.truth_out is not None:
+        options.truth_out.parent.mkdir(parents=True, exist_ok=True)
+        write_truth(options.truth_out, truth, cell, seed=options.seed)
+    count, steps = len(protocol.configurations), protocol.steps
+    messages = sum(recording.provenance.messages.values())
+    sys.stdout.write(f"{options.out}: {count} configurations, {steps} steps, {messages} messages\n")
+
+
+def _compression(options: argparse.Namespace) -> str | None:
+    """Return the writer's name of the compression: chunks of mcap, whole files of sqlite3."""
+    if options.storage == "sqlite3" and options.compression == "zstd":
+        return "zstd_file"
+    return None if options.compression is None else str(options.compression)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="calibration-sim", description="A simulated measurement cell.")
+    record = parser.add_subparsers(required=True, metavar="COMMAND").add_parser(
+        "record", help="record a measurement of a simulated cell", description="Writes a rosbag2 directory."
+    )
+    record.add_argument("--cell", type=Path, required=True, help="cell file (YAML)")
+    record.add_argument("--out", type=Path, required=True, help="directory to write, must not exist yet")
+    record.add_argument("--plan", type=Path, help="plan.yaml; default: random configurations, oblique pulls")
+    record.add_argument("--configurations", type=_positive, default=18, help="how many, without a plan (default 18)")
+    record.add_argument("--seed", type=_natural, default=0, help="of truth, configurations and noise (default 0)")
+    record.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap")
+    record.add_argument("--compression", choices=("zstd", "lz4"))
+    record.add_argument("--no-markers", action="store_true", help="leave out the step markers")
+    record.add_argument("--imperfect", action="store_true", help="frames, points and geometry differ from the cell's")
+    record.add_argument("--table", type=Path, metavar="FILE.csv", help="write a measurement table besides")
+    record.add_argument("--truth-out", type=Path, metavar="FILE.yaml", help="write down what is hidden")
+    return parser
+
+
+def _natural(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}, expected an integer of at least zero")
+    return value
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text}, expected an integer of at least one")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

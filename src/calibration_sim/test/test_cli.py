@@ -1,0 +1,94 @@
+"""The program: what it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+import yaml
+from rosbags.rosbag2 import Reader
+
+from calibration_core.cell import Cell
+from calibration_sim.cli import main
+from calibration_sim.truth import draw_truth
+
+TOPICS = {
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/tracker/mp1": "geometry_msgs/msg/PointStamped",
+    "/tracker/mp2": "geometry_msgs/msg/PointStamped",
+    "/tracker/mp3": "geometry_msgs/msg/PointStamped",
+    "/force_torque/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/cell/temperature": "sensor_msgs/msg/Temperature",
+    "/robot_description": "std_msgs/msg/String",
+    "/calibration/step": "calibration_interfaces/msg/MeasurementStep",
+}
+
+
+def _topics(path: Path) -> dict[str, str]:
+    with Reader(path) as reader:
+        assert reader.message_count > 1000
+        return {connection.topic: str(connection.msgtype) for connection in reader.connections}
+
+
+def test_record_writes_bag_table_and_truth(demo: Cell, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag, table, truth = tmp_path / "bag", tmp_path / "table.csv", tmp_path / "truth.yaml"
+    arguments = ["record", "--cell", str(demo.path), "--out", str(bag), "--seed", "4", "--configurations", "2"]
+    assert main([*arguments, "--table", str(table), "--truth-out", str(truth)]) == 0
+    assert "2 configurations, 18 steps" in capsys.readouterr().out
+    assert _topics(bag) == TOPICS
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 9 * 3
+    assert {row["point"] for row in rows} == set(demo.points)
+    stiffness = yaml.safe_load(truth.read_text())["stiffness"]
+    assert list(stiffness.values()) == draw_truth(demo, 4).stiffness.tolist()
+
+
+@pytest.mark.parametrize(("storage", "compression"), [("mcap", "lz4"), ("sqlite3", "zstd")])
+def test_record_follows_a_plan(
+    demo: Cell, tmp_path: Path, storage: str, compression: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    steps = [[0.0] * 6, [0.0, 300.0, -900.0, 0.0, 0.0, 0.0]]
+    rows = [{"number": n, "q": [0.1 * n, 0.2, -0.3, 0.4, 0.5, 0.6], "steps": steps} for n in (3, 8)]
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(yaml.safe_dump({"configurations": rows}))
+    options = ["--storage", storage, "--compression", compression, "--no-markers", "--imperfect"]
+    bag = tmp_path / "deep" / "bag"
+    assert main(["record", "--cell", str(demo.path), "--out", str(bag), "--plan", str(plan), *options]) == 0
+    assert "2 configurations, 4 steps" in capsys.readouterr().out
+    assert "/calibration/step" not in _topics(bag)
+
+
+@pytest.mark.parametrize("fault", ["cell", "plan", "out", "table"])
+def test_unusable_input_ends_with_two_and_one_line(
+    demo: Cell, tmp_path: Path, fault: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = {"cell": demo.path, "out": tmp_path / "bag", "table": tmp_path / "table.csv"}
+    culprit = tmp_path / "culprit"
+    if fault in {"out", "table"}:
+        culprit.mkdir()
+    paths[fault] = culprit
+    arguments = [text for key, path in paths.items() for text in (f"--{key}", str(path))]
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["record", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert str(culprit) in error
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ["--seed", "-1"],
+        ["--configurations", "0"],
+        ["--storage", "tape"],
+        ["--storage", "sqlite3", "--compression", "lz4"],
+    ],
+)
+def test_wrong_arguments_are_refused(demo: Cell, tmp_path: Path, option: list[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["record", "--cell", str(demo.path), "--out", str(tmp_path / "bag"), *option])
+    assert caught.value.code == 2
+    assert not (tmp_path / "bag").exists()
