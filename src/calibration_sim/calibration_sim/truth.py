@@ -140,8 +140,8 @@ def draw_truth(cell: Cell, seed: int, *, spread: Spread = ROUGH, sensors: Sensor
     return dataclasses.replace(
         nominal,
         stiffness=nominal.stiffness * np.exp(spread.stiffness * rng.standard_normal(n)),
-        joint_zero=spread.joint_zero * rng.standard_normal(n),
-        joint_frame_errors=scale * rng.standard_normal((n, 6)),
+        joint_zero=0.0 + spread.joint_zero * rng.standard_normal(n),
+        joint_frame_errors=0.0 + scale * rng.standard_normal((n, 6)),
         tracker=moved(nominal.tracker, spread.tracker_shift, spread.tracker_turn),
         force_torque=moved(nominal.force_torque, 0.0, spread.sensor_turn),
         wrench_point=nominal.wrench_point + spread.point * rng.standard_normal(3),

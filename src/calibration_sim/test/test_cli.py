@@ -5,12 +5,18 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from rosbags.rosbag2 import Reader
 
 from calibration_core.cell import Cell
+from calibration_core.recording.bag import read_bag
+from calibration_core.recording.table import read_table
 from calibration_sim.cli import main
+from calibration_sim.configurations import random_protocol
+from calibration_sim.streams import simulate_recording
+from calibration_sim.table import simulate_readings
 from calibration_sim.truth import draw_truth
 
 TOPICS = {
@@ -43,6 +49,25 @@ def test_record_writes_bag_table_and_truth(demo: Cell, tmp_path: Path, capsys: p
     assert {row["point"] for row in rows} == set(demo.points)
     stiffness = yaml.safe_load(truth.read_text())["stiffness"]
     assert list(stiffness.values()) == draw_truth(demo, 4).stiffness.tolist()
+
+
+def test_what_is_recorded_reads_back_to_the_bit(demo: Cell, tmp_path: Path) -> None:
+    bag, table = tmp_path / "bag", tmp_path / "table.csv"
+    arguments = ["--out", str(bag), "--table", str(table), "--seed", "1", "--configurations", "2"]
+    assert main(["record", "--cell", str(demo.path), *arguments]) == 0
+    truth, protocol = draw_truth(demo, 1), random_protocol(demo, 2, 1)
+    sent, got = simulate_recording(demo, truth, protocol, 1), read_bag(bag, demo)
+    assert got.wrench is not None
+    assert sent.wrench is not None
+    pairs = [(sent.joints, got.joints), (sent.wrench, got.wrench)]
+    for a, b in [*pairs, *((sent.points[name], got.points[name]) for name in demo.points)]:
+        assert np.array_equal(a.time, b.time)
+        assert np.array_equal(a.received, b.received)
+        assert np.array_equal(a.values, b.values)
+        assert a.frame == b.frame
+    readings, rows = simulate_readings(demo, truth, protocol, 1), read_table(table, demo)
+    assert np.array_equal(rows.position, readings.position)
+    assert np.array_equal(rows.step, readings.step)
 
 
 @pytest.mark.parametrize(("storage", "compression"), [("mcap", "lz4"), ("sqlite3", "zstd")])
