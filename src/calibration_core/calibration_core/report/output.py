@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from collections.abc import Mapping
@@ -31,6 +32,8 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> None:
         for name, content in files.items():
             staged[directory / name] = _stage(directory, name, content)
         for target, temporary in staged.items():
+            if target.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
             if target.exists():
                 saved[target] = temporary.with_suffix(".old")
                 target.replace(saved[target])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -376,3 +377,12 @@ def absolute(absolute_cell: Cell) -> Identification:
 @pytest.fixture(scope="session")
 def hostile() -> tuple[Identification, Cell]:
     return make_hostile()
+
+
+@pytest.fixture(scope="session")
+def make_large() -> Callable[[], tuple[Identification, Cell]]:
+    def large() -> tuple[Identification, Cell]:
+        cell = make_cell("UR10 class", tuple(f"j{i}" for i in range(1, 8)), ("target",), False)
+        return make_absolute(cell, configurations=11_911), cell
+
+    return large

@@ -1,0 +1,192 @@
+"""HTML and PDF say the same, need nothing else, stay within their size, and hostile names remain text."""
+
+from __future__ import annotations
+
+import base64
+import datetime as dt
+import json
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+import typst
+
+from calibration_core.cell import Cell
+from calibration_core.errors import OutputError
+from calibration_core.identification.estimate import Identification
+from calibration_core.report import writing
+from calibration_core.report.content import build
+from calibration_core.report.document import Facts, Items, Paragraph, Table
+from calibration_core.report.html import render_html
+from calibration_core.report.pdf import _data, render_pdf
+from calibration_core.report.writing import report_files, write_identification, write_report
+
+DAY = dt.date(2026, 3, 5)
+Case = tuple[Identification, Cell]
+
+
+class Page(HTMLParser):
+    def __init__(self, content: bytes) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.handlers: list[str] = []
+        self.scripts: list[str] = []
+        self.text = ""
+        self.feed(content.decode())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for name, value in attrs if name in {"src", "href", "action", "data"}]
+        self.handlers += [name for name, _ in attrs if name.startswith("on")]
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_data(self, data: str) -> None:
+        if self.lasttag == "script":
+            self.scripts[-1] += data
+        elif self.lasttag != "style":
+            self.text += data
+
+
+@pytest.fixture(scope="module")
+def pages(loaded: Identification, cell: Cell, hostile: Case) -> dict[str, tuple[Page, list[str]]]:
+    out = {}
+    for name, (answer, its_cell) in {"loaded": (loaded, cell), "hostile": hostile}.items():
+        document = build(answer, its_cell, DAY)
+        words: list[str] = []
+        for block in (document.facts, Facts(document.verdict.lines), *document.blocks()):
+            if isinstance(block, Table):
+                words += [
+                    block.caption,
+                    *(column.head for column in block.columns),
+                    *(c for row in block.rows for c in row),
+                ]
+            elif isinstance(block, Facts):
+                words += [entry for row in block.rows for entry in row]
+            elif isinstance(block, Paragraph):
+                words.append(block.text)
+            elif isinstance(block, Items):
+                words += block.texts
+            else:
+                words.append(block.caption)
+        out[name] = Page(render_html(document, answer.space)), words
+    return out
+
+
+@pytest.mark.parametrize("name", ["loaded", "hostile"])
+def test_html_shows_every_word_of_the_document(name: str, pages: dict[str, tuple[Page, list[str]]]) -> None:
+    page, words = pages[name]
+    missing = [word for word in words if word not in page.text]
+    assert missing == []
+
+
+@pytest.mark.parametrize("name", ["loaded", "hostile"])
+def test_html_needs_nothing_else_and_runs_only_its_own_programs(
+    name: str, pages: dict[str, tuple[Page, list[str]]]
+) -> None:
+    page, _ = pages[name]
+    assert page.tags.count("script") == 3
+    assert len(json.loads(page.scripts[0])["data"]) >= 7
+    assert all(link.startswith("data:image/svg+xml;base64,") for link in page.links)
+    assert page.handlers == []
+    assert not {"link", "iframe", "object", "embed", "base", "form"} & set(page.tags)
+    assert not [script for script in page.scripts if script.lstrip().startswith("alert")]
+
+
+def test_figures_in_html_are_the_documents(
+    loaded: Identification, cell: Cell, pages: dict[str, tuple[Page, list[str]]]
+) -> None:
+    drawn = [base64.b64decode(link.partition(",")[2]) for link in pages["loaded"][0].links]
+    assert drawn == [figure.svg for figure in build(loaded, cell, DAY).figures()]
+
+
+@pytest.mark.parametrize("name", ["loaded", "absolute", "hostile"])
+def test_pdf_pages_keep_their_form(
+    name: str, loaded: Identification, cell: Cell, absolute: Identification, absolute_cell: Cell, hostile: Case
+) -> None:
+    answer, its_cell = {"loaded": (loaded, cell), "absolute": (absolute, absolute_cell), "hostile": hostile}[name]
+    document = build(answer, its_cell, DAY)
+    template = Path(writing.__file__).with_name("templates") / "report.typ"
+    inputs = {"document": json.dumps(_data(document))}
+    sheets = typst.compile(template.read_bytes(), sys_inputs=inputs, ignore_system_fonts=True, format="svg")
+    assert 5 <= len(sheets) <= 12
+    for sheet in sheets:
+        width, height = re.search(rb'viewBox="0 0 ([\d.]+) ([\d.]+)"', sheet).groups()
+        assert (float(width), float(height)) == pytest.approx((595.28, 841.89), abs=0.01)
+    assert render_pdf(document).startswith(b"%PDF-")
+
+
+def test_pdf_holds_hostile_names_as_text(hostile: Case, tmp_path: Path) -> None:
+    if shutil.which("pdftotext") is None:
+        pytest.skip("pdftotext (poppler-utils) is not installed")
+    (tmp_path / "report.pdf").write_bytes(render_pdf(build(*hostile, DAY)))
+    subprocess.run(["pdftotext", "-raw", "report.pdf", "report.txt"], cwd=tmp_path, check=True, timeout=60)
+    words = "".join((tmp_path / "report.txt").read_text().replace("\u200b", "").split())
+    assert "</script><script>alert(1)</script>#setpage(width:1cm)$x^2$\\u{41}*b*_i_`r`\"q\"'a'<b>&amp;{{7*7}}" in words
+
+
+def test_the_same_answer_gives_the_same_bytes(loaded: Identification, cell: Cell) -> None:
+    assert report_files(loaded, cell, DAY) == report_files(loaded, cell, DAY)
+
+
+def test_everything_is_written_as_one_set(loaded: Identification, cell: Cell, tmp_path: Path) -> None:
+    start = time.perf_counter()
+    path = write_identification(loaded, cell, tmp_path / "out", {"model.yaml": b"a: 1\n"}, DAY)
+    elapsed = time.perf_counter() - start
+    assert path == tmp_path / "out" / "result.json"
+    assert {item.name for item in path.parent.iterdir()} == {
+        "result.json", "report.html", "report.pdf", "table1.csv", "table2.csv", "residuals.csv", "model.yaml",
+    }  # fmt: skip
+    assert elapsed < 30  # 3 s on an idle core
+
+
+def test_nothing_is_written_if_one_part_fails(
+    loaded: Identification, cell: Cell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: object) -> bytes:
+        raise RuntimeError("no typesetter")
+
+    monkeypatch.setattr(writing, "render_pdf", broken)
+    with pytest.raises(RuntimeError, match="no typesetter"):
+        write_identification(loaded, cell, tmp_path / "out", {}, DAY)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_place_that_cannot_be_written_is_an_error_of_the_user(
+    loaded: Identification, cell: Cell, tmp_path: Path
+) -> None:
+    (tmp_path / "out").write_bytes(b"")
+    with pytest.raises(OutputError):
+        write_report(loaded, cell, tmp_path / "out", DAY)
+
+
+def test_large_recordings_give_reports_of_moderate_size(make_large: Callable[[], Case], tmp_path: Path) -> None:
+    path = write_report(*make_large(), tmp_path, DAY)
+    assert path.stat().st_size < 15_000_000
+    assert (tmp_path / "report.pdf").stat().st_size < 5_000_000
+    assert "First 40 of 11,911; all of them stand in table1.csv." in Page(path.read_bytes()).text
+
+
+def test_scene_is_drawn_by_a_browser(loaded: Identification, cell: Cell, tmp_path: Path) -> None:
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no Chromium found")
+    write_report(loaded, cell, tmp_path, DAY)
+    flags = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+        "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=8000",
+    ]  # fmt: skip
+    page = (tmp_path / "report.html").as_uri()
+    done = subprocess.run([browser, *flags, "--dump-dom", page], capture_output=True, timeout=120, check=True)
+    body = done.stdout.decode()
+    if 'class="turnable"' not in body:
+        pytest.skip("this Chromium has no WebGL")
+    assert re.search(r'<div id="scene" class="js-plotly-plot"', body)
+    assert "legendtext" in body
