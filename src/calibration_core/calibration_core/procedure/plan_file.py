@@ -1,0 +1,215 @@
+"""`plan.yaml`: what `calibration plan` writes and `calibration simulate` and the sequencer read.
+
+    schema: 1
+    robot: name, for the reader
+    joints: [joint_1, ...]                 # the order of every q
+    configurations:
+      - {number: 1, q: [rad, ...], spare: false, steps: [[fx, fy, fz, tx, ty, tz], ...]}
+    startup_cycle: [[rad, ...], ...]
+    reference: {q: [rad, ...], every: 4}   # or null
+    expected: {efficiency: 0.95, ...}      # what the planner promised; passed over on reading where it is incomplete
+
+Wrenches are in N and N*m, base axes, at the wrench point, one per load step, the first without load.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from calibration_core.cell import Cell
+from calibration_core.errors import PlanError, quoted
+from calibration_core.model.robot import chain_of
+from calibration_core.procedure.plan import Expected, Plan, PlannedConfiguration, Reference
+from calibration_core.timeseries import Float1D, Float2D
+
+SCHEMA = 1
+MAX_BYTES = 8 << 20
+MAX_CONFIGURATIONS = 10_000
+MAX_STEPS = 1000
+MAX_ALIASES = 100
+KEYS = ("schema", "robot", "joints", "configurations", "startup_cycle", "reference", "expected")
+ENTRY_KEYS = ("number", "q", "spare", "steps", "note")
+
+
+def plan_dict(plan: Plan) -> dict[str, Any]:
+    """Return the content of the file as plain values, in the order in which it is written."""
+    reference, expected = plan.reference, plan.expected
+    return {
+        "schema": SCHEMA,
+        "robot": plan.robot,
+        "joints": list(plan.joints),
+        "configurations": [
+            {"number": c.number, "q": c.q.tolist(), "spare": c.spare, "steps": c.steps.tolist()}
+            for c in plan.configurations
+        ],
+        "startup_cycle": plan.startup_cycle.tolist(),
+        "reference": None if reference is None else {"q": reference.q.tolist(), "every": reference.every},
+        "expected": None if expected is None else _expected_dict(expected),
+    }
+
+
+def plan_text(plan: Plan) -> str:
+    """Return the file's text; every float keeps all its digits."""
+    head = "# Measurement plan: q in rad, wrenches in N and N*m in base axes at the wrench point, one per load step.\n"
+    return head + yaml.safe_dump(
+        plan_dict(plan), default_flow_style=None, sort_keys=False, allow_unicode=True, width=400
+    )
+
+
+def read_plan(path: str | Path, cell: Cell) -> Plan:
+    """Read a plan and check it against the cell.
+
+    Raises:
+        PlanError: It is missing, malformed, or does not fit the robot: other joints, angles beyond the joint limits,
+            forces beyond the rated load, numbers that repeat.
+        CellError: The robot cannot be read.
+    """
+    path = Path(path)
+    data = _parse(path)
+    joints = data.get("joints")
+    if joints is not None and joints != list(cell.robot.joints):
+        raise PlanError(path, "joints", quoted(joints), f"the cell's joints {list(cell.robot.joints)}")
+    robot = data.get("robot", cell.robot.name)
+    if not isinstance(robot, str):
+        raise PlanError(path, "robot", quoted(robot), "a name")
+    limits = chain_of(cell).limits
+    startup = data.get("startup_cycle") or []
+    if not isinstance(startup, list) or len(startup) > MAX_STEPS:
+        raise PlanError(path, "startup_cycle", quoted(startup), "a list of postures")
+    return Plan(
+        robot=robot,
+        joints=cell.robot.joints,
+        configurations=_configurations(path, data.get("configurations"), cell, limits),
+        startup_cycle=np.array([_angles(path, f"startup_cycle.{i}", q, limits) for i, q in enumerate(startup)]),
+        reference=_reference(path, data.get("reference"), limits),
+        expected=_expected(data.get("expected"), len(limits)),
+    )
+
+
+def _expected_dict(expected: Expected) -> dict[str, Any]:
+    values = {field.name: getattr(expected, field.name) for field in dataclasses.fields(expected)}
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise PlanError(path, "", f"{path.stat().st_size} bytes", f"a plan of at most {MAX_BYTES} bytes")
+        text = path.read_text(encoding="utf-8")
+        if sum(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=_Loader)) > MAX_ALIASES:
+            raise PlanError(path, "", "YAML aliases", f"at most {MAX_ALIASES}")
+        data = yaml.load(text, Loader=_Loader)
+    except OSError as error:
+        raise PlanError(path, "", error.strerror or str(error), "a readable plan (YAML)") from None
+    except UnicodeDecodeError as error:
+        raise PlanError(path, f"byte {error.start}", "no UTF-8", "UTF-8") from None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        raise PlanError(path, "" if mark is None else f"line {mark.line + 1}", "no YAML", "YAML") from None
+    if not isinstance(data, dict):
+        raise PlanError(path, "", quoted(data), f"a mapping with the keys {', '.join(KEYS)}")
+    _known_keys(path, "", data, KEYS)
+    if data.get("schema", SCHEMA) != SCHEMA:
+        raise PlanError(path, "schema", quoted(data.get("schema")), str(SCHEMA))
+    return data
+
+
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def _configurations(path: Path, rows: object, cell: Cell, limits: Float2D) -> tuple[PlannedConfiguration, ...]:
+    if not isinstance(rows, list) or not 0 < len(rows) <= MAX_CONFIGURATIONS:
+        raise PlanError(path, "configurations", quoted(rows), f"a list of 1 to {MAX_CONFIGURATIONS} configurations")
+    rated = cell.robot.rated_load * 9.80665
+    found: dict[int, PlannedConfiguration] = {}
+    for i, row in enumerate(rows):
+        place = f"configurations.{i}"
+        if not isinstance(row, dict):
+            raise PlanError(path, place, quoted(row), f"a mapping with the keys {', '.join(ENTRY_KEYS)}")
+        _known_keys(path, place, row, ENTRY_KEYS)
+        number, spare = row.get("number", i + 1), row.get("spare", False)
+        if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number < 1 << 32:
+            raise PlanError(path, f"{place}.number", quoted(number), "an integer of at least one")
+        if number in found:
+            raise PlanError(path, f"{place}.number", f"{number} twice", "every number once")
+        if not isinstance(spare, bool):
+            raise PlanError(path, f"{place}.spare", quoted(spare), "true or false")
+        q = _angles(path, f"{place}.q", row.get("q"), limits)
+        steps = row.get("steps")
+        if not isinstance(steps, list) or not 0 < len(steps) <= MAX_STEPS:
+            raise PlanError(path, f"{place}.steps", quoted(steps), f"a list of 1 to {MAX_STEPS} wrenches")
+        wrenches = np.array([_numbers(path, f"{place}.steps.{k}", step, 6) for k, step in enumerate(steps)])
+        force = float(np.linalg.norm(wrenches[:, :3], axis=1).max())
+        if force > 1.001 * rated:
+            raise PlanError(path, f"{place}.steps", f"{force:.0f} N", f"at most the rated load, {rated:.0f} N")
+        found[number] = PlannedConfiguration(number, q, wrenches, spare)
+    configurations = tuple(found.values())
+    if all(configuration.spare for configuration in configurations):
+        raise PlanError(path, "configurations", "spares only", "at least one configuration to measure")
+    return configurations
+
+
+def _reference(path: Path, value: object, limits: Float2D) -> Reference | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise PlanError(path, "reference", quoted(value), "a mapping with the keys q, every")
+    _known_keys(path, "reference", value, ("q", "every"))
+    every = value.get("every")
+    if isinstance(every, bool) or not isinstance(every, int) or every < 0:
+        raise PlanError(path, "reference.every", quoted(every), "an integer of at least zero")
+    return Reference(_angles(path, "reference.q", value.get("q"), limits), every)
+
+
+def _expected(value: object, n: int) -> Expected | None:
+    """Read what the planner promised; None where that is not all there (it decides nothing)."""
+    names = [field.name for field in dataclasses.fields(Expected)]
+    if not isinstance(value, dict) or set(value) != set(names):
+        return None
+    optional = {"stiffness_std", "a_value", "e_value"}
+    arrays = {"compliance_std", "stiffness_std"}
+    for name in names:
+        entry = value[name]
+        if entry is None and name in optional:
+            continue
+        numbers, count = (entry, n) if name in arrays else ([entry], 1)
+        if not isinstance(numbers, list) or len(numbers) != count or not all(map(_finite, numbers)):
+            return None
+    values: dict[str, Any] = {k: np.array(v) if k in arrays and v is not None else v for k, v in value.items()}
+    return Expected(**values)
+
+
+def _known_keys(path: Path, place: str, row: dict[Any, Any], keys: tuple[str, ...]) -> None:
+    for key in row:
+        if key not in keys:
+            name = f"{place}.{key}" if place else str(key)
+            raise PlanError(path, name, "an unknown key", f"one of {', '.join(keys)}")
+
+
+def _angles(path: Path, place: str, values: object, limits: Float2D) -> Float1D:
+    q = np.array(_numbers(path, place, values, len(limits)))
+    outside = np.flatnonzero((q < limits[:, 0]) | (q > limits[:, 1]))
+    if len(outside):
+        i = int(outside[0])
+        low, high = limits[i]
+        raise PlanError(path, f"{place}.{i}", f"{q[i]:g} rad", f"within the joint's limits [{low:g}, {high:g}]")
+    return q
+
+
+def _numbers(path: Path, place: str, values: object, count: int) -> list[float]:
+    if not isinstance(values, list) or len(values) != count:
+        raise PlanError(path, place, quoted(values), f"{count} numbers")
+    for value in values:
+        if not _finite(value):
+            raise PlanError(path, place, quoted(value), "a finite number")
+    return [float(value) for value in values]
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

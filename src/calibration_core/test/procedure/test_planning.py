@@ -1,0 +1,191 @@
+"""Plans keep the standard's demands and promise what the fit delivers."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calibration_core.cell import Cell
+from calibration_core.errors import CellError, PlanError
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.kinematics import posture
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import Load
+from calibration_core.procedure.loads import LoadRules
+from calibration_core.procedure.order import clear_paths, short_order
+from calibration_core.procedure.plan import Plan
+from calibration_core.procedure.planning import PlanningRules, make_plan
+from calibration_core.procedure.space import Site, SpaceRules, joint_range, measurable, positions
+
+
+def test_counts_and_limits(plan: Plan, demo_cell: Cell) -> None:
+    assert len(plan.primary) == 18
+    assert len(plan.spares) == 9
+    assert [c.number for c in plan.configurations] == list(range(1, 28))
+    chain = chain_of(demo_cell)
+    low, high = joint_range(chain, SpaceRules())
+    q = np.array([c.q for c in plan.configurations])
+    assert len(np.unique(q, axis=0)) == 27  # every posture once
+    assert np.all((q >= low) & (q <= high))
+    site = Site.of(chain, nominal_parameters(demo_cell), tracker_known=True)
+    assert measurable(site, q, SpaceRules()).all()
+    assert positions(posture(chain, q), site.points)[:, 2].min() > 0
+
+
+def test_loads(plan: Plan, demo_cell: Cell) -> None:
+    rated = demo_cell.robot.rated_load * 9.80665
+    for configuration in plan.configurations:
+        force = configuration.steps[:, :3]
+        size = np.linalg.norm(force, axis=1)
+        assert size == pytest.approx(rated * np.array([0, 0.25, 0.5, 0.75, 1, 0.75, 0.5, 0.25, 0]))
+        tilt = np.arccos(-force[4, 2] / size[4])
+        assert 0.43 < tilt < 1.14
+        assert not configuration.steps[:, 3:].any()
+
+
+def test_range_of_the_sensor_limits_the_pull(demo_cell: Cell) -> None:
+    lever = np.linalg.norm(np.array(demo_cell.frames.wrench_point) - np.array(demo_cell.frames.force_torque.xyz))
+    rules = PlanningRules(load=LoadRules(levels=(0.0, 1.0), largest_torque=100.0))
+    plan = make_plan(demo_cell, configurations=12, rules=rules)
+    assert np.linalg.norm(plan.configurations[0].steps[1, :3]) * lever == pytest.approx(100.0)
+    rules = PlanningRules(load=LoadRules(largest_force=500.0))
+    plan = make_plan(demo_cell, configurations=12, rules=rules)
+    assert np.linalg.norm(plan.configurations[0].steps[4]) == pytest.approx(500)
+
+
+def test_promised_uncertainty_is_what_the_fit_has(plan: Plan, demo_cell: Cell) -> None:
+    """Against derivatives of the exact equilibrium, differences to step 0 with their full covariance."""
+    chain, parameters = chain_of(demo_cell), nominal_parameters(demo_cell)
+    total, step = np.zeros((6, 6)), 1e-3
+    sigma = demo_cell.instruments.tracker.sigma
+    wrench_sigma = np.r_[np.full(3, 1.0), np.full(3, 0.5)]
+    for configuration in plan.primary:
+        k = len(configuration.steps)
+
+        def points(compliance: np.ndarray, steps: np.ndarray, q: np.ndarray = configuration.q) -> np.ndarray:
+            load = Load(steps[:, :3].T, steps[:, 3:].T, parameters.wrench_point, None)
+            at = solve_equilibrium(chain, np.tile(q, (len(steps), 1)), compliance, load).at
+            return np.concatenate([at.point(point) for point in parameters.points.values()]).T  # (k, 9)
+
+        columns = []
+        for j in range(6):
+            shifted = parameters.compliance.copy()
+            shifted[j] *= 1 + step
+            before, after = points(parameters.compliance, configuration.steps), points(shifted, configuration.steps)
+            columns.append((after - before).ravel() / (step * parameters.compliance[j]))
+        columns = np.stack(columns, axis=1).reshape(k, 9, 6)
+        # the sensor reads at its own origin: an error of its force there is force and torque at the wrench point
+        at = posture(chain, configuration.q[None])
+        lever = (at.point(parameters.force_torque[:3, 3]) - at.point(parameters.wrench_point))[:, 0]
+        cross = np.array([[0, -lever[2], lever[1]], [lever[2], 0, -lever[0]], [-lever[1], lever[0], 0]])
+        move = np.block([[np.eye(3), np.zeros((3, 3))], [cross, np.eye(3)]])
+        unit = np.vstack([np.zeros(6), np.diag(wrench_sigma) @ move.T])
+        moved = points(parameters.compliance, unit)
+        noise = np.eye(9) * sigma**2 + (moved[1:] - moved[0]).T @ (moved[1:] - moved[0])
+        differences = columns[1:] - columns[0]
+        covariance = np.kron(np.eye(k - 1) + 1, noise)
+        flat = differences.reshape(-1, 6)
+        total += flat.T @ np.linalg.solve(covariance, flat)
+    std = np.sqrt(np.diag(np.linalg.inv(total)))
+    assert plan.expected is not None
+    np.testing.assert_allclose(plan.expected.compliance_std, std, rtol=0.03)
+    np.testing.assert_allclose(plan.expected.stiffness_std, std / parameters.compliance, rtol=0.03)
+
+
+def test_choice_beats_chance_and_is_certified(plan: Plan, demo_cell: Cell) -> None:
+    assert plan.expected is not None
+    assert 0.9 < plan.expected.efficiency <= 1
+    even = make_plan(demo_cell, rules=PlanningRules(kept=0.9)).expected
+    told = make_plan(demo_cell, rules=PlanningRules(kept=1.0)).expected
+    assert even is not None
+    assert told is not None
+    assert even.spacing < plan.expected.spacing <= told.spacing
+    assert told.efficiency >= plan.expected.efficiency > even.efficiency
+
+
+def test_same_seed_same_plan(plan: Plan, demo_cell: Cell) -> None:
+    again = make_plan(demo_cell)
+    assert np.array_equal(again.table1()[1], plan.table1()[1])
+    assert not np.array_equal(make_plan(demo_cell, seed=1).table1()[1], plan.table1()[1])
+
+
+def test_order_is_short() -> None:
+    place = np.random.default_rng(3).uniform(size=(15, 2))
+    cost = np.linalg.norm(place[:, None] - place[None], axis=2)
+    way = short_order(cost, 4)
+    assert way[0] == 4
+    assert sorted(way) == list(range(15))
+    assert cost[way[:-1], way[1:]].sum() < 0.6 * cost[np.arange(14), np.arange(1, 15)].sum()
+
+
+def test_startup_cycle_moves_every_joint(plan: Plan, demo_cell: Cell) -> None:
+    chain = chain_of(demo_cell)
+    low, high = joint_range(chain, SpaceRules())
+    assert np.all(np.ptp(plan.startup_cycle, axis=0) > 0.6 * (high - low))
+    site = Site.of(chain, nominal_parameters(demo_cell), tracker_known=True)
+    assert plan.reference is not None
+    cycle = np.vstack([plan.reference.q, plan.startup_cycle])
+    assert clear_paths(site, cycle[:-1], cycle[1:], SpaceRules()).all()
+    assert np.array_equal(cycle[-1], cycle[0])
+
+
+def test_without_stiffness_and_tracker_pose(small_cell: Cell) -> None:
+    robot = small_cell.robot.model_copy(update={"stiffness": None})
+    frames = small_cell.frames.model_copy(update={"tracker": None})
+    plan = make_plan(small_cell.model_copy(update={"robot": robot, "frames": frames}), configurations=12)
+    assert plan.expected is not None
+    assert plan.expected.stiffness_std is None
+    assert np.all(plan.expected.compliance_std > 0)
+
+
+def test_tracker_behind_the_robot_is_respected(demo_cell: Cell) -> None:
+    chain = chain_of(demo_cell)
+    site = Site.of(chain, nominal_parameters(demo_cell), tracker_known=True)
+    away = dataclasses.replace(site, tracker=np.array([-6.0, 0.0, 1.5]))
+    q = np.zeros((1, 6))
+    q[0, 4] = 0.7
+    rules = SpaceRules(dexterity=0.02)
+    turned = np.array([[np.pi - 0.1, 0, 0, 0, 0.7, 0]])
+    assert not measurable(away, q, rules)[0] or not measurable(site, turned, rules)[0]
+    assert measurable(away, turned, rules)[0]
+
+
+def test_operating_space(demo_cell: Cell) -> None:
+    box = ((0.8, 2.4), (-1.2, 1.2), (0.5, 2.0))
+    plan = make_plan(demo_cell, configurations=12, rules=PlanningRules(space=SpaceRules(box=box)))
+    points = np.array(list(demo_cell.frames.measurement_points.values()))
+    where = positions(posture(chain_of(demo_cell), plan.table1()[1]), points)
+    low, high = np.array(box).T
+    assert np.all((where >= low[:, None]) & (where <= high[:, None]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"configurations": 11}, "12 to 200"),
+        ({"spares": -0.1}, "spares"),
+        ({"rules": PlanningRules(space=SpaceRules(floor=3.5))}, "above the floor"),
+        ({"rules": PlanningRules(space=SpaceRules(dexterity=0.9), batches=2)}, "away from singularities"),
+        ({"rules": PlanningRules(space=SpaceRules(tracker_range=(40.0, 60.0)), batches=2)}, "in the tracker's sight"),
+    ],
+)
+def test_impossible_demands(demo_cell: Cell, arguments: dict, text: str) -> None:
+    with pytest.raises(PlanError, match=text) as caught:
+        make_plan(demo_cell, **arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_wrench_point_is_needed(demo_cell: Cell) -> None:
+    frames = demo_cell.frames.model_copy(update={"wrench_point": None})
+    with pytest.raises(CellError, match="wrench_point"):
+        make_plan(demo_cell.model_copy(update={"frames": frames}))
+
+
+def test_a_joint_that_does_not_show_is_said(small_cell: Cell) -> None:
+    """A single point on the last axis."""
+    frames = small_cell.frames.model_copy(update={"measurement_points": {"mp": (0.0, 0.0, 0.1)}})
+    with pytest.raises(PlanError, match="do not determine"):
+        make_plan(small_cell.model_copy(update={"frames": frames}))
