@@ -1,0 +1,95 @@
+"""Covariances of the readings: what the instruments claim, and what the plateaus themselves show.
+
+The cell file states the standard deviation of one averaged reading.  That claim contains what does not average out
+within a window (refraction, bearing errors, sensor drift), so it is a floor: a quiet window does not make a reading
+better than its instrument.  Where a window scatters more than the claim allows - vibration, a bad line of sight - the
+reading is worse, and its covariance is inflated to what was seen, in the directions in which it was seen.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.cell import Cell, Tracker
+from calibration_core.errors import CellError
+from calibration_core.timeseries import Float2D, Float3D, Readings
+
+STEEPEST = 0.1  # cosine of elevation; closer to the vertical the azimuth is not trusted to be better
+
+
+def position_covariance(readings: Readings, cell: Cell) -> Float3D:
+    """Covariance of each position, (m, 3, 3) m², tracker frame.
+
+    A Cartesian claim is the same for every coordinate.  A spherical claim is about the tracker's origin and its z axis:
+    range (`sigma_range` + `sigma_range_per_m` times the range), azimuth and elevation (`sigma_angle` each).  The
+    plateau's own covariance inflates it where it is larger (see the module).
+
+    Raises:
+        CellError: Positions are displacements, but the claim is spherical (the range is not known).
+    """
+    tracker = cell.instruments.tracker
+    if tracker.sigma is not None:
+        claim = np.broadcast_to(tracker.sigma**2 * np.eye(3), (len(readings), 3, 3))
+    elif cell.measurements.points == "displacement":
+        expected = "sigma: recorded displacements have no range from the tracker"
+        raise CellError(cell.path, "instruments.tracker", "sigma_range and sigma_angle", expected)
+    else:
+        claim = spherical_covariance(readings.position, tracker)
+    return _larger(claim, readings.position_covariance)
+
+
+def spherical_covariance(position: Float2D, tracker: Tracker) -> Float3D:
+    """Covariance (m, 3, 3) m² of positions (m, 3) in the tracker frame under a claim in range, azimuth, elevation.
+
+    dp = e_r dr + e_az r cos(el) d_az + e_el r d_el.
+    """
+    reach = np.maximum(np.linalg.norm(position, axis=1), 1e-9)
+    sight = np.where(np.linalg.norm(position, axis=1)[:, None] > 1e-9, position / reach[:, None], [1.0, 0.0, 0.0])
+    level = np.hypot(sight[:, 0], sight[:, 1])
+    flat = level > 1e-9
+    safe = np.where(flat, level, 1.0)
+    east = np.column_stack([
+        np.where(flat, -sight[:, 1] / safe, 0.0), np.where(flat, sight[:, 0] / safe, 1.0), np.zeros(len(level))
+    ])  # fmt: skip
+    up = np.cross(sight, east)
+    radial = float(tracker.sigma_range or 0.0) + tracker.sigma_range_per_m * reach
+    angle = float(tracker.sigma_angle or 0.0)
+    directions = np.stack([sight, east, up], axis=1)
+    sigma = np.column_stack([radial, angle * reach * np.maximum(level, STEEPEST), angle * reach])
+    return np.asarray(np.einsum("mki,mk,mkj->mij", directions, sigma**2, directions))
+
+
+def wrench_covariance(readings: Readings, cell: Cell) -> Float3D:
+    """Covariance of each wrench, (m, 6, 6) in N and N·m, axes and point of the recorded wrench.
+
+    The sensor's claim, inflated by the plateau's own covariance where that is larger; zero without a wrench.
+
+    Raises:
+        CellError: There is a wrench, but the cell file does not say how uncertain the sensor is.
+    """
+    if readings.wrench is None:
+        return np.zeros((len(readings), 6, 6))
+    sensor = cell.instruments.force_torque
+    if sensor is None:
+        raise cell.missing("instruments.force_torque", "the recorded wrench")
+    claim = np.diag(np.repeat([sensor.sigma_force**2, sensor.sigma_torque**2], 3))
+    return _larger(np.broadcast_to(claim, (len(readings), 6, 6)), readings.wrench_covariance)
+
+
+def _larger(claim: Float3D, seen: Float3D | None) -> Float3D:
+    """Smallest inflation of the claim along the principal axes of what was seen, relative to the claim.
+
+    In coordinates in which the claim is the unit matrix, the eigenvalues of what was seen are raised to at least one.
+    A component of the claim that is zero takes what was seen.
+    """
+    if seen is None:
+        return np.array(claim)
+    k = claim.shape[-1]
+    trace = np.trace(claim, axis1=1, axis2=2)[:, None, None]
+    floor = 1e-12 * np.maximum(trace, np.trace(seen, axis1=1, axis2=2)[:, None, None]) + 1e-30
+    root = np.linalg.cholesky(claim + floor * np.eye(k))
+    whitened = np.linalg.solve(root, np.swapaxes(np.linalg.solve(root, seen), 1, 2))
+    values, vectors = np.linalg.eigh((whitened + np.swapaxes(whitened, 1, 2)) / 2)
+    excess = np.maximum(values - 1.0, 0.0)
+    extra = root @ (vectors * excess[:, None, :]) @ np.swapaxes(vectors, 1, 2) @ np.swapaxes(root, 1, 2)
+    return np.asarray(claim + (extra + np.swapaxes(extra, 1, 2)) / 2)
