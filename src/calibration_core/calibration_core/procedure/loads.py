@@ -12,6 +12,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.model.chain import Chain
+from calibration_core.model.instruments import tracker_covariance
 from calibration_core.model.kinematics import linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Float3D
@@ -109,18 +110,10 @@ def point_noise(chain: Chain, cell: Cell, parameters: ModelParameters, q: Float2
 
 
 def _tracker_noise(cell: Cell, parameters: ModelParameters, point: Float2D) -> Float3D:
-    """Return the (m, 3, 3) covariances of the tracker's readings at (3, m) m, base frame."""
-    tracker = cell.instruments.tracker
-    m = point.shape[1]
-    if tracker.sigma is not None:
-        return np.tile(np.eye(3) * tracker.sigma**2, (m, 1, 1))
-    along = point - parameters.tracker[:3, 3:4]
-    distance = np.linalg.norm(along, axis=0)
-    unit = (along / distance).T
-    radial = (float(tracker.sigma_range or 0.0) + tracker.sigma_range_per_m * distance) ** 2
-    across = (float(tracker.sigma_angle or 0.0) * distance) ** 2
-    outer = unit[:, :, None] * unit[:, None, :]
-    return radial[:, None, None] * outer + across[:, None, None] * (np.eye(3) - outer)
+    """Return the (m, 3, 3) covariances, base axes, of the tracker's readings at (3, m) m, base frame."""
+    rotation, origin = parameters.tracker[:3, :3], parameters.tracker[:3, 3]
+    covariance: Float3D = rotation @ tracker_covariance(cell, (point.T - origin) @ rotation) @ rotation.T
+    return covariance
 
 
 def information(

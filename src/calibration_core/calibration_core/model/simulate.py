@@ -1,0 +1,201 @@
+"""Readings as the cell's model predicts them, with or without instrument noise.
+
+This is the model answering for itself: what `calibration simulate` writes.  It is no test of the model.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.instruments import tracker_covariance, wrench_sigma
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import Load
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Provenance, Readings, read_only
+
+TEMPERATURE = 20.0  # degrees Celsius, as the standard wants it
+
+
+class Loading(Protocol):
+    """One configuration with the wrenches of its steps."""
+
+    @property
+    def number(self) -> int:
+        """As it is counted in recordings."""
+
+    @property
+    def q(self) -> Float1D:
+        """(n,) rad."""
+
+    @property
+    def steps(self) -> Float2D:
+        """(k, 6) N and N*m, base axes, at the wrench point."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Schedule:
+    """All steps of all configurations, in the order in which they are measured.
+
+    Attributes:
+        configuration: (s,) its number.
+        step: (s,) counted from 0 within the configuration.
+        q: (s, n) rad, encoder angles.
+        wrench: (s, 6) N and N*m, base axes, at the wrench point.
+    """
+
+    configuration: Int1D
+    step: Int1D
+    q: Float2D
+    wrench: Float2D
+
+    def __post_init__(self) -> None:
+        """Copy to read-only arrays; raise ValueError on unequal lengths."""
+        lengths = {len(getattr(self, field.name)) for field in dataclasses.fields(self)}
+        if len(lengths) != 1:
+            msg = f"unequal lengths {sorted(lengths)}"
+            raise ValueError(msg)
+        object.__setattr__(self, "configuration", read_only(self.configuration, np.int64))
+        object.__setattr__(self, "step", read_only(self.step, np.int64))
+        object.__setattr__(self, "q", read_only(self.q))
+        object.__setattr__(self, "wrench", read_only(self.wrench))
+
+    @staticmethod
+    def of(configurations: Sequence[Loading]) -> Schedule:
+        """Return the schedule of planned configurations."""
+        counts = [len(c.steps) for c in configurations]
+        return Schedule(
+            configuration=np.repeat([c.number for c in configurations], counts),
+            step=np.concatenate([np.arange(count) for count in counts]),
+            q=np.repeat([c.q for c in configurations], counts, axis=0),
+            wrench=np.concatenate([c.steps for c in configurations]),
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Predicted:
+    """What the model predicts for every step.
+
+    Attributes:
+        deflection: (s, n) rad, behind the encoders.
+        position: (s, p, 3) m, tracker frame.
+        wrench: (s, 6) N and N*m, as the cell records it; None without a wrench point.
+    """
+
+    deflection: Float2D
+    position: Float3D
+    wrench: Float2D | None
+
+
+def predict_schedule(schedule: Schedule, cell: Cell, parameters: ModelParameters) -> Predicted:
+    """Find the equilibrium of every step.
+
+    Raises:
+        CellError: The robot cannot be read, or a frame that the load needs is missing.
+        EquilibriumError: A load is beyond what the springs can carry.
+    """
+    chain = chain_of(cell).corrected(parameters.geometry)
+    load = None
+    if parameters.wrench_point is not None:
+        load = Load(schedule.wrench[:, :3].T, schedule.wrench[:, 3:].T, parameters.wrench_point, None)
+    elif np.any(schedule.wrench):
+        raise cell.missing("frames.wrench_point", "an external load")
+    rest = solve_equilibrium(chain, schedule.q, parameters.compliance, load)
+    in_base = np.stack([rest.at.point(point).T for point in parameters.points.values()], axis=1)
+    rotation, origin = parameters.tracker[:3, :3], parameters.tracker[:3, 3]
+    wrench = None if load is None else _as_recorded(schedule, cell, parameters, np.moveaxis(rest.at.flange, -1, 0))
+    return Predicted(rest.deflection.T, (in_base - origin) @ rotation, wrench)
+
+
+def _as_recorded(schedule: Schedule, cell: Cell, parameters: ModelParameters, flange: Float3D) -> Float2D:
+    """Carry the wrenches to where and in which axes the cell records them; `flange` is (s, 3, 3), columns as rows."""
+    force, torque = schedule.wrench[:, :3], schedule.wrench[:, 3:]
+    convention = cell.measurements
+    sensor = parameters.force_torque
+    if sensor is None:
+        if "sensor" in {convention.wrench_axes, convention.wrench_at}:
+            raise cell.missing("frames.force_torque", "a wrench recorded by the sensor")
+        return np.hstack([force, torque])
+    if convention.wrench_at == "sensor":
+        assert parameters.wrench_point is not None  # noqa: S101 - only called with one
+        arm = np.einsum("skj,k->sj", flange, parameters.wrench_point - sensor[:3, 3])
+        torque = torque + np.cross(arm, force)
+    if convention.wrench_axes == "sensor":
+        axes = np.einsum("skj,ki->sij", flange, sensor[:3, :3])  # rows: sensor axes in base
+        force, torque = np.einsum("sij,sj->si", axes, force), np.einsum("sij,sj->si", axes, torque)
+    return np.hstack([force, torque])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Noise:
+    """Errors of the averaged readings of every step: (s, p, 3) m, (s, 6) N and N*m, (s,) K."""
+
+    position: Float3D
+    wrench: Float2D
+    temperature: Float1D
+
+
+def draw_noise(predicted: Predicted, cell: Cell, seed: int | None) -> Noise:
+    """Draw the errors that the cell's instruments claim; all points of a step share one wrench reading.
+
+    Args:
+        predicted: Where the points are.
+        cell: Whose instruments.
+        seed: None: no noise.
+    """
+    steps, points = predicted.position.shape[:2]
+    if seed is None:
+        return Noise(np.zeros((steps, points, 3)), np.zeros((steps, 6)), np.zeros(steps))
+    rng = np.random.default_rng(seed)
+    root = np.linalg.cholesky(tracker_covariance(cell, predicted.position.reshape(-1, 3)))
+    position = np.einsum("mij,mj->mi", root, rng.standard_normal((steps * points, 3)))
+    wrench = wrench_sigma(cell) * rng.standard_normal((steps, 6))
+    thermometer = cell.instruments.temperature
+    sigma = 0.0 if thermometer is None else thermometer.sigma
+    temperature = np.asarray(sigma * rng.standard_normal(steps))
+    return Noise(position.reshape(steps, points, 3), wrench, temperature)
+
+
+def simulate_plan(
+    configurations: Sequence[Loading], cell: Cell, parameters: ModelParameters, seed: int | None = None
+) -> Readings:
+    """Predict the readings of a plan.
+
+    Args:
+        configurations: To be measured, in order.
+        cell: How readings are recorded, and how noisy they are.
+        parameters: The model that answers.
+        seed: Of the instrument noise; None: none.
+
+    Raises:
+        CellError: The robot cannot be read, or a frame that the load needs is missing.
+        EquilibriumError: A load is beyond what the springs can carry.
+    """
+    schedule = Schedule.of(configurations)
+    predicted = predict_schedule(schedule, cell, parameters)
+    noise = draw_noise(predicted, cell, seed)
+    position = predicted.position + noise.position
+    steps, points = position.shape[:2]
+    if cell.measurements.points == "displacement":
+        begins = np.flatnonzero(schedule.step == 0)
+        position = position - position[begins[np.cumsum(schedule.step == 0) - 1]]
+    of_step = np.repeat(np.arange(steps), points)
+    wrench = None if predicted.wrench is None else (predicted.wrench + noise.wrench)[of_step]
+    known = cell.instruments.temperature is not None
+    return Readings(
+        points=tuple(parameters.points),
+        configuration=schedule.configuration[of_step],
+        step=schedule.step[of_step],
+        point=np.tile(np.arange(points), steps),
+        q=schedule.q[of_step],
+        position=position.reshape(-1, 3),
+        wrench=wrench,
+        time=np.full(len(of_step), np.nan),
+        temperature=(TEMPERATURE + noise.temperature)[of_step] if known else np.full(len(of_step), np.nan),
+        provenance=Provenance("simulation", "csv", {}, {"measurements": len(of_step)}),
+    )
