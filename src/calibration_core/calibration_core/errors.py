@@ -62,6 +62,14 @@ class PlanError(InputError):
     """No plan can be made under the given limits."""
 
 
+class SessionError(InputError):
+    """A session directory is missing, damaged, in use, or belongs to another plan or cell."""
+
+
+class TrajectoryError(InputError):
+    """A motion cannot be carried out within the joint limits, the speed limit and the controller's number of points."""
+
+
 class OutputError(InputError):
     """The output directory cannot be made or a file in it cannot be written."""
 
