@@ -21,8 +21,9 @@ from calibration_core.report.document import (
     numbered,
 )
 from calibration_core.report.result import result_dict, result_json
-from calibration_core.report.rounding import counted, length_unit, listed, shortened, spread
+from calibration_core.report.rounding import counted, length_unit, listed, shortened, significant, spread
 from calibration_core.report.sections import procedure, records, residuals, stiffness, uncertainty
+from calibration_core.report.shown import shown
 from calibration_core.report.verdict import Rest, rest
 
 TITLE = "Elastostatic compliance calibration"
@@ -48,10 +49,10 @@ def build(identification: Identification, cell: Cell, evaluated: dt.date | None 
     day = evaluated or dt.datetime.now(dt.UTC).date()
     sections = _sections(result, cell, left)
     front: tuple[Block, ...] = (Paragraph(_no_stiffness(result)),)
-    if result.stages:
+    if result.stages and not result.stiffness:
         front = (*front, *uncertainty.stage_blocks(result))
     if result.stiffness:
-        front = (*front[1:], stiffness.table_2(result, cell), stiffness.drawing_of(result, cell))
+        front = (stiffness.table_2(result, cell), stiffness.drawing_of(result, cell))
     document = Document(
         number=report_number(result, cell),
         title=TITLE,
@@ -94,7 +95,6 @@ def _facts(result: Identification, cell: Cell, day: dt.date) -> Facts:
         ("Extent", procedure.counts_text(result)),
         ("Applied load", procedure.load_text(result, cell)),
     ]
-    rows += [(label, text) for label, text in (("Origin of the data", cell.source), ("Note", cell.note)) if text]
     return Facts(tuple(rows))
 
 
@@ -116,7 +116,7 @@ def _verdict(result: Identification, left: Rest) -> Verdict:
             )
     open_joints = [joint.joint for joint in result.stiffness if not joint.identifiable]
     if open_joints:
-        lines.append(("Not determined", listed(open_joints)))
+        lines.append(("Not identifiable", listed(open_joints)))
     lines.append(("Residual", stiffness.rest_text(left)))
     unit = length_unit(result.fit.held_out_mean_after)
     mean, largest = (
@@ -138,17 +138,25 @@ def _verdict(result: Identification, left: Rest) -> Verdict:
         )
     )
     if result.noise.understated:
-        lines.append(("Noise", result.noise.text))
+        lines.append(
+            ("Noise", f"claim understated; uncertainties are widened by a factor {significant(result.noise.scale, 3)}")
+        )
     if left.significant:
         headline += "; the residual is more than noise"
-    return Verdict(headline, tuple((label, text[:1].upper() + text[1:]) for label, text in lines))
+    return Verdict(
+        headline,
+        tuple((label, text if label == "Not identifiable" else text[0].upper() + text[1:]) for label, text in lines),
+    )
 
 
 def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, ...]:
+    view = shown(result, cell)
     sections = [
         Section("What the recording determines", "8", stiffness.limits(result)),
         Section("Agreement of model and recording", "", stiffness.fit_section(result, cell, left)),
     ]
+    if result.stages and result.stiffness:
+        sections.append(Section("Stages of the identification", "7", uncertainty.stage_blocks(result)))
     sections.append(Section("Test parameters", "8 f)", procedure.parameters(result, cell)))
     if result.preconditions:
         sections.append(Section("Requirements of the standard", "5", procedure.requirements(result.preconditions)))
@@ -156,8 +164,8 @@ def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, 
         Section("Measuring equipment", "8 e)", procedure.equipment(cell)),
         Section("Operating space", "8 g)", procedure.operating_space(result)),
         Section("Measurement configurations", "8 d)", procedure.configurations(result)),
-        Section("Residuals", "", residuals.residual_section(result)),
-        Section("Noise", "5.3", uncertainty.noise_section(result)),
+        Section("Residuals", "", residuals.residual_section(view)),
+        Section("Noise", "5.3", uncertainty.noise_section(view)),
         Section("Condition and correlation", "5.4", uncertainty.correlation_section(result)),
     ]
     if result.parameters:

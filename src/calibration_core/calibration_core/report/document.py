@@ -13,7 +13,7 @@ from typing import Literal, TypeVar
 Align = Literal["left", "right", "center"]
 Value = TypeVar("Value")
 
-MAX_TEXT = 600
+MAX_TEXT = 1500
 
 _BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:[µmk]?m|mm/s|[km]?N|N·m|kg|%|°C|K|m?rad|µrad|µm/m|times|σ)(?![\w]))")
 

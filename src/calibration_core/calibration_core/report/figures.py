@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import cbook
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
@@ -19,6 +20,12 @@ from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
 
 MOST_CONFIGURATIONS = 120
 """Configurations drawn one by one; more are drawn in blocks of equal number."""
+
+PREDICTED_MARKS = 700
+"""Readings drawn at most in the comparison of predicted and measured values."""
+
+MOST_BEYOND = 300
+"""Single readings drawn at most beyond the whiskers of one axis."""
 
 _MARK: dict[str, Any] = {"linestyle": "none", "markersize": 3.2, "markerfacecolor": "none", "markeredgewidth": 0.6}
 
@@ -103,7 +110,7 @@ def prediction_figure(residuals: Residuals, loaded: bool) -> bytes:
     """Draw predicted against measured, and the residual against the prediction, per base axis."""
     used = ~np.asarray(residuals.excluded, dtype=bool)
     measured, predicted, left_over = (a[used] for a in (residuals.measured, residuals.predicted, residuals.residual))
-    rows = thinned(np.linalg.norm(left_over, axis=1), 700)
+    rows = thinned(np.linalg.norm(left_over, axis=1), PREDICTED_MARKS)
     unit, fine = length_unit(rms(measured)), length_unit(rms(left_over))
     what = "deflection" if loaded else "position"
     with drawing(2.9) as (figure, buffer):
@@ -196,7 +203,8 @@ def _per_configuration(axes: Axes, readings: Readings, residuals: Residuals, uni
         place = np.array([float(np.mean(numbers[b])) for b in blocks])
         name = f"configuration (blocks of {len(blocks[0])})"
     elif len(numbers) <= 45:
-        axes.set_xticks(place, [f"{int(no)}" for no in numbers])
+        every = 1 if len(numbers) <= 30 else 2
+        axes.set_xticks(place[::every], [f"{int(no)}" for no in numbers[::every]])
     else:
         place = numbers
     axes.vlines(place, 0, fitted, color=PALE, linewidth=2.4 if len(place) <= 45 else 1.2)
@@ -211,7 +219,7 @@ def _per_configuration(axes: Axes, readings: Readings, residuals: Residuals, uni
         markeredgewidth=0.7,
         label="predicted from the others",
     )
-    axes.axhline(rms(residuals.sigma[used]) * unit.factor, color=INK, linestyle="--", linewidth=0.8, label="expected σ")
+    axes.axhline(rms(residuals.sigma[used]) * unit.factor, color=INK, linestyle="--", linewidth=0.8, label="expected")
     axes.set(xlabel=name, ylabel=f"rms residual [{unit.name}]")
     axes.set_ylim(0, None)
     axes.set_title("a) per configuration")
@@ -219,16 +227,17 @@ def _per_configuration(axes: Axes, readings: Readings, residuals: Residuals, uni
 
 
 def _per_axis(axes: Axes, values: Float2D, sigma: float, unit: Unit) -> None:
-    box = {"color": INK, "linewidth": 0.8}
-    rows = thinned(np.linalg.norm(values, axis=1))
-    axes.boxplot(
-        [values[rows, i] if len(rows) < len(values) else values[:, i] for i in range(3)],
-        whis=(2.5, 97.5),
-        tick_labels=["x", "y", "z"],
+    boxes = cbook.boxplot_stats(values, whis=(2.5, 97.5), labels=["x", "y", "z"])
+    for box in boxes:
+        beyond = np.asarray(box["fliers"])
+        box["fliers"] = beyond[thinned(np.abs(beyond), MOST_BEYOND)]
+    line = {"color": INK, "linewidth": 0.8}
+    axes.bxp(
+        boxes,
         widths=0.45,
-        boxprops=box,
-        whiskerprops=box,
-        capprops=box,
+        boxprops=line,
+        whiskerprops=line,
+        capprops=line,
         medianprops={"color": INK, "linewidth": 1.4},
         flierprops={"marker": ".", "markersize": 2, "markeredgecolor": GREY},
     )

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.report.document import printable
 from calibration_core.report.space_figure import (
+    MOST_ARMS,
     deflection_scale,
     evenly,
     force_scale,
@@ -20,10 +21,9 @@ from calibration_core.report.space_figure import (
     reach,
 )
 from calibration_core.report.style import ACCENT, GREY, INK
-from calibration_core.timeseries import Float2D
+from calibration_core.timeseries import Float2D, Int1D
 
-MOST_ARMS = 120
-MOST_POINTS = 4000
+MOST_POINTS = 2000
 _SYMBOLS = ("circle", "diamond", "square", "cross", "x", "circle-open", "diamond-open", "square-open")
 
 
@@ -87,18 +87,18 @@ def _lines(name: str, lines: list[Float2D], colour: str, width: float) -> dict[s
     }
 
 
-def _points(name: str, points: Float2D, numbers: Float2D, symbol: str) -> dict[str, Any]:
+def _points(name: str, points: Float2D, numbers: Int1D, symbol: str) -> dict[str, Any]:
     labels = [f"configuration {int(number)}" for number in numbers]
     return {
         **_scatter(name, points),
         "mode": "markers",
         "text": labels,
         "hovertemplate": "%{text}<br>%{x}, %{y}, %{z} m",
-        "marker": {"size": 2.8 if len(points) < 500 else 1.8, "color": INK, "symbol": symbol},
+        "marker": {"size": 2.8 if len(points) < 500 else 1.2, "color": INK, "symbol": symbol},
     }
 
 
-def _shafts(start: Float2D, vectors: Float2D, rows: np.ndarray[Any, np.dtype[np.int64]]) -> list[Float2D]:
+def _shafts(start: Float2D, vectors: Float2D, rows: Int1D) -> list[Float2D]:
     return [_shaft(np.asarray(start[i]), np.asarray(vectors[i])) for i in rows if np.all(np.isfinite(vectors[i]))]
 
 

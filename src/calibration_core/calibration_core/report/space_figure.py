@@ -18,7 +18,7 @@ MOST_ARMS = 60
 
 MOST_POINTS = 2000
 
-HIGHEST = 5.0
+HIGHEST = 4.8
 """Height of the figure at most, inches: it must leave room for other things on a page."""
 
 _TURN = math.radians(-55.0)

@@ -12,9 +12,28 @@ from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification, NoiseCheck
 from calibration_core.report.content import build, date_of_test, report_number
 from calibration_core.report.document import Document, Facts, Items, Paragraph, Table
+from calibration_core.report.sections import procedure, residuals, stiffness, uncertainty
+from calibration_core.report.shown import references, shown
 
 DAY = dt.date(2026, 3, 5)
 Case = tuple[Identification, Cell]
+
+
+@pytest.fixture(autouse=True)
+def no_drawings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Words and numbers are tested here; the drawings have their own tests and take most of the time."""
+    names = (
+        "space_figure",
+        "residual_figure",
+        "prediction_figure",
+        "normality_figure",
+        "correlation_figure",
+        "stiffness_figure",
+    )
+    for module in (procedure, residuals, stiffness, uncertainty):
+        for name in names:
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, lambda *_: b"<svg/>")
 
 
 def table(document: Document, number: int) -> Table:
@@ -79,7 +98,7 @@ def test_verdict_box_of_a_good_test(loaded: Identification, cell: Cell) -> None:
         "4 of 6 met, 1 not met, 1 cannot be told from the recording; not met: load at"
     )
     assert lines["Readings"] == "483 of 486 used, 3 set aside and named"
-    assert "agrees with" in lines["Residual"]
+    assert "this agrees with" in lines["Residual"]
 
 
 def test_a_rest_is_said_on_the_first_page(loaded: Identification, cell: Cell) -> None:
@@ -100,7 +119,7 @@ def test_a_joint_that_is_not_determined_is_named_with_its_reason(loaded: Identif
     )
     document = build(dataclasses.replace(loaded, stiffness=(*loaded.stiffness[:5], weak)), cell, DAY)
     assert document.verdict.headline == "Joint stiffness identified: 5 of 6 joints"
-    assert dict(document.verdict.lines)["Not determined"] == "Joint_6"
+    assert dict(document.verdict.lines)["Not identifiable"] == "joint_6"
     assert table(document, 2).rows[5][2:4] == ("–", "≥ 0.90")
     assert "kθ₆ (joint_6): no torque acts" in text(document)
 
@@ -138,6 +157,32 @@ def test_exclusions_are_named_and_can_be_readmitted(loaded: Identification, cell
     document = build(loaded, cell, DAY)
     assert len(titled(document, "Readings not used").rows) == 3
     assert "--readmit CONFIGURATION:STEP:POINT" in text(document)
+
+
+def test_reference_steps_of_displacements_are_not_shown(loaded: Identification, cell: Cell) -> None:
+    displaced = cell.model_copy(
+        update={"measurements": cell.measurements.model_copy(update={"points": "displacement"})}
+    )
+    excluded = np.zeros(len(loaded.readings), dtype=bool)
+    answer = dataclasses.replace(loaded, residuals=dataclasses.replace(loaded.residuals, excluded=excluded))
+    per_point = titled(build(answer, displaced, DAY), "Residuals per measurement point").rows
+    assert [row[1] for row in per_point] == ["144", "144", "144"]
+    view = shown(answer, displaced)
+    assert np.all(view.readings.step > 0)
+    np.testing.assert_array_equal(references(loaded.readings), loaded.readings.step == 0)
+
+
+def test_expected_deviation_counts_what_the_fit_took_up(loaded: Identification, cell: Cell) -> None:
+    used = 3 * (len(loaded.readings) - 3)
+    fit = dataclasses.replace(loaded.fit, degrees_of_freedom=used - 168)
+    view = shown(dataclasses.replace(loaded, fit=fit), cell)
+    np.testing.assert_allclose(view.residuals.sigma, loaded.residuals.sigma * np.sqrt(1 - 168 / used))
+    assert len(view.readings) == len(loaded.readings)
+
+
+def test_combinations_are_written_with_signs(absolute: Identification, absolute_cell: Cell) -> None:
+    words = text(build(absolute, absolute_cell, DAY))
+    assert "both move the point along the same axis (1.00 d_1 − 1.00 tracker z)" in words
 
 
 def test_nothing_to_report_is_said(loaded: Identification, cell: Cell) -> None:

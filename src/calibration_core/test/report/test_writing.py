@@ -114,7 +114,10 @@ def test_pdf_pages_keep_their_form(
     document = build(answer, its_cell, DAY)
     template = Path(writing.__file__).with_name("templates") / "report.typ"
     inputs = {"document": json.dumps(_data(document))}
-    sheets = typst.compile(template.read_bytes(), sys_inputs=inputs, ignore_system_fonts=True, format="svg")
+    sheets, complaints = typst.compile_with_warnings(
+        template.read_bytes(), sys_inputs=inputs, ignore_system_fonts=True, format="svg"
+    )
+    assert [str(complaint) for complaint in complaints] == []
     assert 5 <= len(sheets) <= 12
     for sheet in sheets:
         width, height = re.search(rb'viewBox="0 0 ([\d.]+) ([\d.]+)"', sheet).groups()

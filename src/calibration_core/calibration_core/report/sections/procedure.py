@@ -74,7 +74,7 @@ def parameters(result: Identification, cell: Cell) -> tuple[Block, ...]:
         ("Temperature", _range(readings.temperature, "°C", 1)),
         ("Speed", SPEED),
         ("Gravity in base axes", f"({', '.join(fixed(g, 3) for g in cell.robot.gravity)}) m/s²"),
-        ("Distance from singularity", f"smallest scaled singular value {significant(nearest)} (0: singular)"),
+        ("Distance from singularity", f"smallest scaled singular value {nearest:.3f} (0: singular)"),
     ]
     if space.k_csm_share is not None and len(space.k_csm_share):
         share = spread(float(np.max(space.k_csm_share)) * 1e6)

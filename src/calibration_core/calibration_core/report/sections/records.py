@@ -6,7 +6,7 @@ import math
 
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification
-from calibration_core.report.document import Block, Column, Items, Paragraph, Table
+from calibration_core.report.document import Block, Column, Facts, Items, Paragraph, Table
 from calibration_core.report.provenance import digests, software
 from calibration_core.report.rounding import counted, length_unit, padded, shortened, spread
 from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
@@ -34,7 +34,7 @@ def exclusion_section(result: Identification) -> tuple[Block, ...]:
     columns = (
         Column("Configuration"),
         Column("Step"),
-        Column("Point", "left", wide=True),
+        Column("Point", "left"),
         Column(f"Residual [{unit.name}]"),
         Column("In σ"),
         Column("Reason", "left", wide=True),
@@ -77,7 +77,9 @@ def traceability_section(result: Identification, cell: Cell) -> tuple[Block, ...
     files = tuple((role, name, digest) for role, name, digest in digests(cell, provenance))
     messages = tuple((topic, f"{count:,}") for topic, count in provenance.messages.items())
     versions = tuple(software().items())
+    origin = tuple((label, text) for label, text in (("Origin of the data", cell.source), ("Note", cell.note)) if text)
     return (
+        *((Facts(origin),) if origin else ()),
         Table(
             "Input files", (Column("Role", "left"), Column("File", "left", wide=True), Column("SHA-256", "left")), files
         ),

@@ -6,9 +6,10 @@ import numpy as np
 
 from calibration_core.identification.estimate import Identification
 from calibration_core.report.document import Block, Column, Figure, Table
-from calibration_core.report.figures import grouped_rms, prediction_figure, residual_figure
+from calibration_core.report.figures import PREDICTED_MARKS, grouped_rms, prediction_figure, residual_figure
 from calibration_core.report.rounding import Unit, decimals, fixed, length_unit, padded, rms, shortened, spread
 from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
+from calibration_core.report.style import MOST_MARKS
 from calibration_core.timeseries import Bool1D, Float1D
 
 
@@ -20,11 +21,9 @@ def residual_section(result: Identification) -> tuple[Block, ...]:
     blocks: list[Block] = [
         Figure(
             "residuals",
-            "Residuals (measured minus predicted): a) rms per coordinate of every configuration, fitted and "
-            "predicted from a fit "
-            "to all others; b) per base axis, box: quartiles, whiskers: 95 %, dashed: 95 % of the expected "
-            "noise; c) length of the "
-            "residual.",
+            "Residuals (measured minus predicted): a) rms per coordinate of every configuration, fitted and predicted "
+            "from a fit to all others; b) per base axis, box: quartiles, whiskers: 95 %, dashed: 95 % of the expected "
+            f"noise; c) length of the residual.{_drawn(int(np.count_nonzero(used)))}",
             "Residuals per configuration, per axis and against load",
             residual_figure(result.readings, rows, reach_of_rows(result)),
         ),
@@ -39,9 +38,8 @@ def residual_section(result: Identification) -> tuple[Block, ...]:
     blocks.append(
         Figure(
             "prediction",
-            f"{what} predicted and measured, base axes (left; line: equality), and what remains (right; "
-            "dashed: twice the expected "
-            "standard deviation).",
+            f"{what} predicted and measured, base axes (left; line: equality), and what remains (right; dashed: twice "
+            f"the expected standard deviation).{_drawn(int(np.count_nonzero(used)), PREDICTED_MARKS)}",
             "Predicted against measured values",
             prediction_figure(rows, loaded),
         )
@@ -56,6 +54,11 @@ def reach_of_rows(result: Identification) -> Float1D:
     sorted_numbers = np.asarray(result.space.configuration)[order]
     place = np.clip(np.searchsorted(sorted_numbers, result.readings.configuration), 0, len(order) - 1)
     return np.asarray(radius[order[place]])
+
+
+def _drawn(rows: int, most: int = MOST_MARKS) -> str:
+    """Return the sentence that says that not every reading has its mark."""
+    return "" if rows <= most else f" Marks: {most:,} of {rows:,} readings, evenly spaced ones and the largest."
 
 
 def _per_axis(result: Identification, used: Bool1D, unit: Unit) -> Table:
@@ -81,9 +84,13 @@ def _per_axis(result: Identification, used: Bool1D, unit: Unit) -> Table:
         Column(f"Mean [{unit.name}]"),
         Column(f"Largest [{unit.name}]"),
         Column(f"rms, left out [{unit.name}]"),
-        Column(f"Expected σ [{unit.name}]"),
+        Column(f"Expected [{unit.name}]"),
     )
-    return Table("Residuals per base axis", columns, padded(body))
+    note = (
+        "Expected: standard deviation of a residual, from the noise after the audit and the degrees of freedom left by "
+        "the fit. Displacement recordings: the first step is the reference and not counted."
+    )
+    return Table("Residuals per base axis", columns, padded(body), note)
 
 
 def _per_point(result: Identification, used: Bool1D, unit: Unit) -> Table:

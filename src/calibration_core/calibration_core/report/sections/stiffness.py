@@ -80,9 +80,15 @@ def limits(result: Identification) -> tuple[Block, ...]:
         if joint.reason
     ]
     for item in result.unidentified:
-        terms = ", ".join(f"{fixed(weight, 2)} × {name}" for name, weight in item.combination.items())
-        name = next(iter(item.combination)) if len(item.combination) == 1 else f"Combination ({terms})"
-        texts.append(f"{name}: {item.reason}")
+        terms = " ".join(
+            f"{'−' if weight < 0 else '+'} {abs(weight):.2f} {name}" for name, weight in item.combination.items()
+        )
+        single = len(item.combination) == 1
+        texts.append(
+            f"{next(iter(item.combination))}: {item.reason}"
+            if single
+            else f"{item.reason} ({terms.removeprefix('+ ')})"
+        )
     if not texts:
         return (Paragraph("Every parameter asked for is determined by this recording."),)
     return (Paragraph("This recording limits or does not determine:"), Items(tuple(texts)))
@@ -160,22 +166,23 @@ def rest_text(rest: Rest) -> str:
         if rest.source == "instruments"
         else f"the noise seen without the model ({rest.source})"
     )
-    seen, noise = f"{spread(rest.seen * unit.factor)} {unit.name}", f"{spread(rest.noise * unit.factor)} {unit.name}"
+    seen, noise, excess = (f"{spread(size * unit.factor)} {unit.name}" for size in (rest.seen, rest.noise, rest.rms))
+    shows = f"The residuals show a standard deviation of {seen} per coordinate of one reading;"
     if not rest.significant:
-        return f"The residual, {seen} per coordinate, agrees with {source}, {noise}."
+        return f"{shows} this agrees with {source}, {noise}."
     numbers = ", ".join(str(number) for number in rest.configurations)
     return (
-        f"The residual, {seen} per coordinate, exceeds {source}, {noise}, beyond chance: "
-        f"{spread(rest.rms * unit.factor)} {unit.name} "
-        f"are not explained by the identified model or by the stated noise; largest along {rest.axis} and in "
-        f"configurations {numbers}."
+        f"{shows} beyond chance this exceeds {source}, {noise}. {excess} are explained neither by the identified model "
+        f"nor by that noise; the rest is largest along {rest.axis} and in configurations {numbers}."
     )
 
 
 def _cells(joint: JointStiffness) -> tuple[str, str, str, str]:
     places, scale = _places(joint), STIFFNESS.factor
     low, high = (fixed(end * scale, places) for end in joint.interval)
-    interval = f"{low} to {high}" if math.isfinite(joint.interval[1]) else f"≥ {low}"
+    interval = (
+        f"{low} to {high}" if math.isfinite(joint.interval[1]) else (f"≥ {low}" if joint.interval[0] > 0 else DASH)
+    )
     relative = 100 * joint.std / joint.value if math.isfinite(joint.value) and joint.value > 0 else math.nan
     return fixed(joint.value * scale, places), fixed(joint.std * scale, places), spread(relative), interval
 
