@@ -1,0 +1,133 @@
+"""How fast every monitored point of the robot moves, and how fast it can at most move between samples.
+
+Monitored are the flange, the wrench point, the sensor, every measurement point and every joint's origin (CWA 17384,
+7.1: the Cartesian speed shall not exceed 250 mm/s).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.model.chain import Chain
+from calibration_core.model.kinematics import cross, posture
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Float1D, Float2D, read_only
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Monitored:
+    """The robot's points whose speed matters.
+
+    Attributes:
+        chain: The robot.
+        names: Of all points: the joints' origins (`origin of joint_1`), then the points on the flange.
+        points: (p, 3) m, the points on the flange, in its frame.
+        lever: (k, n) m, no distance from joint j's origin to point k is ever larger; zero if the joint does not move it.
+    """
+
+    chain: Chain
+    names: tuple[str, ...]
+    points: Float2D
+    lever: Float2D
+
+    @staticmethod
+    def of(chain: Chain, parameters: ModelParameters) -> Monitored:
+        """Return all monitored points of a robot with these frames and points."""
+        named = {"flange": np.zeros(3)}
+        if parameters.wrench_point is not None:
+            named["wrench point"] = np.asarray(parameters.wrench_point)
+        if parameters.force_torque is not None:
+            named["force/torque sensor"] = parameters.force_torque[:3, 3]
+        named |= {name: np.asarray(point) for name, point in parameters.points.items()}
+        points = np.stack(list(named.values()))
+        origins = tuple(f"origin of {joint}" for joint in chain.joints)
+        return Monitored(chain, (*origins, *named), read_only(points), read_only(_levers(chain, points)))
+
+    def speeds(self, q: Float2D, rate: Float2D) -> Float2D:
+        """Return the speeds of all points, (m, k) m/s, at joint angles (m, n) rad and rates (m, n) rad/s.
+
+        Source: v(o_i+1) = v(o_i) + omega_i x (o_i+1 - o_i), from the base outwards.
+        """
+        at = posture(self.chain, q)
+        turning = np.zeros((3, len(q)))
+        velocity = np.zeros((3, len(q)))
+        speeds = np.empty((len(self.names), len(q)))
+        here = at.origin[0]
+        for i, origin in enumerate(at.origin):
+            velocity = velocity + cross(turning, origin - here)
+            speeds[i] = np.linalg.norm(velocity, axis=0)
+            turning = turning + at.axis(i) * rate[:, i]
+            here = origin
+        for k, point in enumerate(self.points, start=self.chain.n):
+            speeds[k] = np.linalg.norm(velocity + cross(turning, at.point(point) - here), axis=0)
+        return speeds.T
+
+    def bending(self, rate: Float1D) -> Float1D:
+        """Bound the second derivative of every point along a straight line in joint space, (k,) m.
+
+        d2p/dq_i dq_j = a_i x (a_j x (p - o_j)) for i <= j has at most the length of the lever of the outer joint, so
+        |p''| <= sum_ij |r_i| |r_j| R_max(i,j).
+
+        Args:
+            rate: (n,) rad, direction of the line: dq/ds.
+        """
+        size = np.abs(rate)
+        inner = np.cumsum(size)  # sum over i <= j
+        return np.asarray(self.lever @ (size * (2.0 * inner - size)))
+
+
+def _levers(chain: Chain, points: Float2D) -> Float2D:
+    n = chain.n
+    links = np.linalg.norm(chain.translation, axis=1)
+    reach = np.array([[links[j + 1 : i + 1].sum() if j < i else 0.0 for j in range(n)] for i in range(n)])
+    ends = np.linalg.norm(chain.flange_translation + points @ chain.flange_rotation.T, axis=1)
+    beyond = np.array([links[j + 1 :].sum() for j in range(n)])
+    return np.vstack([reach, ends[:, None] + beyond])
+
+
+def hermite_bound(
+    monitored: Monitored, time: Float1D, position: Float2D, velocity: Float2D, pieces: int = 16
+) -> Float2D:
+    """Bound every point's speed over every interval of a trajectory that is interpolated by cubic Hermite polynomials.
+
+    On a piece of half-length h about its middle, the speed is at most that in the middle plus h times a bound on the
+    acceleration: |p..| <= sum_i |q.._i| R_i + sum_ij |q._i| |q._j| R_max(i,j), each factor at its largest on the piece.
+    It holds for any such trajectory, whoever made it.
+
+    Args:
+        monitored: The points.
+        time: (m,) s, increasing.
+        position: (m, n) rad.
+        velocity: (m, n) rad/s.
+        pieces: Pieces per interval; more are tighter.
+
+    Returns:
+        (m - 1, k) m/s.
+    """
+    span = np.diff(time)[:, None]
+    middle = (np.arange(pieces) + 0.5) / pieces
+    # per interval and joint: q(u) = c0 + c1 u + c2 u^2 + c3 u^3, u = 0 ... 1
+    change = np.diff(position, axis=0)
+    c1, ends = span * velocity[:-1], span * velocity[1:]
+    c2, c3 = 3 * change - 2 * c1 - ends, c1 + ends - 2 * change
+    u = middle[None, :, None]
+    q = position[:-1, None] + c1[:, None] * u + c2[:, None] * u**2 + c3[:, None] * u**3
+    rate = (c1[:, None] + 2 * c2[:, None] * u + 3 * c3[:, None] * u**2) / span[:, None]
+    half = 0.5 / pieces
+    slope = (
+        np.maximum(
+            np.abs(2 * c2[:, None] + 6 * c3[:, None] * (u - half)),
+            np.abs(2 * c2[:, None] + 6 * c3[:, None] * (u + half)),
+        )
+        / (span**2)[:, None]
+    )
+    m, n = change.shape
+    reach = half * span[:, None]  # s
+    fastest = np.abs(rate) + slope * reach
+    inner = np.cumsum(fastest, axis=2)
+    acceleration = (slope + fastest * (2 * inner - fastest)) @ monitored.lever.T
+    speed = monitored.speeds(q.reshape(-1, n), rate.reshape(-1, n)).reshape(m, pieces, -1)
+    bound: Float2D = (speed + reach * acceleration).max(axis=1)
+    return bound
