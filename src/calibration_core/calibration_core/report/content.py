@@ -34,6 +34,10 @@ STATEMENT = (
     "or foundation, "
     "nor errors of parameters that were kept nominal."
 )
+REFERENCE = (
+    "The recording holds displacements: the first step of every configuration and point is the reference, its residual "
+    "is zero by definition and is not counted here."
+)
 SIGNATURES = ("Measured by", "Evaluated by", "Approved by")
 
 
@@ -164,7 +168,7 @@ def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, 
         Section("Measuring equipment", "8 e)", procedure.equipment(cell)),
         Section("Operating space", "8 g)", procedure.operating_space(result)),
         Section("Measurement configurations", "8 d)", procedure.configurations(result)),
-        Section("Residuals", "", residuals.residual_section(view)),
+        Section("Residuals", "", _residual_blocks(view, cell)),
         Section("Noise", "5.3", uncertainty.noise_section(view)),
         Section("Condition and correlation", "5.4", uncertainty.correlation_section(result)),
     ]
@@ -188,6 +192,13 @@ def _where(sections: tuple[Section, ...]) -> str:
         f"d) configurations in section {place['8 d)']}; e) equipment in section {place['8 e)']}; "
         f"f) parameters in section {place['8 f)']}; g) operating space in section {place['8 g)']}."
     )
+
+
+def _residual_blocks(view: Identification, cell: Cell) -> tuple[Block, ...]:
+    blocks = residuals.residual_section(view)
+    if view.kind == "loaded" and cell.measurements.points == "displacement":
+        return (Paragraph(REFERENCE), *blocks)
+    return blocks
 
 
 def _no_stiffness(result: Identification) -> str:

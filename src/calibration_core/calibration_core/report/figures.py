@@ -192,6 +192,26 @@ def grouped_rms(configuration: Int1D, values: Float2D) -> tuple[Float1D, Float1D
     return numbers.astype(np.float64), np.sqrt(np.bincount(index, square) / (3 * count)), largest
 
 
+def grouped(values: Float1D, most: int = 8) -> Int1D:
+    """Return (m,) the group of every value, from 0 in rising order: separate levels, else ranges of equal number.
+
+    Args:
+        values: (m,).
+        most: Number of groups at most; levels are apart where a gap exceeds 4 % of the largest value.
+    """
+    apart = 0.04 * float(np.max(np.abs(values), initial=0.0))
+    if not len(values) or np.ptp(values) <= apart:
+        return np.zeros(len(values), dtype=np.int64)
+    order = np.argsort(values, kind="stable")
+    gaps = np.diff(values[order]) > apart
+    level = np.concatenate([[0], np.cumsum(gaps)])
+    if not 1 < level[-1] + 1 <= most:
+        level = np.arange(len(values)) * most // len(values)
+    group = np.empty(len(values), dtype=np.int64)
+    group[order] = level
+    return group
+
+
 def _per_configuration(axes: Axes, readings: Readings, residuals: Residuals, unit: Unit) -> None:
     used = ~np.asarray(residuals.excluded, dtype=bool)
     numbers, fitted, _ = grouped_rms(readings.configuration[used], residuals.residual[used] * unit.factor)
@@ -250,11 +270,11 @@ def _per_axis(axes: Axes, values: Float2D, sigma: float, unit: Unit) -> None:
 def _against(axes: Axes, against: Float1D, size: Float1D, name: str, unit: Unit) -> None:
     rows = thinned(size)
     axes.plot(against[rows], size[rows], marker="o", markeredgecolor=GREY, **{**_MARK, "markersize": 2.4})
-    edges = np.unique(np.quantile(against, np.linspace(0, 1, 9))) if len(against) else np.zeros(0)
-    if len(edges) > 2:
-        bins = np.clip(np.searchsorted(edges, against, side="right") - 1, 0, len(edges) - 2)
-        middle = [float(np.mean(against[bins == b])) for b in range(len(edges) - 1) if np.any(bins == b)]
-        level = [rms(size[bins == b]) for b in range(len(edges) - 1) if np.any(bins == b)]
+    group = grouped(against)
+    numbers = np.unique(group)
+    if len(numbers) > 1:
+        middle = [float(np.mean(against[group == number])) for number in numbers]
+        level = [rms(size[group == number]) for number in numbers]
         axes.plot(middle, level, "s-", color=INK, markersize=3.4, label="rms of a group")
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.0))
     axes.set(xlabel=name, ylabel=f"length of residual [{unit.name}]")

@@ -15,6 +15,7 @@ from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification
 from calibration_core.report.figures import (
     correlation_figure,
+    grouped,
     grouped_rms,
     normality_figure,
     prediction_figure,
@@ -99,6 +100,20 @@ def test_thinning_keeps_the_largest() -> None:
     assert len(rows) <= 500
     assert set(np.argsort(-size)[:50]) <= set(rows.tolist())
     np.testing.assert_array_equal(thinned(size[:500], 500), np.arange(500))
+
+
+def test_loads_are_grouped_by_level() -> None:
+    load = np.array([600.0, 0.0, 1200.5, 0.3, 601.0, 2400.0, 1199.0])
+    np.testing.assert_array_equal(grouped(load), [1, 0, 2, 0, 1, 3, 2])
+
+
+def test_a_continuum_of_loads_is_cut_into_equal_numbers() -> None:
+    load = np.random.default_rng(6).uniform(0, 1000, 800)
+    group = grouped(load)
+    np.testing.assert_array_equal(np.bincount(group), [100] * 8)
+    assert all(load[group == k].max() <= load[group == k + 1].min() for k in range(7))
+    assert len(grouped(np.zeros(0))) == 0
+    np.testing.assert_array_equal(grouped(np.array([990.0, 1000.0, 995.0])), [0, 0, 0])
 
 
 def test_arrows_have_sensible_lengths(loaded: Identification) -> None:

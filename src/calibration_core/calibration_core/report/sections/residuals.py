@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration_core.identification.estimate import Identification
 from calibration_core.report.document import Block, Column, Figure, Table
-from calibration_core.report.figures import PREDICTED_MARKS, grouped_rms, prediction_figure, residual_figure
+from calibration_core.report.figures import PREDICTED_MARKS, grouped, grouped_rms, prediction_figure, residual_figure
 from calibration_core.report.rounding import Unit, decimals, fixed, length_unit, padded, rms, shortened, spread
 from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
 from calibration_core.report.style import MOST_MARKS
@@ -87,8 +87,7 @@ def _per_axis(result: Identification, used: Bool1D, unit: Unit) -> Table:
         Column(f"Expected [{unit.name}]"),
     )
     note = (
-        "Expected: standard deviation of a residual, from the noise after the audit and the degrees of freedom left by "
-        "the fit. Displacement recordings: the first step is the reference and not counted."
+        "Expected: standard deviation of a residual, from noise after the audit and degrees of freedom left by the fit."
     )
     return Table("Residuals per base axis", columns, padded(body), note)
 
@@ -112,14 +111,12 @@ def _per_point(result: Identification, used: Bool1D, unit: Unit) -> Table:
 def _per_load(result: Identification, used: Bool1D, unit: Unit) -> Table:
     rows = result.residuals
     load = rows.load
-    edges = np.unique(np.quantile(load[used], np.linspace(0, 1, 6)))
-    group = np.clip(np.searchsorted(edges, load, side="right") - 1, 0, max(len(edges) - 2, 0))
+    group = np.full(len(load), -1)
+    group[used] = grouped(load[used])
     coarse = length_unit(rms(rows.measured[used]))
     body = []
-    for index in range(max(len(edges) - 1, 1)):
-        mine = used & (group == index)
-        if not np.any(mine):
-            continue
+    for number in range(int(np.max(group)) + 1):
+        mine = group == number
         low, high = float(np.min(load[mine])), float(np.max(load[mine]))
         span = f"{low:,.0f}" if round(low) == round(high) else f"{low:,.0f} to {high:,.0f}"
         body.append(
@@ -138,7 +135,8 @@ def _per_load(result: Identification, used: Bool1D, unit: Unit) -> Table:
         Column(f"rms residual [{unit.name}]"),
         Column(f"rms, left out [{unit.name}]"),
     )
-    return Table("Residuals per load", columns, padded(body))
+    note = "The deflection contains that under the robot's own weight where the model has it."
+    return Table("Residuals per load", columns, padded(body), note)
 
 
 def _per_configuration(result: Identification, used: Bool1D, unit: Unit) -> Table:
