@@ -13,6 +13,7 @@ import numpy as np
 
 from calibration_core.errors import RecordingError
 from calibration_core.recording.batch import Batch, Channel
+from calibration_core.recording.sqlite_pages import is_cut, message_rows
 from calibration_core.timeseries import Note
 
 MAGIC = b"SQLite format 3\x00"
@@ -96,18 +97,21 @@ class SqliteStorage:
 
     def _messages(self, database: sqlite3.Connection, topics: Collection[str]) -> Iterator[Batch]:
         wanted = [key for key, channel in self.channels.items() if channel.topic in topics]
-        last, count = -(1 << 63), 0
+        last, count, cut = -(1 << 63), 0, is_cut(self.path)
         while wanted:
             try:
+                if cut:
+                    msg = "it is shorter than its header says"
+                    raise sqlite3.DatabaseError(msg)
                 end, rows = database.execute(BLOCK_END, (last, ROWS)).fetchone()
                 if end is None:
                     return
                 batches = [batch for key in wanted if (batch := self._block(database, key, last, end)) is not None]
             except sqlite3.DatabaseError as error:
-                for batch in self._one_by_one(database, wanted, last):
+                for batch in self._from_pages(wanted, last):
                     count += len(batch)
                     yield batch
-                text = f"the database breaks off ({error}); {count} messages before it were read"
+                text = f"the database is damaged ({error}): {count} messages on its whole pages were read"
                 self.notes.append(Note("truncated", self.path.name, text))
                 return
             count += sum(map(len, batches))
@@ -144,15 +148,15 @@ class SqliteStorage:
         length = np.fromiter(map(len, blobs), np.int64, len(blobs))
         return Batch(self.channels[key], buffer, np.cumsum(length) - length, length, received)
 
-    def _one_by_one(self, database: sqlite3.Connection, wanted: list[int], after: int) -> Iterator[Batch]:
-        """Messages before the damage, in a block that cannot be read as a whole."""
-        cursor = database.execute("SELECT topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id", (after,))
-        for _ in range(ROWS):
-            try:
-                row = cursor.fetchone()
-            except sqlite3.DatabaseError:
-                return
-            if row is None:
-                return
-            if row[0] in wanted:
-                yield self._batch(int(row[0]), [row[1:]])
+    def _from_pages(self, wanted: list[int], after: int) -> Iterator[Batch]:
+        """Messages with ids above `after` from the whole pages of a damaged file."""
+        rows: dict[int, list[tuple[int, bytes]]] = {key: [] for key in wanted}
+        for number, key, time, data in message_rows(self.path):
+            if number > after and key in rows:
+                rows[key].append((time, data))
+                if len(rows[key]) == ROWS:
+                    yield self._batch(key, rows[key])
+                    rows[key] = []
+        for key, some in rows.items():
+            if some:
+                yield self._batch(key, some)
