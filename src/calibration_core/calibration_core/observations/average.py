@@ -16,7 +16,7 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D
 
 OUTLIER = 8.0  # robust standard deviations; beam breaks and glitches lie far beyond, noise never
 SMALL_SAMPLE = 8.0  # the limit is wider by the factor 1 + this / n, as the scale of few samples is uncertain itself
-MIN_FOR_OUTLIERS = 8
+MIN_FOR_OUTLIERS = 12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
