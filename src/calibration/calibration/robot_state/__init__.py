@@ -1,0 +1,1 @@
+"""Adapters: drivers' mode and status messages in our own words, one file per make."""

@@ -1,0 +1,48 @@
+"""KUKA's LBR robots through FRI.  Numbers of the operation mode differ from those of the KSS controllers.
+
+Source: kroshu/kuka_drivers, kuka_driver_interfaces/msg/{FRIState,FRIStateArray}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from calibration.robot_state.adapter import Adapter, Messages, Source, field
+from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+
+MODES: Mapping[Any, OperatingMode] = {
+    0: OperatingMode.MANUAL_REDUCED,
+    1: OperatingMode.MANUAL_HIGH,
+    2: OperatingMode.AUTOMATIC,
+}  # T1, T2, AUT
+DRIVES: Mapping[Any, Drives] = {0: Drives.OFF, 1: Drives.OFF, 2: Drives.ON}  # off, in transition, active
+SAFETY: Mapping[Any, Safety] = {
+    0: Safety.NORMAL,
+    1: Safety.SAFEGUARD_STOP,
+    2: Safety.SAFEGUARD_STOP,
+    3: Safety.EMERGENCY_STOP,
+}  # stop levels
+COMMANDING_ACTIVE = 4
+
+
+def translate(messages: Messages) -> RobotState:
+    """Translate the state of the only robot; several robots are none that we know."""
+    states = field(messages, "state", "states")
+    if states is None or len(states) != 1:
+        return RobotState()
+    state = states[0]
+    session = getattr(state, "session_state", None)
+    return RobotState(
+        operating_mode=MODES.get(getattr(state, "operation_mode", None), OperatingMode.UNKNOWN),
+        drives=DRIVES.get(getattr(state, "drive_state", None), Drives.UNKNOWN),
+        safety=SAFETY.get(getattr(state, "safety_state", None), Safety.UNKNOWN),
+        motion_possible=Tri.of(None if session is None else session == COMMANDING_ACTIVE),
+    )
+
+
+ADAPTER = Adapter(
+    "kuka_fri",
+    (Source("state", "/fri_state_broadcaster/fri_state", "kuka_driver_interfaces/msg/FRIStateArray", 0.5),),
+    translate,
+)

@@ -1,0 +1,67 @@
+"""Stäubli's controllers through the ros2_control driver: values of named interfaces, all as float.
+
+Source: ICube-Robotics/staubli_driver_ros2, staubli_robot_driver/types.hpp; ros-controls/control_msgs,
+DynamicInterfaceGroupValues (group names, and per group interface names and values).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from calibration.robot_state.adapter import Adapter, Messages, Source, flag
+from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+
+MODES: Mapping[Any, OperatingMode] = {
+    1: OperatingMode.MANUAL_UNSPECIFIED,
+    2: OperatingMode.AUTOMATIC,
+    3: OperatingMode.EXTERNAL,
+}
+DRIVES = {Tri.UNDECIDED: Drives.UNKNOWN, Tri.FALSE: Drives.OFF, Tri.TRUE: Drives.ON}
+SAFETY: Mapping[Any, Safety] = {
+    0: Safety.NORMAL,
+    1: Safety.PROTECTIVE_STOP,  # waits for restart
+    2: Safety.SAFEGUARD_STOP,  # SS1
+    3: Safety.SAFEGUARD_STOP,  # SS2
+    4: Safety.ENABLING_STOP,  # waits for the working mode selector
+}
+
+
+def translate(messages: Messages) -> RobotState:
+    """Translate the latest values of the group `supervision`."""
+    values = interface_values(messages.get("states"), "supervision")
+    pressed = _flag(values, "estop_pressed")
+    safety = SAFETY.get(values.get("safety_status"), Safety.UNKNOWN)
+    if pressed is Tri.TRUE:
+        safety = Safety.EMERGENCY_STOP
+    elif pressed is Tri.UNDECIDED:
+        safety = Safety.UNKNOWN
+    return RobotState(
+        operating_mode=MODES.get(values.get("operation_mode"), OperatingMode.UNKNOWN),
+        drives=DRIVES[_flag(values, "power_on")],
+        safety=safety,
+        motion_possible=_flag(values, "motion_possible"),
+        in_motion=_flag(values, "in_motion"),
+        in_error=_flag(values, "in_error"),
+    )
+
+
+def interface_values(message: Any, group: str) -> Mapping[str, int]:
+    """Return the values of one group by name; values that are no whole numbers are left out."""
+    groups = list(getattr(message, "interface_groups", ()))
+    if group not in groups:
+        return {}
+    found = message.interface_values[groups.index(group)]
+    pairs = zip(found.interface_names, found.values, strict=False)
+    return {name: int(value) for name, value in pairs if float(value).is_integer()}
+
+
+def _flag(values: Mapping[str, int], name: str) -> Tri:
+    return flag(values[name]) if values.get(name) in {0, 1} else Tri.UNDECIDED
+
+
+ADAPTER = Adapter(
+    "staubli",
+    (Source("states", "/gpio_controller/gpio_states", "control_msgs/msg/DynamicInterfaceGroupValues", 0.5),),
+    translate,
+)
