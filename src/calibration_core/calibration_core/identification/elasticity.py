@@ -46,10 +46,10 @@ def judge_elasticity(
 ) -> ElasticityVerdict:
     """Test axial joint compliances under gravity against held-out configurations and two controls.
 
-    Everything is linearised once at the geometric solution (sag is a thousandth of the lengths, so what is left out is
-    a thousandth of the sag).  Joints are taken one by one, the one with the largest gain first, as long as the gain is
-    clear (`Improvement.clear`); where none is clear alone, all of them together.  The controls are given every freedom:
-    either sign, where compliances are bound to be positive; each harmonic two amplitudes per joint.
+    Everything is linearised once at the geometric solution (sag is a few thousandths of the lengths, so what is left
+    out is a few thousandths of the sag).  Joints are taken one by one, the one with the largest gain first, as long as
+    the gain is clear (`Improvement.clear`); where none is clear alone, all of them together.  The controls are given
+    every freedom: either sign, where compliances are bound to be positive; each harmonic two amplitudes per joint.
 
     Args:
         problem: The readings used.

@@ -22,7 +22,7 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 BLOCK = 2_000  # readings per block
 ITERATIONS = 50
-CONVERGED = 1e-10  # predicted decrease of the sum of squares, relative to it
+CONVERGED = 1e-10  # predicted decrease of the sum of squares, relative to it (plus one: a step of one sigma)
 RIDGE = 1e-13  # of the column-scaled normal matrix: keeps a fold that lacks a direction solvable
 
 
@@ -215,7 +215,7 @@ def fit(problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term])
     parameters, normal, damping = start, normal_equations(problem, start, terms), 0.0
     for iteration in range(1, ITERATIONS + 1):
         step = bounded_step(normal, lower_steps(terms, parameters), damping)
-        if float(normal.gradient @ step) <= CONVERGED * normal.cost + 1e-30:
+        if float(normal.gradient @ step) <= CONVERGED * (normal.cost + 1.0):
             last = moved(parameters, terms, step) if not np.any(parameters.compliance) else parameters
             return GeometryFit(last, tuple(terms), normal, iteration, converged=True)
         trial = moved(parameters, terms, step)

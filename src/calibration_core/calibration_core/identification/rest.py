@@ -113,8 +113,8 @@ def audit_absolute(
     text = (
         f"{plain.claimed * 1e6:.1f} µm per coordinate claimed, {left:.1f} µm left by the model. "
         f"The closest {'repeats of a posture' if repeats else 'neighbouring postures'} "
-        f"(within {neighbours.distance:.1e} rad) differ by {closest:.1f} µm only, so the noise is not larger than that, and "
-        f"at least {100 * share:.0f} % of the variance left depends on posture: something that the model leaves out. "
+        f"(within {neighbours.distance:.1e} rad) differ by {closest:.1f} µm only: the noise is not larger than that, "
+        f"and at least {100 * share:.0f} % of the variance left depends on posture: the model leaves something out. "
         "The standard deviations treat it as independent from pose to pose and are rather too small."
     )
     others = any(check.source == "rigid triangle" for check in plain.checks) and plain.understated
