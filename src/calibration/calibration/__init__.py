@@ -1,0 +1,1 @@
+"""The nodes: messages in, core called, messages out."""

@@ -1,0 +1,56 @@
+"""Long work beside the callbacks: in a plain thread, awaited by the callback that started it.
+
+An executor with one thread carries the streams; whoever waits must not hold it.  A coroutine callback that awaits a
+`Background` gives the thread back and is resumed when the work is done.  Its callback group must be reentrant, or the
+callbacks of the same group would wait as well.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Generator
+from typing import Generic, TypeVar
+
+from rclpy.node import Node
+
+T = TypeVar("T")
+
+
+class Background(Generic[T]):
+    """One piece of work in a thread of its own.
+
+    Example:
+        result = await Background(node, lambda: slow(request))
+    """
+
+    def __init__(self, node: Node, work: Callable[[], T]) -> None:
+        """Start the work.
+
+        Args:
+            node: The node whose executor is woken at the end.
+            work: What to do; what it raises is raised where the result is awaited.
+        """
+        self._node = node
+        self._result: list[T] = []
+        self._error: BaseException | None = None
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(work,), name="background", daemon=True)
+        self._thread.start()
+
+    def _run(self, work: Callable[[], T]) -> None:
+        try:
+            self._result.append(work())
+        except BaseException as error:  # noqa: BLE001  # handed over to the one who awaits
+            self._error = error
+        self._done.set()
+        executor = self._node.executor
+        if executor is not None:
+            executor.wake()
+
+    def __await__(self) -> Generator[None, None, T]:
+        """Give the executor back until the work is done."""
+        while not self._done.is_set():
+            yield
+        if self._error is not None:
+            raise self._error
+        return self._result[0]

@@ -1,0 +1,237 @@
+"""Messages to values of the core and back: besides `topics`, the only module that knows both.
+
+Units are SI inside; what comes in other units is converted here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from calibration_interfaces import msg
+from geometry_msgs.msg import Point, PointStamped, Vector3, Wrench, WrenchStamped
+from std_msgs.msg import Header
+
+from calibration_core.observations.average import Average
+from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Phase
+
+LENGTH_UNITS: Mapping[str, float] = {"m": 1.0, "mm": 1e-3, "inch": 0.0254}
+FORCE_UNITS: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
+TORQUE_UNITS: Mapping[str, float] = {"N*m": 1.0, "N*mm": 1e-3, "kN*m": 1e3, "lbf*in": 0.1129848290276167}
+SIGNS: Mapping[str, float] = {"applied_on_robot": 1.0, "applied_by_robot": -1.0}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample of an instrument.
+
+    Attributes:
+        stamp: `header.stamp` in ns; 0 where there is none.
+        frame: `frame_id`; empty where there is none.
+        values: (3,) m, or (6,) N and N*m.
+        rotation: (4,) quaternion x, y, z, w where the message has one, else None.
+    """
+
+    stamp: int
+    frame: str
+    values: Float1D
+    rotation: Float1D | None = None
+
+
+# --- time ---------------------------------------------------------------------------------------------------------
+
+
+def stamp_ns(stamp: Any) -> int:
+    """Return a `builtin_interfaces/Time` in ns."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def to_stamp(time: int) -> Time:
+    """Return ns as `builtin_interfaces/Time`; its seconds are a signed 32-bit number.
+
+    Raises:
+        ValueError: The time cannot be expressed.
+    """
+    seconds, rest = divmod(int(time), NANOSECONDS)
+    if not -(2**31) <= seconds < 2**31:
+        msg_text = f"{time} ns is not a time of ROS"
+        raise ValueError(msg_text)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def to_header(time: int, frame: str = "") -> Header:
+    """Return a header."""
+    return Header(stamp=to_stamp(time), frame_id=frame)
+
+
+# --- samples that come in -----------------------------------------------------------------------------------------
+
+
+def _xyz(one: Any) -> list[float]:
+    return [one.x, one.y, one.z]
+
+
+def _xyzw(one: Any) -> Float1D:
+    return np.array([one.x, one.y, one.z, one.w])
+
+
+def _point_stamped(message: Any, unit: float) -> Sample:
+    return Sample(stamp_ns(message.header.stamp), message.header.frame_id, unit * np.array(_xyz(message.point)))
+
+
+def _pose_stamped(message: Any, unit: float) -> Sample:
+    return _pose(message.header, message.pose, unit)
+
+
+def _pose_with_covariance(message: Any, unit: float) -> Sample:
+    return _pose(message.header, message.pose.pose, unit)
+
+
+def _pose(header: Any, pose: Any, unit: float) -> Sample:
+    values = unit * np.array(_xyz(pose.position))
+    return Sample(stamp_ns(header.stamp), header.frame_id, values, _xyzw(pose.orientation))
+
+
+def _transform_stamped(message: Any, unit: float) -> Sample:
+    values = unit * np.array(_xyz(message.transform.translation))
+    return Sample(stamp_ns(message.header.stamp), message.header.frame_id, values, _xyzw(message.transform.rotation))
+
+
+POINT_INPUTS: Mapping[str, tuple[str, Callable[[Any, float], Sample]]] = {
+    "PointStamped": ("geometry_msgs/msg/PointStamped", _point_stamped),
+    "PoseStamped": ("geometry_msgs/msg/PoseStamped", _pose_stamped),
+    "PoseWithCovarianceStamped": ("geometry_msgs/msg/PoseWithCovarianceStamped", _pose_with_covariance),
+    "TransformStamped": ("geometry_msgs/msg/TransformStamped", _transform_stamped),
+}
+"""What a tracker may send: name of the input -> message type, and the function that reads it (in metres)."""
+
+TF_TYPE = "tf2_msgs/msg/TFMessage"
+
+
+def transforms(message: Any, targets: Mapping[str, str], unit: float) -> dict[str, Sample]:
+    """Return the samples in a `tf2_msgs/TFMessage`.
+
+    Args:
+        message: The message.
+        targets: Child frame -> measurement point.
+        unit: Metres per unit of the message.
+    """
+    found = {}
+    for one in message.transforms:
+        if one.child_frame_id in targets:
+            found[targets[one.child_frame_id]] = _transform_stamped(one, unit)
+    return found
+
+
+def wrench_values(wrench: Any, force_unit: float = 1.0, torque_unit: float = 1.0) -> Float1D:
+    """Return (6,) N and N*m of a `geometry_msgs/Wrench`."""
+    return np.array(
+        [*(force_unit * one for one in _xyz(wrench.force)), *(torque_unit * one for one in _xyz(wrench.torque))]
+    )
+
+
+def wrench_sample(message: Any, force_unit: float, torque_unit: float) -> Sample:
+    """Return the sample in a `geometry_msgs/WrenchStamped` or `geometry_msgs/Wrench` (without stamp and frame)."""
+    if not hasattr(message, "header"):
+        return Sample(0, "", wrench_values(message, force_unit, torque_unit))
+    values = wrench_values(message.wrench, force_unit, torque_unit)
+    return Sample(stamp_ns(message.header.stamp), message.header.frame_id, values)
+
+
+WRENCH_INPUTS: Mapping[str, str] = {
+    "WrenchStamped": "geometry_msgs/msg/WrenchStamped",
+    "Wrench": "geometry_msgs/msg/Wrench",
+}
+"""What a force/torque sensor may send: name of the input -> message type."""
+
+
+def joint_positions(message: Any, joints: tuple[str, ...]) -> Float1D | None:
+    """Return (n,) rad of a `sensor_msgs/JointState` in the order of `joints`; None if one of them is missing."""
+    index = {name: place for place, name in enumerate(message.name)}
+    if len(message.position) != len(message.name) or not set(joints) <= index.keys():
+        return None
+    return np.array([message.position[index[name]] for name in joints])
+
+
+# --- messages that go out -----------------------------------------------------------------------------------------
+
+
+def to_point(values: Float1D) -> Point:
+    """Return (3,) m as a point."""
+    return Point(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+
+
+def to_wrench(values: Float1D) -> Wrench:
+    """Return (6,) N and N*m as a wrench."""
+    fx, fy, fz, tx, ty, tz = (float(value) for value in values)
+    return Wrench(force=Vector3(x=fx, y=fy, z=fz), torque=Vector3(x=tx, y=ty, z=tz))
+
+
+def to_point_stamped(sample: Sample) -> PointStamped:
+    """Return a point of the contract."""
+    return PointStamped(header=to_header(sample.stamp, sample.frame), point=to_point(sample.values))
+
+
+def to_wrench_stamped(sample: Sample) -> WrenchStamped:
+    """Return a wrench of the contract."""
+    return WrenchStamped(header=to_header(sample.stamp, sample.frame), wrench=to_wrench(sample.values))
+
+
+def to_step(time: int, configuration: int, step: int, phase: Phase) -> Any:
+    """Return the marker of a change."""
+    return msg.MeasurementStep(header=to_header(time), configuration=configuration, step=step, phase=int(phase))
+
+
+def to_outcome(code: int, text: str) -> Any:
+    """Return how something ended."""
+    return msg.Outcome(code=code, text=text)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Mean:
+    """Mean of a stream over a settled window, with what the message says beside it.
+
+    Attributes:
+        name: Measurement point, or `wrench`.
+        frame: Frame of the values.
+        begin: Stamp of the first sample averaged, ns.
+        end: Stamp of the last one, ns.
+        average: Mean and covariance.
+        tare: Number of the tare in force, 0: none.
+    """
+
+    name: str
+    frame: str
+    begin: int
+    end: int
+    average: Average
+    tare: int = 0
+
+
+def to_average(mean: Mean) -> Any:
+    """Return a mean as a message."""
+    one = mean.average
+    return msg.Average(
+        header=to_header((mean.begin + mean.end) // 2, mean.frame),
+        name=mean.name,
+        begin=to_stamp(mean.begin),
+        end=to_stamp(mean.end),
+        mean=one.mean.tolist(),
+        covariance=one.covariance.ravel().tolist(),
+        samples=one.samples,
+        effective_samples=one.effective,
+        outliers=one.outliers,
+        tare=mean.tare,
+    )
+
+
+def from_average(message: Any) -> Mean:
+    """Return the mean in a message."""
+    mean = np.array(message.mean)
+    covariance: Float2D = np.array(message.covariance).reshape(len(mean), len(mean))
+    one = Average(mean, covariance, message.samples, message.effective_samples, message.outliers)
+    begin, end = stamp_ns(message.begin), stamp_ns(message.end)
+    return Mean(message.name, message.header.frame_id, begin, end, one, message.tare)

@@ -1,0 +1,299 @@
+"""What every node of the suite has in common: declared parameters, diagnostics, start and end of the process.
+
+Parameters come from a table; a name that is not in it is an error, for a misspelt key would otherwise be ignored
+without a word.  The process ends by a flag: signals only set it, the executor spins in a thread of its own, and while
+it still spins, `stop` may cancel motions and close files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException, ParameterException
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from calibration_core.errors import InputError, quoted
+
+NODE_NAMES = ("force_torque", "guard", "identification", "recorder", "sequencer", "simulated_cell", "tracker")
+BUILT_IN = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+POLL = 0.1  # s between looks at the flag that ends the process
+
+Value = bool | int | float | str | list[str] | list[float] | list[int] | list[bool]
+
+
+class ParameterError(InputError):
+    """A parameter is unknown, of the wrong type, out of range, or missing."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Declared:
+    """One parameter of a node.
+
+    Attributes:
+        name: Name, dots between groups.
+        default: Value if nothing is given; its type is the parameter's.  An empty list is a list of strings.
+        description: One sentence with the unit.
+        low: Smallest number allowed.
+        high: Largest number allowed.
+        choices: The strings allowed, empty: any.
+        required: Whether it must be given, that is: not empty.
+        read_only: Whether it is fixed once the node runs.
+    """
+
+    name: str
+    default: Value
+    description: str
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+    required: bool = False
+    read_only: bool = True
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return what ROS tells about the parameter."""
+        text = f"{self.description} One of: {', '.join(self.choices)}." if self.choices else self.description
+        answer = ParameterDescriptor(name=self.name, description=text, read_only=self.read_only)
+        if self.low is None and self.high is None:
+            return answer
+        if isinstance(self.default, int):
+            low, high = (
+                -(2**63) if self.low is None else int(self.low),
+                2**63 - 1 if self.high is None else int(self.high),
+            )
+            answer.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
+        else:
+            low_f = -sys.float_info.max if self.low is None else float(self.low)
+            high_f = sys.float_info.max if self.high is None else float(self.high)
+            answer.floating_point_range = [FloatingPointRange(from_value=low_f, to_value=high_f, step=0.0)]
+        return answer
+
+    def fault(self, value: object) -> str:
+        """Say what is wrong with a value that has the right type; empty if nothing is."""
+        if isinstance(value, float) and not math.isfinite(value):
+            return "a number that is not finite"
+        if self.choices and isinstance(value, str) and value not in self.choices:
+            return quoted(value)
+        if self.required and not value:
+            return "nothing"
+        return ""
+
+
+class CalibrationNode(Node):
+    """A node with declared parameters and diagnostics.
+
+    Attributes:
+        diagnostics: What the node tells about its health, once a second and at every change.
+        failed: Set when the node cannot go on; the process then ends with exit code 1.
+    """
+
+    def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
+        """Declare the parameters.
+
+        Args:
+            name: Name of the node; a remapping may replace it.
+            parameters: Its parameters.
+            kwargs: Passed on to `rclpy.node.Node` (context, parameter_overrides, namespace, ...).
+
+        Raises:
+            ParameterError: A parameter is unknown, of the wrong type, out of range, or missing.
+        """
+        super().__init__(name, **kwargs)
+        self.failed = threading.Event()
+        self._table = {one.name: one for one in parameters}
+        try:
+            self._declare()
+        except ParameterError:
+            self.destroy_node()
+            raise
+        self.add_on_set_parameters_callback(self._check)
+        self.diagnostics = Diagnostics(self)
+
+    def _declare(self) -> None:
+        own = self.get_fully_qualified_name()
+        for given in self._parameter_overrides:
+            if given not in self._table and not given.startswith(BUILT_IN):
+                raise ParameterError(own, given, "an unknown parameter", f"one of {', '.join(sorted(self._table))}")
+        for one in self._table.values():
+            default = Parameter.Type.STRING_ARRAY if one.default == [] else one.default
+            expected = f"{type(one.default).__name__}{_range(one)}"
+            try:
+                self.declare_parameter(one.name, default, one.descriptor())
+            except (InvalidParameterTypeException, InvalidParameterValueException, ParameterException) as error:
+                given = self._parameter_overrides.get(one.name)
+                found = quoted(None if given is None else given.value)
+                raise ParameterError(own, one.name, found, expected) from error
+            if one.fault(self.value(one.name)):
+                expected = f"one of {', '.join(one.choices)}" if one.choices else one.description
+                raise ParameterError(own, one.name, one.fault(self.value(one.name)), expected)
+
+    def value(self, name: str) -> Any:
+        """Return a parameter's value; an empty list where none was given."""
+        found = self.get_parameter_or(name)
+        if found is None or found.type_ == Parameter.Type.NOT_SET:
+            return []
+        return list(found.value) if isinstance(self._table[name].default, list) else found.value
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        for given in parameters:
+            one = self._table.get(given.name)
+            fault = one.fault(given.value) if one else ""
+            if fault:
+                return SetParametersResult(successful=False, reason=f"{given.name}: {fault}")
+        return SetParametersResult(successful=True)
+
+    def now_ns(self) -> int:
+        """Return the node's time, ns: the simulation's where `use_sim_time` is set."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def stop(self) -> None:
+        """End what is under way, files included; the executor still spins.  Nothing by default."""
+
+
+def _range(one: Declared) -> str:
+    if one.low is None and one.high is None:
+        return ""
+    return f" from {'-inf' if one.low is None else one.low} to {'inf' if one.high is None else one.high}"
+
+
+class Diagnostics:
+    """The node's health on `/diagnostics`: once a second of wall time and at every change of a level or text."""
+
+    LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
+
+    def __init__(self, node: Node) -> None:
+        """Start publishing."""
+        self._node = node
+        self._status: dict[str, DiagnosticStatus] = {}
+        qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", qos)
+        self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def report(self, what: str, level: int, text: str, values: dict[str, object] | None = None) -> None:
+        """Say how one thing stands.
+
+        Args:
+            what: The thing, for example a topic.
+            level: 0 fine, 1 warning, 2 error, 3 stale.
+            text: One line for a person.
+            values: Figures.
+        """
+        name = f"{self._node.get_name()}: {what}"
+        pairs = [KeyValue(key=key, value=str(value)) for key, value in (values or {}).items()]
+        new = DiagnosticStatus(level=self.LEVELS[level], name=name, message=text,
+                               hardware_id=self._node.get_name(), values=pairs)  # fmt: skip
+        old = self._status.get(what)
+        self._status[what] = new
+        if old is None or (old.level, old.message) != (new.level, new.message):
+            self.publish()
+
+    def publish(self) -> None:
+        """Send everything known."""
+        message = DiagnosticArray(status=list(self._status.values()))
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+
+def check_parameter_files(arguments: Sequence[str]) -> None:
+    """Refuse parameter files with sections for nodes that do not exist: they would be ignored without a word.
+
+    Raises:
+        ParameterError: A file cannot be read, or names an unknown node.
+    """
+    files = [value for flag, value in itertools.pairwise(arguments) if flag == "--params-file"]
+    for file in files:
+        try:
+            data = yaml.safe_load(Path(file).read_text("utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise ParameterError(file, "", type(error).__name__, "a parameter file (YAML)") from None
+        for key in _sections(data):
+            last = key.rstrip("/").rpartition("/")[2]
+            if last not in NODE_NAMES and "*" not in last:
+                raise ParameterError(file, key, "an unknown node", f"one of {', '.join(NODE_NAMES)}, or /**")
+
+
+def _sections(data: object, prefix: str = "") -> list[str]:
+    """Return the names of all nodes that a parameter file has sections for, namespaces in front."""
+    if not isinstance(data, dict):
+        return []
+    found: list[str] = []
+    for key, value in data.items():
+        name = f"{prefix}/{key}" if prefix else str(key)
+        found += [name] if isinstance(value, dict) and "ros__parameters" in value else _sections(value, name)
+    return found
+
+
+def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = None) -> int:
+    """Run a node until a signal or its own failure ends it; the exit code of the process.
+
+    Args:
+        make: Makes the node, once ROS is initialised.
+        arguments: Command line without the program's name; None: the process's own.
+
+    Returns:
+        0 after a signal, 2 if the input cannot be used (one line on stderr), 1 after a failure.
+    """
+    stop = threading.Event()
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        try:
+            check_parameter_files(given)
+            node = make()
+        except InputError as error:
+            print(error, file=sys.stderr)
+            return 2
+        return _until(node, stop)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _until(node: CalibrationNode, stop: threading.Event) -> int:
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    thread = threading.Thread(target=spin, args=(executor, node), name="executor", daemon=True)
+    thread.start()
+    while not stop.wait(POLL) and not node.failed.is_set():
+        pass
+    try:
+        node.stop()
+    finally:
+        executor.shutdown(timeout_sec=1.0)
+        thread.join(timeout=1.0)
+        node.destroy_node()
+    return 1 if node.failed.is_set() else 0
+
+
+def spin(executor: SingleThreadedExecutor, node: CalibrationNode) -> None:
+    """Spin until the executor is shut down; an exception out of a callback ends the node and stands in the log."""
+    try:
+        executor.spin()
+    except (ExternalShutdownException, ShutdownException):
+        return
+    except Exception:  # noqa: BLE001  # told in full, and the process ends
+        node.get_logger().fatal(traceback.format_exc())
+        node.failed.set()

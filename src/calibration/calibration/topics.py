@@ -1,0 +1,156 @@
+"""Every topic of the suite: name, type, quality of service; one table for nodes, recorder and reader.
+
+Names are relative, so that a namespace or a remapping moves them; in a bag they stand as the cell file names them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import functools
+import importlib
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import QoSCompatibility as Compatibility
+
+from calibration_core.cell import Cell
+from calibration_core.recording.definitions import STEP_TYPE, TEXT_TYPE
+from calibration_core.recording.kinds import Kind
+
+SAMPLES_DEPTH = 2000  # two seconds at 1 kHz: a keep-last history overwrites without a word
+EVENTS_DEPTH = 1000
+
+
+class Quality(enum.Enum):
+    """How messages of a topic are carried.
+
+    SAMPLES: streams of instruments; nothing is resent to those who come late.
+    STATE: the last message is what counts, and those who come late get it.
+    EVENTS: every message counts, and those who come late get all of them.
+    PULSE: a state that is worthless unless fresh; those who come late wait for the next.
+    """
+
+    SAMPLES = "samples"
+    STATE = "state"
+    EVENTS = "events"
+    PULSE = "pulse"
+
+
+@dataclasses.dataclass(frozen=True)
+class Topic:
+    """One topic.
+
+    Attributes:
+        name: As in a bag, with the leading slash.
+        type: Message type, `package/msg/Name`.
+        quality: How it is carried.
+        optional: Whether a recording is complete without it.
+    """
+
+    name: str
+    type: str
+    quality: Quality
+    optional: bool = True
+
+    @property
+    def relative(self) -> str:
+        """The name for publishers and subscriptions."""
+        return self.name.lstrip("/")
+
+    @property
+    def message(self) -> Any:
+        """The message class."""
+        return message_class(self.type)
+
+    @property
+    def qos(self) -> QoSProfile:
+        """The quality that our own nodes offer and ask for."""
+        return profile(self.quality)
+
+
+ROBOT_STATE = Topic("/calibration/robot_state", "calibration_interfaces/msg/RobotState", Quality.STATE)
+PERMISSION = Topic("/calibration/permission", "calibration_interfaces/msg/Permission", Quality.PULSE)
+GUARD_EVIDENCE = Topic("/calibration/guard_evidence", "calibration_interfaces/msg/GuardEvidence", Quality.EVENTS)
+EVENT = Topic("/calibration/event", "calibration_interfaces/msg/SessionEvent", Quality.EVENTS)
+READING = Topic("/calibration/reading", "calibration_interfaces/msg/Reading", Quality.EVENTS)
+TARE = Topic("/calibration/tare", "calibration_interfaces/msg/TareEvent", Quality.EVENTS)
+SAMPLE_CHECK = Topic("/calibration/sample_check", "calibration_interfaces/msg/SampleCheck", Quality.SAMPLES)
+LOAD_STATE = Topic("/calibration/load_state", "calibration_interfaces/msg/LoadState", Quality.STATE)
+RAW_WRENCH = Topic("/force_torque/raw", Kind.WRENCH.value, Quality.SAMPLES)
+
+OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, TARE, SAMPLE_CHECK, LOAD_STATE, RAW_WRENCH)
+
+
+def contract_topics(cell: Cell) -> tuple[Topic, ...]:
+    """Return the topics of which a recording is made (contract, section 3)."""
+    names = cell.topics
+    return (
+        Topic(names.joint_states, Kind.JOINTS.value, Quality.SAMPLES, optional=False),
+        *(Topic(names.point(point), Kind.POINT.value, Quality.SAMPLES, optional=False) for point in cell.points),
+        Topic(names.wrench, Kind.WRENCH.value, Quality.SAMPLES),
+        Topic(names.temperature, Kind.TEMPERATURE.value, Quality.SAMPLES),
+        Topic(names.robot_description, TEXT_TYPE, Quality.STATE),
+        Topic(names.step, STEP_TYPE, Quality.EVENTS),
+    )
+
+
+def recorded_topics(cell: Cell) -> tuple[Topic, ...]:
+    """Return everything that the recorder records."""
+    return (*contract_topics(cell), *OWN)
+
+
+def profile(quality: Quality) -> QoSProfile:
+    """Return the profile of a quality; reliable, for whoever asks for less gets it too."""
+    depth = {Quality.SAMPLES: SAMPLES_DEPTH, Quality.STATE: 1, Quality.EVENTS: EVENTS_DEPTH, Quality.PULSE: 1}[quality]
+    kept = quality in (Quality.STATE, Quality.EVENTS)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+    )
+
+
+def subscription_profile(node: Node, name: str, depth: int = SAMPLES_DEPTH) -> QoSProfile:
+    """Return the strongest profile that every publisher of a topic offers now.
+
+    Without a publisher, and with publishers that differ, best effort without history: it is compatible with all.
+
+    Args:
+        node: Who wants to subscribe.
+        name: Topic, as for a subscription.
+        depth: Messages kept between two callbacks.
+    """
+    offered = [info.qos_profile for info in node.get_publishers_info_by_topic(name)]
+    reliable = bool(offered) and all(one.reliability == ReliabilityPolicy.RELIABLE for one in offered)
+    kept = bool(offered) and all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+    )
+
+
+def incompatible(node: Node, name: str, asked: QoSProfile) -> list[str]:
+    """Return why publishers of a topic cannot be heard with the profile asked for; empty if all can."""
+    why = []
+    for info in node.get_publishers_info_by_topic(name):
+        compatibility, reason = qos_check_compatible(info.qos_profile, asked)
+        if compatibility == Compatibility.ERROR:
+            why.append(f"{info.node_name}: {reason}")
+    return why
+
+
+@functools.cache
+def message_class(kind: str) -> Any:
+    """Import a message class, `package/msg/Name`.
+
+    Raises:
+        ModuleNotFoundError: The package is not installed.
+        AttributeError: It has no such message.
+    """
+    package, group, name = kind.split("/")
+    return getattr(importlib.import_module(f"{package}.{group}"), name)

@@ -1,0 +1,27 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NODES = ("force_torque", "guard", "identification", "recorder", "sequencer", "tracker")
+
+setup(
+    name="calibration",
+    version="0.1.0",
+    description="Runs an elastostatic calibration in a robot cell.",
+    license="Apache-2.0",
+    maintainer="The calibration authors",
+    maintainer_email="maintainers@users.noreply.github.com",
+    python_requires=">=3.11",
+    packages=find_packages(include=["calibration", "calibration.*"]),
+    package_data={"calibration": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/calibration"]),
+        ("share/calibration", ["package.xml"]),
+        ("share/calibration/launch", sorted(glob("launch/*.launch.py"))),  # noqa: PTH207
+        ("share/calibration/config", ["../../config/ros.yaml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={"console_scripts": [f"{name} = calibration.{name}:main" for name in NODES]},
+)

@@ -1,0 +1,146 @@
+"""Nodes in this process: the built messages are found, and every test has a context and a domain of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib.util
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+INTERFACES = ROOT / "install" / "calibration_interfaces"
+DOMAIN = 1 + os.getpid() % 100  # beyond 101 the ports of DDS meet those that the system gives away
+
+
+def _find_messages() -> None:
+    """Do for this process what sourcing install/setup.bash does for one that is yet to start.
+
+    The loader reads LD_LIBRARY_PATH at the start only; a library that is loaded already is found by its name.
+    """
+    python = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    sys.path[:0] = [str(INTERFACES / "lib" / python / "site-packages"), str(ROOT / "src" / "calibration")]
+    os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(
+        [str(INTERFACES), *filter(None, [os.environ.get("AMENT_PREFIX_PATH")])]
+    )
+    left = sorted((INTERFACES / "lib").glob("*.so"))
+    if not left or not importlib.util.find_spec("rclpy"):
+        return  # the tests say so: see `ros` below
+    import rclpy  # noqa: F401  # its libraries are what ours need
+
+    for _ in range(len(left)):
+        for library in list(left):
+            with contextlib.suppress(OSError):  # one that it needs is not loaded yet
+                ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
+                left.remove(library)
+
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
+os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
+os.environ.setdefault("RCUTILS_LOGGING_USE_STDOUT", "0")
+if "calibration_interfaces" not in sys.modules:
+    _find_messages()
+
+
+@pytest.fixture
+def context() -> Iterator[Any]:
+    """A private ROS context on this process's domain."""
+    import rclpy
+    from rclpy.context import Context
+
+    one = Context()
+    rclpy.init(context=one, domain_id=DOMAIN)
+    yield one
+    one.try_shutdown()
+
+
+class Spinning:
+    """Nodes that are spun in a thread until the test ends."""
+
+    def __init__(self, context: Any) -> None:
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.context = context
+        self.executor = SingleThreadedExecutor(context=context)
+        self.nodes: list[Any] = []
+        self.errors: list[BaseException] = []
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def _spin(self) -> None:
+        from rclpy.executors import ExternalShutdownException, ShutdownException
+
+        try:
+            self.executor.spin()
+        except (ExternalShutdownException, ShutdownException):
+            return
+        except BaseException as error:
+            self.errors.append(error)
+            raise
+
+    def add(self, node: Any) -> Any:
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def plain(self, name: str = "test_client") -> Any:
+        """A node of the test itself."""
+        import rclpy
+
+        return self.add(rclpy.create_node(name, context=self.context))
+
+    def stop(self) -> None:
+        for node in self.nodes:
+            if hasattr(node, "stop"):
+                node.stop()
+        self.executor.shutdown(timeout_sec=2.0)
+        self._thread.join(2.0)
+        for node in self.nodes:
+            node.destroy_node()
+        assert self.errors == []
+
+
+@pytest.fixture
+def spinning(context: Any) -> Iterator[Spinning]:
+    """A place to put nodes: `spinning.add(Node(context=spinning.context, ...))`."""
+    one = Spinning(context)
+    one.start()
+    yield one
+    one.stop()
+
+
+@pytest.fixture
+def until() -> Callable[..., None]:
+    """Wait until a condition holds; fail if it does not within some seconds."""
+
+    def wait(condition: Callable[[], object], timeout: float = 20.0, what: str = "") -> None:
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, what or "the condition never came true"
+            time.sleep(0.005)
+
+    return wait
+
+
+@pytest.fixture(scope="session")
+def source_environment() -> dict[str, str]:
+    """The environment of a process after sourcing install/setup.bash, on this process's domain."""
+    import subprocess
+
+    setup = ROOT / "install" / "setup.bash"
+    if not setup.is_file():
+        pytest.skip("the workspace is not built: run make setup")
+    command = ["bash", "-c", 'source "$0" && env -0', str(setup)]
+    answer = subprocess.run(command, capture_output=True, check=True, timeout=60)
+    pairs = (item.split("=", 1) for item in answer.stdout.decode().split("\0") if "=" in item)
+    return {**dict(pairs), "ROS_DOMAIN_ID": str(DOMAIN)}

@@ -1,0 +1,157 @@
+"""Parameters, diagnostics and the life of a node."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.parameter import Parameter
+
+from calibration.node import (
+    CalibrationNode,
+    Declared,
+    ParameterError,
+    check_parameter_files,
+    run,
+)
+
+TABLE = (
+    Declared("rate", 100.0, "Rate, Hz.", low=1.0, high=1000.0, read_only=False),
+    Declared("count", 3, "Number of samples.", low=1),
+    Declared("unit", "m", "Unit.", choices=("m", "mm"), read_only=False),
+    Declared("names", [], "Names."),
+    Declared("cell", "", "Cell file.", required=True),
+)
+
+
+def node(context: Any, **values: Any) -> CalibrationNode:
+    given = {"cell": "a.yaml", **values}
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    return CalibrationNode("tracker", TABLE, context=context, parameter_overrides=overrides)
+
+
+def test_values_and_descriptions(context: Any) -> None:
+    one = node(context, rate=50.0, names=["a", "b"])
+    assert (one.value("rate"), one.value("count"), one.value("names"), one.value("unit")) == (50.0, 3, ["a", "b"], "m")
+    assert one.describe_parameter("rate").floating_point_range[0].to_value == 1000.0
+    assert one.describe_parameter("cell").read_only
+    assert "One of: m, mm." in one.describe_parameter("unit").description
+    assert node(context).value("names") == []
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"raet": 1.0}, ("raet", "an unknown parameter", "rate")),
+        ({"rate": 0.5}, ("rate", "0.5", "float from 1.0 to 1000.0")),
+        ({"rate": 100}, ("rate", "100", "float")),
+        ({"rate": float("nan")}, ("rate",)),
+        ({"count": 0}, ("count", "0", "int from 1")),
+        ({"unit": "km"}, ("unit", "'km'", "one of m, mm")),
+        ({"cell": ""}, ("cell", "nothing", "Cell file.")),
+    ],
+)
+def test_wrong_parameters_are_errors(context: Any, values: dict[str, Any], words: tuple[str, ...]) -> None:
+    with pytest.raises(ParameterError) as caught:
+        node(context, **values)
+    for word in ("/tracker", *words):
+        assert word in str(caught.value)
+
+
+def test_parameters_at_run_time(context: Any) -> None:
+    one = node(context)
+    assert one.set_parameters([Parameter("rate", value=20.0)])[0].successful
+    assert not one.set_parameters([Parameter("rate", value=0.0)])[0].successful
+    assert not one.set_parameters([Parameter("unit", value="km")])[0].successful
+    assert not one.set_parameters([Parameter("cell", value="b.yaml")])[0].successful
+    assert one.value("rate") == 20.0
+
+
+def test_parameter_files(tmp_path: Path) -> None:
+    file = tmp_path / "ros.yaml"
+    file.write_text(
+        "tracker: {ros__parameters: {a: 1}}\n/cell/guard: {ros__parameters: {a: 1}}\n/**: {ros__parameters: {}}\n"
+    )
+    check_parameter_files(["--ros-args", "--params-file", str(file)])
+    file.write_text("cell: {traker: {ros__parameters: {a: 1}}}\n")
+    with pytest.raises(
+        ParameterError, match=r"ros.yaml: cell/traker: found an unknown node, expected one of .*tracker"
+    ):
+        check_parameter_files(["--params-file", str(file)])
+    with pytest.raises(ParameterError, match="FileNotFoundError"):
+        check_parameter_files(["--params-file", str(tmp_path / "none.yaml")])
+
+
+def test_diagnostics_at_change_and_once_a_second(spinning: Any, until: Callable[..., None]) -> None:
+    heard: list[DiagnosticArray] = []
+    spinning.plain().create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    one = spinning.add(node(spinning.context))
+    until(lambda: one.count_subscribers("/diagnostics"))
+    until(lambda: heard)
+    one.diagnostics.report("tracker/mp1", 2, "silent", {"age": 1.5})
+    until(lambda: any(array.status for array in heard))
+    status = next(array for array in heard if array.status).status[0]
+    assert (status.name, status.level, status.message) == ("tracker: tracker/mp1", DiagnosticStatus.ERROR, "silent")
+    assert status.values[0].key == "age"
+    seen = len(heard)
+    one.diagnostics.report("tracker/mp1", 2, "silent", {"age": 1.6})
+    one.diagnostics.report("tracker/mp1", 0, "fine")
+    until(lambda: len(heard) > seen and heard[-1].status[0].level == DiagnosticStatus.OK, timeout=0.9)
+
+
+def test_a_signal_ends_the_node_after_stop() -> None:
+    ended: list[str] = []
+
+    class Ending(CalibrationNode):
+        def stop(self) -> None:
+            assert self.context.ok()
+            ended.append("stopped")
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        assert run(lambda: Ending("tracker", ()), []) == 0
+    finally:
+        timer.join()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert ended == ["stopped"]
+
+
+def test_a_failing_callback_ends_the_node_with_1(capfd: pytest.CaptureFixture[str]) -> None:
+    class Failing(CalibrationNode):
+        def __init__(self) -> None:
+            super().__init__("tracker", ())
+            self.create_timer(0.05, self._fail)
+
+        def _fail(self) -> None:
+            message = "deliberate"
+            raise RuntimeError(message)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        assert run(Failing, []) == 1
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert "RuntimeError: deliberate" in capfd.readouterr().err
+
+
+def test_unusable_input_ends_with_2_and_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        assert run(lambda: CalibrationNode("tracker", TABLE), []) == 2
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert capfd.readouterr().err == "/tracker: cell: found nothing, expected Cell file.\n"
