@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from types import SimpleNamespace as Message
@@ -11,22 +10,14 @@ from typing import Any
 import pytest
 
 from calibration.robot_state import abb, fanuc, generic, industrial, kuka_fri, kuka_kss, native, staubli, ur
-from calibration.robot_state.adapter import Received, assemble
+from calibration.robot_state.adapter import Received, Report, assemble
 from calibration.robot_state.catalogue import ADAPTERS, NAMES, adapter_of, load_type
+from calibration.robot_state.confirmation import LONGEST, Confirmation, checked, confirmed
 from calibration_core.errors import InputError
-from calibration_core.procedure.robot_state import (
-    Confirmation,
-    Drives,
-    OperatingMode,
-    RobotState,
-    Safety,
-    Tri,
-    confirmed,
-)
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 from calibration_core.timeseries import NANOSECONDS
 
-TRI = {-1: Tri.UNDECIDED, 0: Tri.FALSE, 1: Tri.TRUE, 7: Tri.UNDECIDED}
-BOOL = {None: Tri.UNDECIDED, False: Tri.FALSE, True: Tri.TRUE}
+TRI = {-1: None, 0: False, 1: True, 7: None}
 
 
 def val(value: int) -> Message:
@@ -60,18 +51,15 @@ def test_industrial_tri_states(value: int) -> None:
     names = ("drives_powered", "e_stopped", "motion_possible", "in_motion", "in_error")
     state = industrial.translate({"status": industrial_status(**{name: val(value) for name in names})})
     assert (state.motion_possible, state.in_motion, state.in_error) == (TRI[value],) * 3
-    assert state.drives is {Tri.TRUE: Drives.ON, Tri.FALSE: Drives.OFF, Tri.UNDECIDED: Drives.UNKNOWN}[TRI[value]]
-    expected = {Tri.TRUE: Safety.EMERGENCY_STOP, Tri.FALSE: Safety.NORMAL, Tri.UNDECIDED: Safety.UNKNOWN}
+    assert state.drives is {True: Drives.ON, False: Drives.OFF, None: Drives.UNKNOWN}[TRI[value]]
+    expected = {True: Safety.EMERGENCY_STOP, False: Safety.NORMAL, None: Safety.UNKNOWN}
     assert state.safety is expected[TRI[value]]
 
 
-def test_industrial_error_codes_of_both_generations() -> None:
-    assert industrial.translate({"status": industrial_status(error_codes=[3, 5])}).vendor_codes == (3, 5)
-    old = industrial_status(error_code=9)
-    del old.error_codes
-    assert industrial.translate({"status": old}).vendor_codes == (9,)
-    old.error_code = 0
-    assert industrial.translate({"status": old}).vendor_codes == ()
+def test_error_codes_of_both_generations() -> None:
+    old, none = Message(error_code=9), Message(error_code=0)
+    for message, codes in ((industrial_status(error_codes=[3, -5]), (3, -5)), (old, (9,)), (none, ())):
+        assert assemble(industrial.ADAPTER, {"status": Received(message, 1)}, 1).vendor_codes == codes
 
 
 @pytest.mark.parametrize("mode", range(-2, 11))
@@ -79,13 +67,13 @@ def test_ur_robot_modes(mode: int) -> None:
     state = ur.translate({"robot_mode": Message(mode=mode), "program": Message(data=True)})
     known = {7: Drives.ON} | dict.fromkeys((1, 2, 3, 4, 5, 6, 8), Drives.OFF)
     assert state.drives is known.get(mode, Drives.UNKNOWN)
-    assert state.motion_possible is Tri.of(mode == 7)
+    assert state.motion_possible is (mode == 7)
 
 
 @pytest.mark.parametrize("running", [False, True, None])
 def test_ur_needs_its_program(running: bool | None) -> None:
     messages = {"robot_mode": Message(mode=7)} | ({} if running is None else {"program": Message(data=running)})
-    assert ur.translate(messages).motion_possible is BOOL[running]
+    assert ur.translate(messages).motion_possible is running
 
 
 @pytest.mark.parametrize("mode", range(15))
@@ -137,7 +125,7 @@ def test_kss_modes(mode: int) -> None:
     assert found is words.get(mode, OperatingMode.UNKNOWN)
 
 
-@pytest.mark.parametrize(("emergency", "guard"), itertools.product([False, True], repeat=2))
+@pytest.mark.parametrize(("emergency", "guard"), list(itertools.product([False, True], repeat=2)))
 def test_kss_safety(emergency: bool, guard: bool) -> None:
     state = kuka_kss.translate({"status": kss(emergency_stop=emergency, guard_stop=guard)})
     expected = Safety.EMERGENCY_STOP if emergency else Safety.SAFEGUARD_STOP if guard else Safety.NORMAL
@@ -148,16 +136,16 @@ def test_kss_safety(emergency: bool, guard: bool) -> None:
 def test_kss_flags(value: bool) -> None:
     state = kuka_kss.translate({"status": kss(drives_powered=value, in_motion=value, motion_possible=value)})
     assert state.drives is (Drives.ON if value else Drives.OFF)
-    assert state.in_motion is state.motion_possible is Tri.of(value)
+    assert state.in_motion is state.motion_possible is (value)
 
 
 @pytest.mark.parametrize("count", [0, 2])
 def test_other_than_one_robot_is_unknown(count: int) -> None:
-    assert kuka_kss.translate({"status": Message(statuses=kss().statuses * count)}) == RobotState()
-    assert kuka_fri.translate({"state": Message(states=[Message(operation_mode=0)] * count)}) == RobotState()
+    assert kuka_kss.translate({"status": Message(statuses=kss().statuses * count)}) == RobotStatus()
+    assert kuka_fri.translate({"state": Message(states=[Message(operation_mode=0)] * count)}) == RobotStatus()
 
 
-@pytest.mark.parametrize(("mode", "drive", "safety"), itertools.product(range(-1, 4), range(-1, 4), range(-1, 5)))
+@pytest.mark.parametrize(("mode", "drive", "safety"), list(itertools.product(range(-1, 4), range(-1, 4), range(-1, 5))))
 def test_fri(mode: int, drive: int, safety: int) -> None:
     one = Message(operation_mode=mode, drive_state=drive, safety_state=safety, session_state=4)
     state = kuka_fri.translate({"state": Message(states=[one])})
@@ -171,20 +159,20 @@ def test_fri(mode: int, drive: int, safety: int) -> None:
 @pytest.mark.parametrize("session", range(5))
 def test_fri_moves_only_while_commanded(session: int) -> None:
     state = kuka_fri.translate({"state": Message(states=[Message(session_state=session)])})
-    assert state.motion_possible is Tri.of(session == 4)
+    assert state.motion_possible is (session == 4)
 
 
-@pytest.mark.parametrize(("motors", "auto", "rapid"), itertools.product([None, False, True], repeat=3))
+@pytest.mark.parametrize(("motors", "auto", "rapid"), list(itertools.product([None, False, True], repeat=3)))
 def test_abb(motors: bool | None, auto: bool | None, rapid: bool | None) -> None:
     state = abb.translate({"system": Message(motors_on=motors, auto_mode=auto, rapid_running=rapid)})
     modes = {None: OperatingMode.UNKNOWN, False: OperatingMode.MANUAL_UNSPECIFIED, True: OperatingMode.AUTOMATIC}
     assert state.operating_mode is modes[auto]
     assert state.drives is {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}[motors]
     assert state.safety is (Safety.NORMAL if motors else Safety.UNKNOWN)
-    assert state.motion_possible is BOOL[rapid]
+    assert state.motion_possible is rapid
 
 
-@pytest.mark.parametrize(("pendant", "stopped", "powered"), itertools.product([None, False, True], repeat=3))
+@pytest.mark.parametrize(("pendant", "stopped", "powered"), list(itertools.product([None, False, True], repeat=3)))
 def test_fanuc(pendant: bool | None, stopped: bool | None, powered: bool | None) -> None:
     status = Message(tp_enabled=pendant, e_stopped=stopped, motion_possible=True, in_error=False)
     extended = Message(drives_powered=powered, in_motion=False, gen_override=50)
@@ -193,7 +181,7 @@ def test_fanuc(pendant: bool | None, stopped: bool | None, powered: bool | None)
     assert state.operating_mode is modes[pendant]
     assert state.safety is {None: Safety.UNKNOWN, False: Safety.NORMAL, True: Safety.EMERGENCY_STOP}[stopped]
     assert state.drives is {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}[powered]
-    assert (state.motion_possible, state.in_error, state.in_motion) == (Tri.TRUE, Tri.FALSE, Tri.FALSE)
+    assert (state.motion_possible, state.in_error, state.in_motion) == (True, False, False)
     assert state.speed_scaling == pytest.approx(0.5)
 
 
@@ -214,7 +202,7 @@ def test_staubli_modes(mode: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pressed", "status"), itertools.product([0.0, 1.0, 0.5], [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    ("pressed", "status"), list(itertools.product([0.0, 1.0, 0.5], [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]))
 )
 def test_staubli_safety(pressed: float, status: float) -> None:
     words = {
@@ -250,7 +238,7 @@ def test_native_numbers(number: int) -> None:
         (state.operating_mode, state.drives, state.safety), (OperatingMode, Drives, Safety), strict=True
     ):
         assert word == (number if number in list(map(int, kind)) else 0)
-    assert state.in_error == (number if number in {-1, 0, 1} else Tri.UNDECIDED)
+    assert state.in_error is {0: False, 1: True}.get(number)
 
 
 def test_native_limits() -> None:
@@ -270,7 +258,9 @@ RULES = {
 }
 
 
-@pytest.mark.parametrize(("mode", "power", "word"), itertools.product([3, 4, 5, "3"], [True, False, 1], ["ok", "bad"]))
+@pytest.mark.parametrize(
+    ("mode", "power", "word"), list(itertools.product([3, 4, 5, "3"], [True, False, 1], ["ok", "bad"]))
+)
 def test_generic(mode: Any, power: Any, word: str) -> None:
     adapter = generic.adapter("status", "std_msgs/msg/String", 1.0, RULES)
     message = Message(status=Message(mode=mode, power=power), safety=[word])
@@ -279,13 +269,13 @@ def test_generic(mode: Any, power: Any, word: str) -> None:
     assert state.operating_mode is modes.get(str(mode), OperatingMode.UNKNOWN)
     assert state.drives is (Drives.UNKNOWN if power == 1 and power is not True else Drives.ON if power else Drives.OFF)
     assert state.safety is (Safety.NORMAL if word == "ok" else Safety.UNKNOWN)
-    assert state.in_error is Tri.UNDECIDED
+    assert state.in_error is None
 
 
 def test_generic_with_fields_that_do_not_exist() -> None:
     adapter = generic.adapter("status", "std_msgs/msg/String", 1.0, RULES)
-    assert adapter.translate({"state": Message(safety=[])}) == RobotState()
-    assert adapter.translate({}) == RobotState()
+    assert adapter.translate({"state": Message(safety=[])}) == RobotStatus()
+    assert adapter.translate({}) == RobotStatus()
 
 
 @pytest.mark.parametrize(
@@ -309,11 +299,11 @@ def test_generic_rules_that_cannot_be_read(change: dict[str, str], found: str) -
 
 @pytest.mark.parametrize("adapter", ADAPTERS.values(), ids=ADAPTERS)
 def test_silence_is_unknown(adapter: Any) -> None:
-    state = assemble(adapter, {}, 10)
-    assert state.operating_mode is OperatingMode.UNKNOWN
+    report = assemble(adapter, {}, 10)
+    assert report.status.operating_mode is OperatingMode.UNKNOWN
     if adapter.sources:
-        assert (state.drives, state.safety) == (Drives.UNKNOWN, Safety.UNKNOWN)
-        assert state.received_time == 0
+        assert report.status == RobotStatus()
+        assert report.received_time == 0
         assert any(source.max_age is not None for source in adapter.sources)
         assert len({source.key for source in adapter.sources}) == len(adapter.sources)
 
@@ -330,10 +320,10 @@ def test_a_source_that_falls_silent_counts_no_longer() -> None:
     status, extended = Message(tp_enabled=True, e_stopped=False), Message(drives_powered=True)
     received = {"status": Received(status, 0), "extended": Received(extended, 3 * NANOSECONDS // 10)}
     fresh = assemble(fanuc.ADAPTER, received, 4 * NANOSECONDS // 10)
-    assert (fresh.operating_mode, fresh.drives) == (OperatingMode.MANUAL_UNSPECIFIED, Drives.ON)
+    assert (fresh.status.operating_mode, fresh.status.drives) == (OperatingMode.MANUAL_UNSPECIFIED, Drives.ON)
     assert fresh.received_time == 0
     later = assemble(fanuc.ADAPTER, received, 6 * NANOSECONDS // 10)
-    assert (later.operating_mode, later.drives) == (OperatingMode.UNKNOWN, Drives.ON)
+    assert (later.status.operating_mode, later.status.drives) == (OperatingMode.UNKNOWN, Drives.ON)
 
 
 def test_topics_sent_at_changes_do_not_age() -> None:
@@ -344,7 +334,7 @@ def test_topics_sent_at_changes_do_not_age() -> None:
         "operational_mode": Received(Message(success=True, operational_mode=Message(mode="MANUAL")), 99 * NANOSECONDS),
     }
     state = assemble(ur.ADAPTER, received, 100 * NANOSECONDS)
-    assert (state.drives, state.safety) == (Drives.ON, Safety.NORMAL)
+    assert (state.status.drives, state.status.safety) == (Drives.ON, Safety.NORMAL)
     assert state.received_time == 99 * NANOSECONDS
 
 
@@ -358,27 +348,41 @@ def test_the_stamp_is_the_oldest_there_is() -> None:
 # --- the operator's word ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("reported", "word"), itertools.product(OperatingMode, OperatingMode))
+@pytest.mark.parametrize(("reported", "word"), list(itertools.product(OperatingMode, OperatingMode)))
 def test_an_operators_word_never_overrules_the_controller(reported: OperatingMode, word: OperatingMode) -> None:
-    state = confirmed(RobotState(operating_mode=reported), Confirmation("A. Smith", word, 10), 5)
+    report = confirmed(Report(RobotStatus(operating_mode=reported)), Confirmation("A. Smith", word, 10.0), 5.0)
     manual = {OperatingMode.MANUAL_REDUCED, OperatingMode.MANUAL_HIGH}
     taken = reported is OperatingMode.UNKNOWN or (reported is OperatingMode.MANUAL_UNSPECIFIED and word in manual)
-    assert state.operating_mode is (word if taken else reported)
-    assert state.operator == ("A. Smith" if taken else "")
+    assert report.status.operating_mode is (word if taken else reported)
+    assert report.status.operator_confirmed is taken
+    assert report.operator == ("A. Smith" if taken else "")
 
 
 def test_an_operators_word_ends() -> None:
-    word = Confirmation("A. Smith", OperatingMode.MANUAL_REDUCED, 10)
-    state = confirmed(adapter_of("manual_confirm").translate({}), word, 9)
-    assert (state.operating_mode, state.drives, state.safety) == (
-        OperatingMode.MANUAL_REDUCED,
-        Drives.ON,
-        Safety.NORMAL,
-    )
-    ended = confirmed(RobotState(), word, 10)
-    assert ended.operating_mode is OperatingMode.UNKNOWN
-    assert (ended.operator, ended.confirmed_until) == ("A. Smith", 10)
-    assert confirmed(RobotState(), None, 0) == RobotState()
+    word = Confirmation("A. Smith", OperatingMode.MANUAL_REDUCED, 10.0)
+    nothing_heard = Report(adapter_of("manual_confirm").translate({}))
+    status = confirmed(nothing_heard, word, 9.0).status
+    assert (status.operating_mode, status.drives) == (OperatingMode.MANUAL_REDUCED, Drives.ON)
+    assert status.safety is Safety.NORMAL
+    ended = confirmed(nothing_heard, word, 10.0)
+    assert ended.status.operating_mode is OperatingMode.UNKNOWN
+    assert (ended.status.operator_confirmed, ended.status.confirmed_until) == (True, 10.0)
+    assert confirmed(nothing_heard, None, 0.0) == nothing_heard
+
+
+def test_what_can_be_confirmed() -> None:
+    assert checked(" A. Smith ", 1, 60.0, 5.0) == Confirmation("A. Smith", OperatingMode.MANUAL_REDUCED, 65.0)
+    for operator, mode, valid_for in (
+        ("  ", 1, 60.0),
+        ("A", 0, 60.0),
+        ("A", 5, 60.0),
+        ("A", 9, 60.0),
+        ("A", 1, 0.0),
+        ("A", 1, LONGEST + 1.0),
+        ("A", 1, math.nan),
+    ):
+        with pytest.raises(InputError, match="confirmation"):
+            checked(operator, mode, valid_for, 0.0)
 
 
 # --- loading ---------------------------------------------------------------------------------------------------------
@@ -406,7 +410,3 @@ def test_names() -> None:
 def test_types_that_cannot_be_loaded(text: str, expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         load_type(text)
-
-
-def test_states_are_values() -> None:
-    assert dataclasses.replace(RobotState(), source="x") == RobotState(source="x")

@@ -9,22 +9,22 @@ Source: PickNikRobotics/abb_ros2, ros-industrial/abb_robot_driver_interfaces, ab
 from __future__ import annotations
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field, flag
-from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 
 MODES = {
-    Tri.UNDECIDED: OperatingMode.UNKNOWN,
-    Tri.FALSE: OperatingMode.MANUAL_UNSPECIFIED,
-    Tri.TRUE: OperatingMode.AUTOMATIC,
+    None: OperatingMode.UNKNOWN,
+    False: OperatingMode.MANUAL_UNSPECIFIED,
+    True: OperatingMode.AUTOMATIC,
 }
-DRIVES = {Tri.UNDECIDED: Drives.UNKNOWN, Tri.FALSE: Drives.OFF, Tri.TRUE: Drives.ON}
+DRIVES = {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}
 # Motors cannot be on while a safety chain is open; with motors off nothing is known about it.
-SAFETY = {Tri.UNDECIDED: Safety.UNKNOWN, Tri.FALSE: Safety.UNKNOWN, Tri.TRUE: Safety.NORMAL}
+SAFETY = {None: Safety.UNKNOWN, False: Safety.UNKNOWN, True: Safety.NORMAL}
 
 
-def translate(messages: Messages) -> RobotState:
+def translate(messages: Messages) -> RobotStatus:
     """Translate the latest system state."""
     motors = flag(field(messages, "system", "motors_on"))
-    return RobotState(
+    return RobotStatus(
         operating_mode=MODES[flag(field(messages, "system", "auto_mode"))],
         drives=DRIVES[motors],
         safety=SAFETY[motors],

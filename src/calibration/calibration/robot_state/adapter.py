@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from calibration_core.procedure.robot_state import RobotState, Tri
+from calibration_core.procedure.robot_status import RobotStatus
 from calibration_core.timeseries import NANOSECONDS
 
 Messages = Mapping[str, Any]  # source key -> latest message; what is absent is not in it
@@ -51,7 +51,7 @@ class Adapter:
 
     name: str
     sources: tuple[Source, ...]
-    translate: Callable[[Messages], RobotState]
+    translate: Callable[[Messages], RobotStatus]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,11 +62,29 @@ class Received:
     time: int
 
 
-def assemble(adapter: Adapter, received: Mapping[str, Received], now: int) -> RobotState:
-    """Return the state as it is known at `now` (ns).
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """The robot's state as it is known from all sources of an adapter.
 
-    `received_time` is that of the oldest steady source; zero while one of them is absent or too old.
+    Attributes:
+        status: The state in our words.
+        vendor_codes: Error codes as the controller gives them.
+        source: Adapter, and what it listens to.
+        source_time: ns, oldest stamp of the messages behind it; 0 where they have none.
+        received_time: ns, when the oldest steady message behind it arrived; 0: something is missing.
+        operator: Who confirmed the mode by word; empty if the controller reported it.
     """
+
+    status: RobotStatus
+    vendor_codes: tuple[int, ...] = ()
+    source: str = ""
+    source_time: int = 0
+    received_time: int = 0
+    operator: str = ""
+
+
+def assemble(adapter: Adapter, received: Mapping[str, Received], now: int) -> Report:
+    """Return the state as it is known at `now` (ns)."""
     fresh: dict[str, Any] = {}
     oldest = now
     for source in adapter.sources:
@@ -79,15 +97,29 @@ def assemble(adapter: Adapter, received: Mapping[str, Received], now: int) -> Ro
             if now - latest.time <= source.max_age * NANOSECONDS:
                 fresh[source.key] = latest.message
             oldest = min(oldest, latest.time)
-    state = adapter.translate(fresh)
     stamps = [stamp for message in fresh.values() if (stamp := stamp_of(message))]
     heard = ", ".join(source.name for source in adapter.sources)
-    return dataclasses.replace(
-        state,
+    return Report(
+        adapter.translate(fresh),
+        vendor_codes=codes_of(fresh),
         source=f"{adapter.name} ({heard})" if heard else adapter.name,
         source_time=min(stamps, default=0),
         received_time=oldest,
     )
+
+
+def codes_of(messages: Messages) -> tuple[int, ...]:
+    """Return the error codes that the messages carry as `vendor_codes`, `error_codes` (lists) or `error_code`."""
+    found: list[int] = []
+    for message in messages.values():
+        code = getattr(message, "error_code", 0)
+        for codes in (
+            getattr(message, "vendor_codes", ()),
+            getattr(message, "error_codes", ()),
+            [code] if code else [],
+        ):
+            found += [int(one) for one in codes if str(one).lstrip("-").isdigit()]
+    return tuple(found)
 
 
 def stamp_of(message: Any) -> int:
@@ -104,6 +136,6 @@ def field(messages: Messages, key: str, *path: str) -> Any:
     return value
 
 
-def flag(value: Any) -> Tri:
-    """Return a driver's bool as true, false or not said."""
-    return Tri.of(bool(value)) if isinstance(value, bool | int) else Tri.UNDECIDED
+def flag(value: Any) -> bool | None:
+    """Return a driver's bool; None for anything else."""
+    return bool(value) if isinstance(value, bool | int) else None

@@ -10,21 +10,21 @@ from __future__ import annotations
 import math
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field, flag
-from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 
 MODES = {
-    Tri.UNDECIDED: OperatingMode.UNKNOWN,
-    Tri.TRUE: OperatingMode.MANUAL_UNSPECIFIED,
-    Tri.FALSE: OperatingMode.AUTOMATIC,
+    None: OperatingMode.UNKNOWN,
+    True: OperatingMode.MANUAL_UNSPECIFIED,
+    False: OperatingMode.AUTOMATIC,
 }
-DRIVES = {Tri.UNDECIDED: Drives.UNKNOWN, Tri.FALSE: Drives.OFF, Tri.TRUE: Drives.ON}
-SAFETY = {Tri.UNDECIDED: Safety.UNKNOWN, Tri.FALSE: Safety.NORMAL, Tri.TRUE: Safety.EMERGENCY_STOP}
+DRIVES = {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}
+SAFETY = {None: Safety.UNKNOWN, False: Safety.NORMAL, True: Safety.EMERGENCY_STOP}
 
 
-def translate(messages: Messages) -> RobotState:
+def translate(messages: Messages) -> RobotStatus:
     """Translate the latest status and extended status."""
     override = field(messages, "extended", "gen_override")
-    return RobotState(
+    return RobotStatus(
         operating_mode=MODES[flag(field(messages, "status", "tp_enabled"))],
         drives=DRIVES[flag(field(messages, "extended", "drives_powered"))],
         safety=SAFETY[flag(field(messages, "status", "e_stopped"))],

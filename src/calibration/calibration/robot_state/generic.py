@@ -18,21 +18,17 @@ from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source
 from calibration_core.errors import InputError, quoted
-from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 
-WORDS: Mapping[str, type[enum.IntEnum]] = {
-    "operating_mode": OperatingMode,
-    "drives": Drives,
-    "safety": Safety,
-    "motion_possible": Tri,
-    "in_motion": Tri,
-    "in_error": Tri,
-}
-UNKNOWN: Mapping[type[enum.IntEnum], enum.IntEnum] = {
-    OperatingMode: OperatingMode.UNKNOWN,
-    Drives: Drives.UNKNOWN,
-    Safety: Safety.UNKNOWN,
-    Tri: Tri.UNDECIDED,
+Word = enum.IntEnum | bool | None
+TRI_STATES: Mapping[str, Word] = {"TRUE": True, "FALSE": False}
+WORDS: Mapping[str, Mapping[str, Word]] = {
+    "operating_mode": OperatingMode.__members__,
+    "drives": Drives.__members__,
+    "safety": Safety.__members__,
+    "motion_possible": TRI_STATES,
+    "in_motion": TRI_STATES,
+    "in_error": TRI_STATES,
 }
 
 
@@ -47,10 +43,10 @@ class Rule:
     """
 
     path: tuple[str, ...]
-    words: Mapping[str, enum.IntEnum]
-    unknown: enum.IntEnum
+    words: Mapping[str, Word]
+    unknown: Word
 
-    def read(self, message: Any) -> enum.IntEnum:
+    def read(self, message: Any) -> Word:
         """Return the word for what the message says."""
         value = message
         for name in self.path:
@@ -79,13 +75,13 @@ def parse_rule(quantity: str, text: str) -> Rule:
     path, separator, values = text.partition("=")
     if not separator or not path.strip():
         raise InputError("parameters", place, quoted(text), "path = value: WORD, value: WORD")
-    words: dict[str, enum.IntEnum] = {}
+    words: dict[str, Word] = {}
     for part in values.split(","):
         value, colon, word = part.partition(":")
-        if not colon or word.strip() not in kind.__members__:
-            raise InputError("parameters", place, quoted(part.strip()), f"value: one of {', '.join(kind.__members__)}")
+        if not colon or word.strip() not in kind:
+            raise InputError("parameters", place, quoted(part.strip()), f"value: one of {', '.join(kind)}")
         words[value.strip()] = kind[word.strip()]
-    return Rule(tuple(path.strip().split(".")), words, UNKNOWN[kind])
+    return Rule(tuple(path.strip().split(".")), words, kind.get("UNKNOWN"))
 
 
 def adapter(topic: str, message_type: str, max_age: float, rules: Mapping[str, str]) -> Adapter:
@@ -105,11 +101,11 @@ def adapter(topic: str, message_type: str, max_age: float, rules: Mapping[str, s
             raise InputError("parameters", f"robot_state.generic.{needed}", "nothing", "a rule")
     parsed = {name: parse_rule(name, text) for name, text in rules.items() if text}
 
-    def translate(messages: Messages) -> RobotState:
+    def translate(messages: Messages) -> RobotStatus:
         message = messages.get("state")
         if message is None:
-            return RobotState()
+            return RobotStatus()
         found: dict[str, Any] = {name: rule.read(message) for name, rule in parsed.items()}
-        return RobotState(**found)
+        return RobotStatus(**found)
 
     return Adapter("generic", (Source("state", topic, message_type, max_age),), translate)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field
-from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 
 MODES: Mapping[Any, OperatingMode] = {
     0: OperatingMode.MANUAL_REDUCED,
@@ -26,18 +26,18 @@ SAFETY: Mapping[Any, Safety] = {
 COMMANDING_ACTIVE = 4
 
 
-def translate(messages: Messages) -> RobotState:
+def translate(messages: Messages) -> RobotStatus:
     """Translate the state of the only robot; several robots are none that we know."""
     states = field(messages, "state", "states")
     if states is None or len(states) != 1:
-        return RobotState()
+        return RobotStatus()
     state = states[0]
     session = getattr(state, "session_state", None)
-    return RobotState(
+    return RobotStatus(
         operating_mode=MODES.get(getattr(state, "operation_mode", None), OperatingMode.UNKNOWN),
         drives=DRIVES.get(getattr(state, "drive_state", None), Drives.UNKNOWN),
         safety=SAFETY.get(getattr(state, "safety_state", None), Safety.UNKNOWN),
-        motion_possible=Tri.of(None if session is None else session == COMMANDING_ACTIVE),
+        motion_possible=None if session is None else session == COMMANDING_ACTIVE,
     )
 
 

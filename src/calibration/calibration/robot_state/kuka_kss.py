@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field, flag
-from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 
 MODES: Mapping[Any, OperatingMode] = {
     1: OperatingMode.MANUAL_REDUCED,  # T1
@@ -20,16 +20,16 @@ MODES: Mapping[Any, OperatingMode] = {
     3: OperatingMode.AUTOMATIC,
     4: OperatingMode.EXTERNAL,
 }
-DRIVES = {Tri.UNDECIDED: Drives.UNKNOWN, Tri.FALSE: Drives.OFF, Tri.TRUE: Drives.ON}
+DRIVES = {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}
 
 
-def translate(messages: Messages) -> RobotState:
+def translate(messages: Messages) -> RobotStatus:
     """Translate the status of the only robot; several robots are none that we know."""
     statuses = field(messages, "status", "statuses")
     if statuses is None or len(statuses) != 1:
-        return RobotState()
+        return RobotStatus()
     status = statuses[0]
-    return RobotState(
+    return RobotStatus(
         operating_mode=MODES.get(getattr(status, "operation_mode", None), OperatingMode.UNKNOWN),
         drives=DRIVES[flag(getattr(status, "drives_powered", None))],
         safety=_safety(flag(getattr(status, "emergency_stop", None)), flag(getattr(status, "guard_stop", None))),
@@ -38,12 +38,12 @@ def translate(messages: Messages) -> RobotState:
     )
 
 
-def _safety(emergency: Tri, guard: Tri) -> Safety:
-    if emergency is Tri.TRUE:
+def _safety(emergency: bool | None, guard: bool | None) -> Safety:
+    if emergency:
         return Safety.EMERGENCY_STOP
-    if guard is Tri.TRUE:
+    if guard:
         return Safety.SAFEGUARD_STOP
-    return Safety.NORMAL if emergency is guard is Tri.FALSE else Safety.UNKNOWN
+    return Safety.NORMAL if emergency is guard is False else Safety.UNKNOWN
 
 
 ADAPTER = Adapter(

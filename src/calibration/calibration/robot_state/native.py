@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from calibration.robot_state.adapter import Adapter, Messages, Source
-from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 
 Word = TypeVar("Word", bound=enum.IntEnum)
 MILLI = 1e-3
+TRI_STATES: Mapping[Any, bool] = {0: False, 1: True}  # anything else: not said
 
 
-def translate(messages: Messages) -> RobotState:
+def translate(messages: Messages) -> RobotStatus:
     """Take over the latest state; a number that stands for nothing is UNKNOWN."""
     state = messages.get("state")
     if state is None:
-        return RobotState()
-    return RobotState(
+        return RobotStatus()
+    return RobotStatus(
         operating_mode=_word(state.operating_mode, OperatingMode.UNKNOWN),
         drives=_word(state.drives, Drives.UNKNOWN),
         safety=_word(state.safety, Safety.UNKNOWN),
-        motion_possible=_word(state.motion_possible, Tri.UNDECIDED),
-        in_motion=_word(state.in_motion, Tri.UNDECIDED),
-        in_error=_word(state.in_error, Tri.UNDECIDED),
+        motion_possible=TRI_STATES.get(state.motion_possible),
+        in_motion=TRI_STATES.get(state.in_motion),
+        in_error=TRI_STATES.get(state.in_error),
         speed_scaling=state.speed_scaling if math.isfinite(state.speed_scaling) else math.nan,
         speed_limit=MILLI * state.speed_limit_mm_s if math.isfinite(state.speed_limit_mm_s) else math.nan,
-        vendor_codes=tuple(int(code) for code in state.vendor_codes),
     )
 
 

@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, flag
-from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 
 MODES: Mapping[Any, OperatingMode] = {
     1: OperatingMode.MANUAL_UNSPECIFIED,
     2: OperatingMode.AUTOMATIC,
     3: OperatingMode.EXTERNAL,
 }
-DRIVES = {Tri.UNDECIDED: Drives.UNKNOWN, Tri.FALSE: Drives.OFF, Tri.TRUE: Drives.ON}
+DRIVES = {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}
 SAFETY: Mapping[Any, Safety] = {
     0: Safety.NORMAL,
     1: Safety.PROTECTIVE_STOP,  # waits for restart
@@ -27,16 +27,16 @@ SAFETY: Mapping[Any, Safety] = {
 }
 
 
-def translate(messages: Messages) -> RobotState:
+def translate(messages: Messages) -> RobotStatus:
     """Translate the latest values of the group `supervision`."""
     values = interface_values(messages.get("states"), "supervision")
     pressed = _flag(values, "estop_pressed")
     safety = SAFETY.get(values.get("safety_status"), Safety.UNKNOWN)
-    if pressed is Tri.TRUE:
+    if pressed:
         safety = Safety.EMERGENCY_STOP
-    elif pressed is Tri.UNDECIDED:
+    elif pressed is None:
         safety = Safety.UNKNOWN
-    return RobotState(
+    return RobotStatus(
         operating_mode=MODES.get(values.get("operation_mode"), OperatingMode.UNKNOWN),
         drives=DRIVES[_flag(values, "power_on")],
         safety=safety,
@@ -56,8 +56,8 @@ def interface_values(message: Any, group: str) -> Mapping[str, int]:
     return {name: int(value) for name, value in pairs if float(value).is_integer()}
 
 
-def _flag(values: Mapping[str, int], name: str) -> Tri:
-    return flag(values[name]) if values.get(name) in {0, 1} else Tri.UNDECIDED
+def _flag(values: Mapping[str, int], name: str) -> bool | None:
+    return flag(values[name]) if values.get(name) in {0, 1} else None
 
 
 ADAPTER = Adapter(

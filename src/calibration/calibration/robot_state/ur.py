@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field
-from calibration_core.procedure.robot_state import Drives, OperatingMode, RobotState, Safety, Tri
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 
 OPERATIONAL_MODES: Mapping[Any, OperatingMode] = {
     "MANUAL": OperatingMode.MANUAL_UNSPECIFIED,
@@ -44,18 +44,18 @@ SAFETY = {
 }
 
 
-def translate(messages: Messages) -> RobotState:
+def translate(messages: Messages) -> RobotStatus:
     """Translate the latest mode, safety mode, program state, operational mode and speed scaling."""
     mode = field(messages, "robot_mode", "mode")
     asked = messages.get("operational_mode")
     word = field(messages, "operational_mode", "operational_mode", "mode") if getattr(asked, "success", False) else None
     program = field(messages, "program", "data")
     scaling = field(messages, "scaling", "data")
-    return RobotState(
+    return RobotStatus(
         operating_mode=OPERATIONAL_MODES.get(word, OperatingMode.UNKNOWN),
         drives=DRIVES.get(mode, Drives.UNKNOWN),
         safety=SAFETY.get(field(messages, "safety_mode", "mode"), Safety.UNKNOWN),
-        motion_possible=Tri.of(None if program is None or mode is None else program and mode == RUNNING),
+        motion_possible=None if program is None or mode is None else program and mode == RUNNING,
         speed_scaling=math.nan if scaling is None else float(scaling) / 100.0,
     )
 
