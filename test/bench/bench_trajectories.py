@@ -1,4 +1,4 @@
-"""Speed of every monitored point on 200 random motions, sampled 100,000 times each: never above the limit, seldom below."""
+"""Speed of every monitored point on 200 random motions, each sampled 100,000 times: never above the limit."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_speed(name: str) -> None:
             used.append(shares / count)
     print(
         f"\n{name}: {MOTIONS} motions, {MOTIONS * SAMPLES:.0e} samples: fastest {1e3 * fastest:.1f} mm/s (limit 250), "
-        f"cruising at {100 * np.mean(used):.1f} % of the limit (bar 80), planned in {1e3 * planning / MOTIONS:.0f} ms each"
+        f"cruising at {100 * np.mean(used):.1f} % of it (bar 80), planned in {1e3 * planning / MOTIONS:.0f} ms each"
     )
     assert fastest <= LIMITS.allowed * (1 + 1e-9)
     assert np.mean(used) >= 0.8

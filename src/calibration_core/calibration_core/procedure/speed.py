@@ -24,7 +24,7 @@ class Monitored:
         chain: The robot.
         names: Of all points: the joints' origins (`origin of joint_1`), then the points on the flange.
         points: (p, 3) m, the points on the flange, in its frame.
-        lever: (k, n) m, no distance from joint j's origin to point k is ever larger; zero if the joint does not move it.
+        lever: (k, n) m, no distance from joint j's origin to point k is ever larger; zero where it does not move it.
     """
 
     chain: Chain

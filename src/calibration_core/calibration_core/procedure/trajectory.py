@@ -95,7 +95,7 @@ class Trajectory:
         return float(self.time[-1])
 
     def at(self, time: Float1D) -> tuple[Float2D, Float2D]:
-        """Return positions (k, n) rad and velocities (k, n) rad/s at times (k,) s, as a controller interpolates them."""
+        """Return positions (k, n) rad and velocities (k, n) rad/s at times (k,) s, as controllers interpolate them."""
         t = np.clip(np.asarray(time, dtype=float), 0.0, self.duration)
         i = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
         span = (self.time[i + 1] - self.time[i])[:, None]
