@@ -64,9 +64,9 @@ def test_wam_with_seven_joints() -> None:
 
 @pytest.mark.parametrize("series", UR10_BARS)
 def test_ur10(series: str) -> None:
-    start = time.perf_counter()
+    start = time.process_time()  # one thread, so the wall clock of a quiet machine; other work does not count
     result = _identify(f"ur10_{series}", f"ur10_{series}")
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     assert _held_out_3d(result) <= UR10_BARS[series]
     assert _stage(result, "geometry").kept
     assert _stage(result, "geometry").held_out_rms <= UR10_BARS[series]

@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import t
 
 from calibration_core.errors import EquilibriumError
 from calibration_core.identification.geometry import (
@@ -30,7 +31,7 @@ from calibration_core.timeseries import Bool1D, Float2D, Int1D
 FOLDS = 5
 FEW = 30  # configurations below which every one is left out on its own
 SEED = 17384
-CLEAR = 2.0  # standard errors
+CHANCE = 0.023  # probability of a clear gain where there is none: two standard errors of many configurations
 
 
 def folds(configuration: Int1D) -> Int1D:
@@ -50,23 +51,25 @@ class Improvement:
         error: Standard error of `gain`, m^2.
         before: Root mean square of the 3-d error before, m.
         after: The same after, m.
+        configurations: On how many configurations it rests.
     """
 
     gain: float
     error: float
     before: float
     after: float
+    configurations: int
 
     @property
     def clear(self) -> bool:
-        """Whether the gain is larger than twice its standard error.
+        """Whether the gain is larger than twice its standard error (more with few configurations: Student's t).
 
         A smaller held-out error alone is no reason to believe a larger model: between two equally good models one is
         always smaller.  The errors of both models on one configuration go together, so their difference is judged,
         pair by pair; folds share training data, which makes the standard error a little small, hence two of them
         and not one.
         """
-        return self.gain > CLEAR * self.error
+        return self.configurations > 1 and self.gain > float(t.isf(CHANCE, self.configurations - 1)) * self.error
 
     @property
     def text(self) -> str:
@@ -86,7 +89,7 @@ def compare(before: Float2D, after: Float2D, configuration: Int1D) -> Improvemen
     difference = np.bincount(index, squares[0] - squares[1]) / np.bincount(index)
     error = float(np.std(difference, ddof=1) / np.sqrt(len(difference))) if len(difference) > 1 else np.inf
     rms = np.sqrt(squares.mean(axis=1))
-    return Improvement(float(difference.mean()), error, float(rms[0]), float(rms[1]))
+    return Improvement(float(difference.mean()), error, float(rms[0]), float(rms[1]), len(difference))
 
 
 def held_out(problem: AbsoluteProblem, whole: GeometryFit, fold: Int1D, used: Bool1D) -> Float2D:

@@ -34,4 +34,4 @@ def identify(
     options = options or Options()
     if is_loaded(readings):
         return identify_loaded(readings, cell, options, test)
-    return identify_absolute(readings, cell, robust=options.robust, test=test)
+    return identify_absolute(readings, cell, robust=options.robust, test=test, readmit=options.readmit)
