@@ -96,22 +96,16 @@ def identify_loaded(
         EquilibriumError: The load is beyond what the joints can carry.
     """
     options = options or Options()
-    chain = chain_of(cell)
-    nominal = nominal_parameters(cell)
-    _require_load(readings)
-    parameters, frames = _with_frames(readings, cell, chain, nominal)
-    problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
-    screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
-    if frames is not None:
-        believed = parameters.replace(compliance=screened.fit.compliance)
-        parameters, frames = _with_frames(readings, cell, chain, believed, screened.used)
-        problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
-        screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
-    used = problem.select(np.flatnonzero(screened.used))
-    fit = screened.fit
-    if options.deflections == "pose":
-        fit = fit_compliance(used, fit.compliance, "pose")
-    parameters = parameters.replace(compliance=fit.compliance)
+    return identify_prepared(prepare_loaded(readings, cell, options), cell, options, test)
+
+
+def identify_prepared(
+    prepared: PreparedLoaded, cell: Cell, options: Options, test: Readings | None = None
+) -> Identification:
+    """Make the answer of `identify_loaded` from what was fitted."""
+    readings = prepared.problem.readings
+    problem, screened, fit, nominal = prepared.problem, prepared.screened, prepared.fit, prepared.nominal
+    chain, parameters, frames = problem.chain, prepared.parameters, prepared.frames
 
     noise = _audit(problem, screened, fit, cell)
     plain = options.weights == "plain"
@@ -144,6 +138,46 @@ def identify_loaded(
         test=None if test is None else predict_loaded(test, cell, chain, parameters, nominal.compliance),
         notes=readings.notes,
     )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PreparedLoaded:
+    """A loaded recording with frames refitted, gross errors set aside and compliances fitted.
+
+    Attributes:
+        problem: All readings, frames refitted.
+        screened: The readings used.
+        fit: The fit that counts (points or pose).
+        nominal: What the cell file believes.
+        parameters: Identified model.
+        frames: Refitted frames; None for displacement recordings.
+    """
+
+    problem: LoadedProblem
+    screened: Screened
+    fit: LoadedFit
+    nominal: ModelParameters
+    parameters: ModelParameters
+    frames: FrameFit | None
+
+
+def prepare_loaded(readings: Readings, cell: Cell, options: Options) -> PreparedLoaded:
+    """Refit the frames, set gross errors aside and fit the compliances; raises as `identify_loaded` does."""
+    chain = chain_of(cell)
+    nominal = nominal_parameters(cell)
+    _require_load(readings)
+    parameters, frames = _with_frames(readings, cell, chain, nominal)
+    problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
+    screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
+    if frames is not None:
+        believed = parameters.replace(compliance=screened.fit.compliance)
+        parameters, frames = _with_frames(readings, cell, chain, believed, screened.used)
+        problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
+        screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
+    fit = screened.fit
+    if options.deflections == "pose":
+        fit = fit_compliance(problem.select(np.flatnonzero(screened.used)), fit.compliance, "pose")
+    return PreparedLoaded(problem, screened, fit, nominal, parameters.replace(compliance=fit.compliance), frames)
 
 
 def predict_loaded(

@@ -80,6 +80,29 @@ def normal_equations(rows: Rows, residual: Float2D, columns: Float3D) -> Normal:
     return Normal(matrix, vector, chi2, freedom)
 
 
+def whitened(rows: Rows, data: Float3D) -> tuple[Float2D, Int1D]:
+    """Return data without offsets in units of its noise: independent rows of unit variance.
+
+    Args:
+        rows: Grouping and noise of the m rows.
+        data: (m, d, p) p columns, all treated alike.
+
+    Returns:
+        white: (r, p) rows of unit variance; configurations follow each other.
+        configuration: (r,) index of the configuration of every row.
+    """
+    parts: dict[int, Float2D] = {}
+    for group, index in _groups(rows):
+        white, basis = _whiten(rows, index)
+        b, size = len(index), white.shape[1]
+        rest = np.linalg.qr(basis, mode="complete")[0][:, :, basis.shape[2] :]
+        flat = rest.transpose(0, 2, 1) @ (white @ data[index].reshape(b, size, data.shape[2]))
+        parts.update(zip(map(int, group), flat, strict=True))
+    order = sorted(parts)
+    configuration = np.concatenate([np.full(len(parts[k]), k, dtype=np.int64) for k in order])
+    return np.concatenate([parts[k] for k in order]), configuration
+
+
 def without_offsets(rows: Rows, residual: Float2D) -> Float2D:
     """Return the (m, d) residuals after the best offsets of every configuration."""
     left = np.empty_like(residual)

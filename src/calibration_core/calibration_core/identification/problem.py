@@ -10,8 +10,9 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.offsets import Rows
 from calibration_core.model.chain import Chain
-from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
-from calibration_core.model.kinematics import linear_jacobian, posture, turned
+from calibration_core.model.effects.state import wrench_response
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.kinematics import linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import Load, load_torque
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
@@ -98,8 +99,7 @@ class LoadedProblem:
         jacobian = np.stack(linear_jacobian(at, at.point(self._points())), axis=1)
         torque = load_torque(at, self.load)
         columns = np.moveaxis(jacobian * torque, -1, 0)
-        rest = Equilibrium(np.zeros_like(torque), torque, at, np.empty(0))
-        by_wrench = _by_wrench(jacobian * compliance[:, None], rest, self.load)
+        by_wrench = wrench_response(jacobian * compliance[:, None], at, self.load)
         return self.unloaded + columns @ compliance, columns, by_wrench
 
     def _equilibrium(self, compliance: Float1D) -> tuple[Float2D, Float3D, Float3D]:
@@ -107,7 +107,7 @@ class LoadedProblem:
         points = self._points()
         answer = np.einsum("anm,njm->ajm", rest.point_jacobian(points), rest.amplification)
         columns = np.moveaxis(answer * rest.torque, -1, 0)
-        return rest.at.point(points).T, columns, _by_wrench(answer * compliance[:, None], rest, self.load)
+        return rest.at.point(points).T, columns, wrench_response(answer * compliance[:, None], rest.at, self.load)
 
 
 def build_problem(
@@ -176,20 +176,6 @@ def load_of(readings: Readings, cell: Cell, parameters: ModelParameters) -> Load
         point = parameters.wrench_point
     rotation = sensor[:3, :3] if sensor is not None and convention.wrench_axes == "sensor" else None
     return Load(readings.wrench[:, :3].T, readings.wrench[:, 3:].T, point, rotation)
-
-
-def _by_wrench(answer: Float3D, rest: Equilibrium, load: Load) -> Float3D:
-    """Return d p / d wrench, (m, 3, 6), the wrench in the axes it is recorded in.
-
-    `answer` (3, n, m) is d p / d torque, K_CSM included.
-    """
-    at = rest.at
-    linear = np.stack(linear_jacobian(at, at.point(load.point)))  # (n, 3, m), d tau / d force in base axes
-    angular = np.stack([at.axis(i) for i in range(len(at.origin))])
-    if load.rotation is not None:
-        axes = turned(at.flange, load.rotation)  # columns: sensor axes in base
-        linear, angular = (np.einsum("kam,nam->nkm", axes, part) for part in (linear, angular))
-    return np.einsum("anm,nkm->mak", answer, np.concatenate([linear, angular], axis=1))
 
 
 def _root(covariance: Float3D) -> Float3D:

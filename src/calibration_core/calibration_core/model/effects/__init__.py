@@ -1,1 +1,27 @@
-"""Physics beyond the joint springs: one effect is one file."""
+"""Physics beyond the joint springs: one effect is one file, and adding the file registers it."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import pkgutil
+
+from calibration_core.model.effects.candidate import Candidate, Effect
+from calibration_core.model.effects.state import State
+
+
+@functools.cache
+def catalogue() -> tuple[Effect, ...]:
+    """Return every effect that a file of this package defines as `EFFECT`, by name."""
+    found = []
+    for module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
+        effect = getattr(importlib.import_module(f"{__name__}.{module}"), "EFFECT", None)
+        if isinstance(effect, Effect):
+            found.append(effect)
+    return tuple(sorted(found, key=lambda effect: effect.name))
+
+
+def candidates(state: State) -> tuple[Candidate, ...]:
+    """Return every hypothesis that this recording could test, in the order of the catalogue."""
+    usable = [effect for effect in catalogue() if (effect.loaded if state.loaded else effect.absolute)]
+    return tuple(candidate for effect in usable for candidate in effect.candidates(state))

@@ -1,0 +1,147 @@
+"""What a diagnosis says (contract, section 5)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+from calibration_core.identification.estimate import Anomaly, Identification
+from calibration_core.timeseries import Float1D, Float2D
+
+Location = Mapping[str, str | tuple[str, ...]]
+Verdict = Literal["consistent", "missing_physics", "partly_explained", "unexplained"]
+
+
+@dataclasses.dataclass(frozen=True)
+class FoundParameter:
+    """One parameter of a finding: name, value, standard deviation and unit."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Alternative:
+    """Another hypothesis that the recording cannot tell from the finding.
+
+    Attributes:
+        effect: Its name.
+        family: Its family.
+        location: Where.
+        log_bayes_factor: nats, beside that of the finding.
+    """
+
+    effect: str
+    family: str
+    location: Location
+    log_bayes_factor: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One effect that is missing in the model.
+
+    Attributes:
+        effect: Name of the contract, section 6.
+        family: Family.
+        location: Where; a joint or link is left open (empty) where too many come into question.
+        variant: Form of the law, as in the catalogue.
+        parameters: With 95 % = 1.96 std intervals.
+        log_bayes_factor: Against the model without it, nats.
+        held_out_gain: Share by which the squared error on configurations left out falls.
+        magnitude: Root mean square of the shift that it causes at the measured points, m.
+        cannot_be_told_from: At most five, nearest first.
+        stiffness_change: Joint -> relative change of its stiffness once the effect is in the model.
+        explanation: For a person: what, where, how sure, how much.
+        separate_by: The measurement that would decide, or confirm it.
+        refinements: Further terms of the same cause (other law, neighbour), by effect name and location.
+    """
+
+    effect: str
+    family: str
+    location: Location
+    variant: str
+    parameters: tuple[FoundParameter, ...]
+    log_bayes_factor: float
+    held_out_gain: float
+    magnitude: float
+    cannot_be_told_from: tuple[Alternative, ...]
+    stiffness_change: Mapping[str, float]
+    explanation: str
+    separate_by: str
+    refinements: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Rest:
+    """What remains after the findings.
+
+    Attributes:
+        rms: Excess over the noise, per coordinate, m.
+        significant: Whether noise does not explain it.
+        where: Words and numbers on where and when it is largest.
+        text: One sentence.
+    """
+
+    rms: float
+    significant: bool
+    where: Mapping[str, object]
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Measurement:
+    """A proposed next measurement.
+
+    Attributes:
+        q: Joint angles, rad.
+        wrench: Base axes at the wrench point, N and N*m.
+        why: What it would decide, and by how much.
+    """
+
+    q: tuple[float, ...]
+    wrench: tuple[float, ...]
+    why: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The complete answer of `calibration diagnose`.
+
+    Attributes:
+        verdict: As in the contract.
+        findings: Largest effect on the measured point first.
+        anomalies: Found before any physics.
+        rest: What remains.
+        next_measurements: What would separate what cannot be told apart now.
+        identification: The null model: what `identify` says of the recording.
+        stiffness: Joint -> (value, std) in the extended model, N*m/rad.
+        rms_before, rms_after: Per coordinate over all readings, m; before is the refitted null model.
+        held_out_before, held_out_after: The same on configurations left out.
+        noise: Standard deviation of one coordinate, as used, m.
+        level: Signal-to-noise ratio of the small effects allowed for.
+        located: Sentences of the model-free location.
+        residual: (m, 3) m, what the extended model leaves.
+        shift: (m, 3) m, what the findings explain.
+    """
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    anomalies: tuple[Anomaly, ...]
+    rest: Rest
+    next_measurements: tuple[Measurement, ...]
+    identification: Identification
+    stiffness: Mapping[str, tuple[float, float]]
+    rms_before: float
+    rms_after: float
+    held_out_before: float
+    held_out_after: float
+    noise: float
+    level: float
+    located: tuple[str, ...]
+    residual: Float2D
+    shift: Float2D
+    compliance: Float1D

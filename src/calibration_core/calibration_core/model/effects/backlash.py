@@ -1,0 +1,48 @@
+"""A joint crosses its clearance when its torque changes sign.
+
+theta = C tau + (b/2) clip(tau/tau_b, -1, 1), tau_b a few percent of the largest torque of the recording.
+Source: definition of lost motion at +-3 % of the rated torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.nonlinear_stiffness import carried, torques
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import largest, stacked
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float3D
+
+WIDTHS = (0.003, 0.02, 0.04)  # of the largest torque
+
+
+def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
+    torque = carried(state, joint, of)
+    edge = width * largest(state.load_torque[joint])
+    return stacked(state.joint_column(joint, np.clip(torque / edge, -1.0, 1.0) / 2))
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    parameter = Parameter("clearance", "rad", typical("backlash", state.rated_load))
+    for joint, name in enumerate(state.chain.joints):
+        for of in torques(state, joint):
+            for width in WIDTHS:
+                columns = partial(_columns, joint=joint, of=of, width=width)
+                variant = f"{of}, within {100 * width:g} %"
+                yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, (parameter,), columns)
+
+
+EFFECT = Effect(
+    name="backlash",
+    family="joint law",
+    equation="theta = C tau + (b/2) clip(tau/tau_b, -1, 1)",
+    source="lost motion at +-3 % of the rated torque",
+    reveal="reversed loads, small loads, configurations without gravity torque on the joint",
+    candidates=_candidates,
+    absolute=False,
+)

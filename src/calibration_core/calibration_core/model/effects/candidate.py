@@ -1,0 +1,87 @@
+"""An effect at a place, with its parameters: one hypothesis about what the model leaves out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float3D
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """One number that an effect has.
+
+    Attributes:
+        name: As in result.json.
+        unit: Its unit.
+        typical: Size that is typical for a robot of this class; the prior is normal about zero with three times this.
+        sign: Factor from the fitted coefficient to the reported parameter (most are the coefficient itself).
+    """
+
+    name: str
+    unit: str
+    typical: float
+    sign: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Candidate:
+    """One hypothesis.
+
+    Attributes:
+        effect: Name of the contract, section 6.
+        family: Family of the contract, section 6.
+        location: For example {"joint": "joint_2"}.
+        variant: Which form of the effect's law or which choice of axes; part of the hypothesis, not of its name.
+        parameters: k of them.
+        columns: State -> (m, 3, k) m, movement of every reading's point per unit of every parameter, base axes.
+    """
+
+    effect: str
+    family: str
+    location: Mapping[str, str | tuple[str, ...]]
+    variant: str
+    parameters: tuple[Parameter, ...]
+    columns: Callable[[State], Float3D]
+
+    def __post_init__(self) -> None:
+        """Freeze the location."""
+        object.__setattr__(self, "location", MappingProxyType(dict(self.location)))
+
+    @property
+    def key(self) -> tuple[str, tuple[tuple[str, str | tuple[str, ...]], ...], str]:
+        """What tells it from all others."""
+        return self.effect, tuple(sorted(self.location.items())), self.variant
+
+    @property
+    def place(self) -> tuple[str, tuple[tuple[str, str | tuple[str, ...]], ...]]:
+        """Effect and location, whatever the variant."""
+        return self.key[:2]
+
+
+@dataclasses.dataclass(frozen=True)
+class Effect:
+    """An entry of the catalogue; one file defines one.
+
+    Attributes:
+        name: Name of the contract, section 6.
+        family: Family of the contract, section 6.
+        equation: The law, in one line.
+        source: Where it comes from.
+        reveal: The measurement that would show it best.
+        candidates: State -> hypotheses that this recording could test, with priors for this robot.
+        loaded: Whether it can show in loaded-minus-unloaded data.
+        absolute: Whether it can show in absolute positions.
+    """
+
+    name: str
+    family: str
+    equation: str
+    source: str
+    reveal: str
+    candidates: Callable[[State], Iterator[Candidate]]
+    loaded: bool = True
+    absolute: bool = True

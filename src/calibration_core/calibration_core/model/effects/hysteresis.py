@@ -1,0 +1,73 @@
+"""Friction between motor and link: the deflection depends on where the torque came from.
+
+theta = C tau - sum_r h_r stop_r[tau]/r: elements that stick up to r and slip beyond (Prandtl-Ishlinskii, Maxwell slip).
+What happened before step 0 is unknown: a virgin start (elements relaxed) and a centred one (elements on the verge in
+the direction against the first load) are both tried.  The radii form one block.
+Source: Al-Bender, Lampaert, Swevers on presliding; stop operators.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import largest, stacked
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float2D, Float3D
+
+RADII = (0.02, 0.06, 0.15, 0.4)  # of the largest torque
+
+
+def stop(torque: Float2D, radius: float, start: float) -> Float2D:
+    """Return the stop operator along the steps, (s, k): what an element of strength `radius` carries.
+
+    Args:
+        torque: (s, k) N*m, steps in the order of time.
+        radius: Strength, N*m.
+        start: What the element carries at step 0, as a fraction of its strength, against the first change of torque.
+    """
+    direction = np.sign(torque[:, 1:2] - torque[:, :1]) if torque.shape[1] > 1 else np.zeros((len(torque), 1))
+    carried = -start * radius * direction[:, 0]
+    result = np.empty_like(torque)
+    result[:, 0] = carried
+    for k in range(1, torque.shape[1]):
+        carried = np.clip(carried + torque[:, k] - torque[:, k - 1], -radius, radius)
+        result[:, k] = carried
+    return result
+
+
+def _columns(state: State, joint: int, start: float) -> Float3D:
+    torque = state.load_torque[joint]
+    scale = largest(torque)
+    return stacked(
+        *(
+            -state.joint_column(
+                joint, state.along_steps(torque, partial(stop, radius=r * scale, start=start)) / (r * scale)
+            )
+            for r in RADII
+        )
+    )
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    size = typical("hysteresis", state.rated_load)
+    parameters = tuple(Parameter(f"half_width_{100 * r:g}_percent", "rad", size) for r in RADII)
+    for joint, name in enumerate(state.chain.joints):
+        for variant, start in (("virgin start", 0.0), ("centred start", 1.0)):
+            columns = partial(_columns, joint=joint, start=start)
+            yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, parameters, columns)
+
+
+EFFECT = Effect(
+    name="hysteresis",
+    family="joint law",
+    equation="theta = C tau - sum_r h_r stop_r[tau]/r",
+    source="Prandtl-Ishlinskii stop operators, Maxwell slip (Al-Bender, Lampaert, Swevers)",
+    reveal="unloading through the same levels; then holds, to tell it from creep",
+    candidates=_candidates,
+    absolute=False,
+)

@@ -1,0 +1,80 @@
+"""Bending and torsion of a link as a beam between its joint and the next.
+
+u = F L^3/3EI + M L^2/2EI, phi = F L^2/2EI + M L/EI, torsion M L/GJ: rotary springs spread evenly along the link.
+Source: Euler-Bernoulli beam by virtual work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import along_link, stacked
+from calibration_core.model.effects.state import State
+from calibration_core.model.kinematics import cross
+from calibration_core.timeseries import Float2D, Float3D
+
+SHORTEST = 0.05  # m: shorter links do not bend
+UNIT = "1/(N*m^2)"
+
+
+def _ends(state: State, link: int) -> tuple[Float2D, Float2D]:
+    last = link == state.chain.n - 1
+    return state.at.origin[link], state.at.flange_origin if last else state.at.origin[link + 1]
+
+
+def _axes(state: State, link: int) -> tuple[Float2D, Float2D, Float2D]:
+    """Return two axes across the link (fixed in its body frame) and the one along it, (3, m) each."""
+    start, tip = _ends(state, link)
+    along = (tip - start) / np.linalg.norm(tip - start, axis=0)
+    body = state.at.body[link]
+    inner = [abs(float(np.mean(np.sum(body[k] * along, axis=0)))) for k in range(3)]
+    across = cross(along, body[int(np.argmin(inner))])
+    across = across / np.linalg.norm(across, axis=0)
+    return across, cross(along, across), along
+
+
+def _bending(state: State, link: int) -> Float3D:
+    _, tip = _ends(state, link)
+    first, second, _ = _axes(state, link)
+    return stacked(along_link(state, link, first, tip), along_link(state, link, second, tip))
+
+
+def _whole(state: State, link: int) -> Float3D:
+    _, tip = _ends(state, link)
+    return stacked(*(along_link(state, link, axis, tip) for axis in _axes(state, link)))
+
+
+def _round(state: State, link: int) -> Float3D:
+    """One bending stiffness for both directions, as of a tube."""
+    return stacked(_bending(state, link).sum(axis=-1))
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    size = typical("link_bending", state.rated_load)
+    two = (Parameter("bending_1", UNIT, size), Parameter("bending_2", UNIT, size))
+    for link in range(state.chain.n):
+        start, tip = _ends(state, link)
+        if float(np.linalg.norm(tip - start, axis=0).min()) < SHORTEST:
+            continue
+        place = {"link": f"link_{link + 1}"}
+        yield Candidate(EFFECT.name, EFFECT.family, place, "bending", two, partial(_bending, link=link))
+        three = (*two, Parameter("torsion", UNIT, 2 * size))
+        yield Candidate(EFFECT.name, EFFECT.family, place, "bending and torsion", three, partial(_whole, link=link))
+        one = (Parameter("bending", UNIT, size),)
+        yield Candidate(EFFECT.name, EFFECT.family, place, "tube", one, partial(_round, link=link))
+
+
+EFFECT = Effect(
+    name="link_bending",
+    family="structure",
+    equation="u = F L^3/3EI + M L^2/2EI, phi = F L^2/2EI + M L/EI, torsion M L/GJ",
+    source="Euler-Bernoulli beam theory, virtual work",
+    reveal="a target at either end of the link; more configurations",
+    candidates=_candidates,
+    absolute=False,
+)

@@ -1,0 +1,49 @@
+"""Extra compliance at low torque, as strain-wave gears have it.
+
+theta = C (tau + s clip(tau, -T1, T1)); T1 between 8 and 40 % of the largest torque of the recording.
+Source: makers' piecewise stiffness K1, K2, K3; Tuttle 1992.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.nonlinear_stiffness import carried, torques
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import largest, stacked
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float3D
+
+WIDTHS = (0.08, 0.13, 0.2, 0.3)  # of the largest torque
+
+
+def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
+    torque = carried(state, joint, of)
+    edge = width * largest(state.load_torque[joint])
+    return stacked(state.joint_column(joint, state.compliance[joint] * np.clip(torque, -edge, edge)))
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    parameter = Parameter("extra_compliance", "1", typical("soft_zone", state.rated_load))
+    for joint, name in enumerate(state.chain.joints):
+        if state.compliance[joint] > 0:
+            for of in torques(state, joint):
+                for width in WIDTHS:
+                    columns = partial(_columns, joint=joint, of=of, width=width)
+                    variant = f"{of}, below {100 * width:g} %"
+                    yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, (parameter,), columns)
+
+
+EFFECT = Effect(
+    name="soft_zone",
+    family="joint law",
+    equation="theta = C (tau + s clip(tau, -T1, T1))",
+    source="strain-wave gear catalogues (K1, K2, K3); Tuttle 1992",
+    reveal="steps at 5 and 10 % of the load",
+    candidates=_candidates,
+    absolute=False,
+)

@@ -1,0 +1,220 @@
+"""What an effect may depend on: the loaded robot at rest, reading by reading."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from calibration_core.model.chain import Chain
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.kinematics import Posture, cross, dot, linear_jacobian, turned
+from calibration_core.model.statics import Load, gravity_torque, load_torque
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class State:
+    """The null model at one set of compliances, base axes, m readings of a robot with n joints.
+
+    Attributes:
+        chain: The robot, geometry corrections included.
+        at: Deformed posture.
+        answer: (3, n, m) m/rad, how the reading's point moves when a joint gives way, K_CSM included.
+        compliance: (n,) rad/(N*m).
+        load_torque: (n, m) N*m, of the external load.
+        gravity_torque: (n, m) N*m, of the robot's own weight; zeros where masses are not known.
+        point: (3, m) m, the reading's measurement point.
+        point_index: (m,) which point it is.
+        force: (3, m) N; zeros without external load.
+        moment: (3, m) N*m, about `where`.
+        where: (3, m) m, where the wrench is reduced to.
+        wrench: (m, 6) N and N*m, in the axes it is recorded in.
+        by_wrench: (m, 3, 6) how the point moves with the wrench as recorded.
+        sensor_axes: (3, 3, m) columns of the axes in which the wrench is recorded.
+        q: (m, n) rad, encoder angles.
+        configuration: (m,) index of the configuration.
+        step: (m,) number of the step.
+        time: (m,) s, NaN where unknown.
+        temperature: (m,) degrees Celsius, NaN where unknown.
+        tracker: (4, 4) pose of the tracker in the base frame.
+        rated_load: kg.
+    """
+
+    chain: Chain
+    at: Posture
+    answer: Float3D
+    compliance: Float1D
+    load_torque: Float2D
+    gravity_torque: Float2D
+    point: Float2D
+    point_index: Int1D
+    force: Float2D
+    moment: Float2D
+    where: Float2D
+    wrench: Float2D
+    by_wrench: Float3D
+    sensor_axes: Float3D
+    q: Float2D
+    configuration: Int1D
+    step: Int1D
+    time: Float1D
+    temperature: Float1D
+    tracker: Float2D
+    rated_load: float
+
+    @property
+    def m(self) -> int:
+        """Number of readings."""
+        return self.point.shape[1]
+
+    @property
+    def torque(self) -> Float2D:
+        """(n, m) N*m, load and gravity."""
+        return self.load_torque + self.gravity_torque
+
+    @property
+    def loaded(self) -> bool:
+        """Whether any external load acts."""
+        return bool(np.any(self.force) or np.any(self.moment))
+
+    def joint_column(self, joint: int, deflection: Float1D) -> Float2D:
+        """Return the (m, 3) movement of the points for an extra deflection (m,) rad of a joint."""
+        return (self.answer[:, joint] * deflection).T
+
+    def spring_torque(self, axis: Float2D, origin: Float2D) -> Float1D:
+        """Return the (m,) N*m of the external load about an axis (3, m) through a point (3, m)."""
+        return dot(axis, cross(self.where - origin, self.force) + self.moment)
+
+    def rotation_column(self, axis: Float2D, origin: Float2D, angle: Float1D) -> Float2D:
+        """Return the (m, 3) movement of the points when all beyond `origin` turns by `angle` (m,) rad about `axis`."""
+        return (cross(axis, self.point - origin) * angle).T
+
+    def spring_column(self, axis: Float2D, origin: Float2D) -> Float2D:
+        """Return the (m, 3) movement per unit compliance of a rotary spring about `axis` through `origin`."""
+        return self.rotation_column(axis, origin, self.spring_torque(axis, origin))
+
+    def slide_column(self, axis: Float2D) -> Float2D:
+        """Return the (m, 3) movement per unit compliance of a linear spring along `axis` (3, m), m/N."""
+        return (axis * dot(axis, self.force)).T
+
+    def along_steps(self, values: Float1D, operator: Callable[[Float2D], Float2D]) -> Float1D:
+        """Apply a history operator along the steps of every configuration and point.
+
+        Args:
+            values: (m,).
+            operator: Maps (sequences, steps) to the same shape; steps in the order of time.
+        """
+        result = np.empty(self.m)
+        for index in self.sequences():
+            result[index] = operator(values[index])
+        return result
+
+    def sequences(self) -> list[Int1D]:
+        """Return index arrays (s, k): rows of one configuration and point in the order of steps, by length."""
+        order = np.lexsort((self.step, self.point_index, self.configuration))
+        key = self.configuration[order] * (int(self.point_index.max()) + 1) + self.point_index[order]
+        _, starts, counts = np.unique(key, return_index=True, return_counts=True)
+        return [order[starts[counts == k][:, None] + np.arange(k)] for k in np.unique(counts)]
+
+    def since_step_zero(self, values: Float2D) -> Float2D:
+        """Return `values` (m, ...) minus those of the first step of the same configuration and point."""
+        result = np.array(values)
+        for index in self.sequences():
+            result[index] = values[index] - values[index[:, :1]]
+        return result
+
+
+def state_of(
+    chain: Chain,
+    q: Float2D,
+    compliance: Float1D,
+    load: Load | None,
+    points: Float2D,
+    *,
+    point_index: Int1D,
+    wrench: Float2D | None,
+    configuration: Int1D,
+    step: Int1D,
+    time: Float1D,
+    temperature: Float1D,
+    tracker: Float2D,
+    rated_load: float,
+) -> State:
+    """Solve the equilibrium and gather everything that effects need.
+
+    Args:
+        chain: The robot, geometry corrections included.
+        q: (m, n) rad.
+        compliance: (n,) rad/(N*m).
+        load: External load; None if there is none.
+        points: (3, m) m, each reading's point in the flange frame.
+        point_index: (m,).
+        wrench: (m, 6) as recorded; None without load.
+        configuration: (m,) index.
+        step: (m,).
+        time: (m,) s.
+        temperature: (m,) degrees Celsius.
+        tracker: (4, 4) pose in the base frame.
+        rated_load: kg.
+
+    Raises:
+        EquilibriumError: The load is beyond what the joints can carry.
+    """
+    m = len(q)
+    rest = solve_equilibrium(chain, q, compliance, load)
+    answer = np.einsum("anm,njm->ajm", rest.point_jacobian(points), rest.amplification)
+    zero = np.zeros((3, m))
+    if load is None:
+        force = moment = zero
+        where, axes = rest.at.flange_origin, rest.at.flange
+        of_load, by_wrench = np.zeros((chain.n, m)), np.zeros((m, 3, 6))
+    else:
+        force, moment, where = load.in_base(rest.at)
+        axes = turned(rest.at.flange, load.rotation) if load.rotation is not None else _identity(m)
+        of_load = load_torque(rest.at, load)
+        by_wrench = wrench_response(answer * compliance[:, None], rest.at, load)
+    return State(
+        chain=chain,
+        at=rest.at,
+        answer=answer,
+        compliance=compliance,
+        load_torque=of_load,
+        gravity_torque=gravity_torque(chain, rest.at),
+        point=rest.at.point(points),
+        point_index=point_index,
+        force=force,
+        moment=moment,
+        where=where,
+        wrench=np.zeros((m, 6)) if wrench is None else wrench,
+        by_wrench=by_wrench,
+        sensor_axes=axes,
+        q=q,
+        configuration=configuration,
+        step=step,
+        time=time,
+        temperature=temperature,
+        tracker=tracker,
+        rated_load=rated_load,
+    )
+
+
+def wrench_response(answer: Float3D, at: Posture, load: Load) -> Float3D:
+    """Return d p / d wrench, (m, 3, 6), the wrench in the axes it is recorded in.
+
+    Args:
+        answer: (3, n, m) d p / d torque, K_CSM included.
+        at: Deformed posture.
+        load: External load.
+    """
+    linear = np.stack(linear_jacobian(at, at.point(load.point)))  # (n, 3, m), d tau / d force in base axes
+    angular = np.stack([at.axis(i) for i in range(len(at.origin))])
+    if load.rotation is not None:
+        axes = turned(at.flange, load.rotation)  # columns: sensor axes in base
+        linear, angular = (np.einsum("kam,nam->nkm", axes, part) for part in (linear, angular))
+    return np.einsum("anm,nkm->mak", answer, np.concatenate([linear, angular], axis=1))
+
+
+def _identity(m: int) -> Float3D:
+    return np.ascontiguousarray(np.broadcast_to(np.eye(3)[:, :, None], (3, 3, m)))

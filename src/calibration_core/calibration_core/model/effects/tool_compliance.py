@@ -1,0 +1,49 @@
+"""Adapter, tool plate or flange give way: springs at the flange.
+
+theta = C tau about the flange axes, u = c f along them.  Source: six springs in series with the chain; CWA 17384, 5.1,
+demands equipment in the flow of forces that is much stiffer than the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import stacked
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float3D
+
+
+def _columns(state: State, translations: int) -> Float3D:
+    axes = [state.at.flange[k] for k in range(3)]
+    turns = [state.spring_column(axis, state.at.flange_origin) for axis in axes]
+    return stacked(*turns, *(state.slide_column(axis) for axis in axes[:translations]))
+
+
+def _bending(state: State) -> Float3D:
+    return stacked(_columns(state, 0)[:, :, :2].sum(axis=-1))
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    turn, slide = typical("tool_rotation", state.rated_load), typical("tool_translation", state.rated_load)
+    turns = tuple(Parameter(f"rotation_{axis}", "rad/(N*m)", turn) for axis in "xyz")
+    slides = tuple(Parameter(f"translation_{axis}", "m/N", slide) for axis in "xyz")
+    place = {"tool": "tool"}
+    for name, translations in (("rotation", 0), ("six springs", 3)):
+        columns = partial(_columns, translations=translations)
+        yield Candidate(EFFECT.name, EFFECT.family, place, name, turns + slides[:translations], columns)
+    tilt = (Parameter("rotation_xy", "rad/(N*m)", turn),)
+    yield Candidate(EFFECT.name, EFFECT.family, place, "tilt", tilt, _bending)
+
+
+EFFECT = Effect(
+    name="tool_compliance",
+    family="structure",
+    equation="theta = C tau, u = c f at the flange",
+    source="six springs in series with the chain; CWA 17384, 5.1",
+    reveal="targets on both sides of the adapter",
+    candidates=_candidates,
+    absolute=False,
+)

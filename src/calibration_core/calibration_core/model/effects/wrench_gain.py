@@ -1,0 +1,43 @@
+"""The force/torque sensor reads one axis too high or too low.
+
+f = (1 + g) f_read per axis.  A gain common to all axes is an exact alias of all compliances together.
+Source: calibration error of the sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float3D
+
+AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+
+
+def _columns(state: State, axes: tuple[int, ...]) -> Float3D:
+    return state.by_wrench[:, :, axes] * state.wrench[:, None, axes]
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    size = typical("wrench_gain", state.rated_load)
+    sensor = {"sensor": "force_torque"}
+    for variant, axes in (("forces", (0, 1, 2)), ("all axes", (0, 1, 2, 3, 4, 5))):
+        parameters = tuple(Parameter(f"gain_{AXES[axis]}", "1", size) for axis in axes)
+        yield Candidate(EFFECT.name, EFFECT.family, sensor, variant, parameters, partial(_columns, axes=axes))
+    for axis, name in enumerate(AXES):
+        one = (Parameter(f"gain_{name}", "1", size),)
+        yield Candidate(EFFECT.name, EFFECT.family, sensor, name, one, partial(_columns, axes=(axis,)))
+
+
+EFFECT = Effect(
+    name="wrench_gain",
+    family="load chain",
+    equation="f = (1 + g) f_read, per axis",
+    source="calibration error of the force/torque sensor",
+    reveal="known masses in several attitudes of the sensor",
+    candidates=_candidates,
+    absolute=False,
+)
