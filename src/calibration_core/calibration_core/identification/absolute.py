@@ -42,6 +42,8 @@ from calibration_core.model.statics import gravity_torque
 from calibration_core.observations.covariance import position_covariance
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Note, Readings
 
+UNLOADED_TORQUE = 1e-6  # N*m
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evaluated:
@@ -245,11 +247,16 @@ def _stiffness(
     torque_rms = np.sqrt(np.mean(torque**2, axis=1))
     freedom = result.freedom if noise.scale > 1.0 else None
     table = stiffness_table(joints, solution, noise.scale, freedom, torque_rms)
-    reason = "not fitted: it does not clearly improve configurations left out (gravity torque {:.3g} N·m rms)"
     return tuple(
-        entry if j in case.ladder.elastic else dataclasses.replace(entry, reason=reason.format(torque_rms[j]))
+        entry if j in case.ladder.elastic else dataclasses.replace(entry, reason=_not_fitted(float(torque_rms[j])))
         for j, entry in enumerate(table)
     )
+
+
+def _not_fitted(torque: float) -> str:
+    if torque < UNLOADED_TORQUE:
+        return "not fitted: gravity does not load this joint"
+    return f"not fitted: it does not clearly improve configurations left out (gravity torque {torque:.2g} N·m rms)"
 
 
 def _condition(result: GeometryFit) -> float:
