@@ -1,0 +1,97 @@
+"""From a simulated cell to a certificate, with the programs that a user types."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+CELL = ROOT / "config/cells/demo.cell.yaml"
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run one of the installed programs beside this interpreter."""
+    program, *rest = map(str, arguments)
+    path = Path(sys.executable).with_name(program)
+    return subprocess.run([path, *rest], capture_output=True, text=True, check=False, cwd=ROOT)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a bag, a table and the hidden truth of one simulated measurement."""
+    folder = tmp_path_factory.mktemp("cell")
+    done = run(
+        "calibration-sim", "record", "--cell", CELL, "--seed", 5, "--configurations", 12, "--imperfect",
+        "--out", folder / "bag", "--table", folder / "table.csv", "--truth-out", folder / "truth.yaml",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize("source", ["bag", "table.csv"])
+def test_the_hidden_stiffness_is_found(recorded: Path, tmp_path: Path, source: str) -> None:
+    done = run("calibration", "identify", recorded / source, "--cell", CELL, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert str(tmp_path / "report.html") in done.stdout
+    result = json.loads((tmp_path / "result.json").read_text())
+    truth = yaml.safe_load((recorded / "truth.yaml").read_text())["stiffness"]
+    assert result["schema"] == 1
+    assert result["command"] == "identify"
+    assert result["recording"]["configurations"] == 12
+    assert result["recording"]["steps"] == 108
+    assert result["recording"]["loaded"] is True
+    for joint in result["stiffness"]:
+        assert joint["identifiable"]
+        # frames are refitted; sensor mounting and geometry stay wrong, so allow for more than the noise alone
+        assert abs(joint["value"] - truth[joint["joint"]]) < 5 * joint["std"] + 0.01 * truth[joint["joint"]]
+    assert result["fit"]["rms_after"] < 2.5e-5 < result["fit"]["rms_before"]
+    for name in ("report.html", "report.pdf", "table1.csv", "table2.csv", "model.yaml"):
+        assert (tmp_path / name).stat().st_size > 0
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    with (tmp_path / "table2.csv").open() as file:
+        assert len(list(csv.reader(file))) == 7
+
+
+def test_the_identified_model_predicts_another_recording(recorded: Path, tmp_path: Path) -> None:
+    assert (
+        run("calibration", "identify", recorded / "table.csv", "--cell", CELL, "--out", tmp_path / "a").returncode == 0
+    )
+    done = run(
+        "calibration", "predict", recorded / "bag", "--cell", CELL, "--model", tmp_path / "a/model.yaml",
+        "--out", tmp_path / "b",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "b/predictions.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 12 * 9 * 3
+    assert list(rows[0]) == ["configuration", "step", "point", "x", "y", "z", "px", "py", "pz"]
+    error = max(abs(float(row["x"]) - float(row["px"])) for row in rows)
+    assert error < 5e-3  # geometry errors of tenths of a millimetre are not part of this model
+
+
+def test_a_bag_that_lost_its_end_is_read_as_far_as_it_goes(recorded: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "cut"
+    shutil.copytree(recorded / "bag", bag)
+    (data,) = bag.glob("*.mcap")
+    data.write_bytes(data.read_bytes()[: int(0.7 * data.stat().st_size)])
+    done = run("calibration", "identify", data, "--cell", CELL, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out/result.json").read_text())
+    assert 6 <= result["recording"]["configurations"] < 12
+    assert "truncated" in json.dumps(result["notes"])
+
+
+def test_one_line_and_exit_code_2_for_a_recording_that_is_not_there(tmp_path: Path) -> None:
+    done = run("calibration", "identify", tmp_path / "none.csv", "--cell", CELL, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "none.csv" in done.stderr
+    assert not (tmp_path / "out").exists()
