@@ -1,0 +1,399 @@
+"""The measurement procedure (CWA 17384, 7.6) as a state machine: events in, commands out; no clock, no ROS, no files.
+
+    move unloaded -> settle -> read -> (load -> settle -> read) for every step -> unload -> next
+
+It moves only while it has the permission, and only without load.  A motion that lost its permission is stopped, and
+nothing moves again before the operator says so.  What cannot be reached or read is tried again a few times, then left
+out, and a spare takes its place.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from calibration_core.procedure import messages as m
+from calibration_core.procedure.agenda import Agenda, Item, SequenceRules
+from calibration_core.procedure.messages import Kind, Outcome, State
+from calibration_core.procedure.plan import Plan
+from calibration_core.timeseries import Float1D, Phase
+
+
+class Sequence:
+    """Runs a plan.
+
+    Args:
+        plan: What is measured.
+        rules: Retries, time limits, repetition of the start-up cycle.
+        completed: Configurations measured in an earlier run of the same session.
+        given_up: Configurations given up then.
+        visits: Visits to the reference then.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        rules: SequenceRules | None = None,
+        *,
+        completed: frozenset[int] = frozenset(),
+        given_up: frozenset[int] = frozenset(),
+        visits: int = 0,
+    ) -> None:
+        self._rules = rules or SequenceRules()
+        self._agenda = Agenda(plan, self._rules, completed, given_up, visits)
+        self._resumed = bool(completed or given_up or visits)
+        self._state = State.IDLE
+        self._permitted = self._paused = self._held = self._asked = False
+        self._item: Item | None = None
+        self._at_item = False  # the robot stands at the present item
+        self._step = self._attempt = self._tries = 0  # of the item, of its attempt, of its reading
+        self._open = False  # an attempt is announced and not ended
+        self._given_up_for = ""  # why the present attempt is being given up; it has to be unloaded first
+        self._load: Float1D | None = np.zeros(6)  # None: under way, or failed
+        self._wanted = np.zeros(6)
+        self._request = 0
+        self._readings: set[int] = set()  # requests for the present reading
+        self._deadline = math.inf
+        self._now = self._begun = math.nan
+        self._phase: tuple[int, int, Phase] | None = None
+        self._out: list[m.Command] = []
+
+    @property
+    def state(self) -> State:
+        """What it waits for."""
+        return self._state
+
+    @property
+    def finished(self) -> bool:
+        """Whether it is over."""
+        return self._state is State.FINISHED
+
+    @property
+    def paused(self) -> bool:
+        """Whether nothing new begins before the operator resumes."""
+        return self._paused or self._held
+
+    @property
+    def position(self) -> tuple[int, int, Phase] | None:
+        """Configuration, step and phase as last announced."""
+        return self._phase
+
+    @property
+    def completed(self) -> frozenset[int]:
+        """Numbers of the configurations measured."""
+        return frozenset(self._agenda.completed)
+
+    @property
+    def given_up(self) -> frozenset[int]:
+        """Numbers of the configurations given up."""
+        return frozenset(self._agenda.given_up)
+
+    @property
+    def share_done(self) -> float:
+        """Share of the work done, 0 ... 1."""
+        return self._agenda.share_done
+
+    @property
+    def seconds_left(self) -> float:
+        """Estimate of the time left, s; NaN where nothing is known yet."""
+        return self._agenda.seconds_left(self._now - self._begun)
+
+    # --- events -------------------------------------------------------------------------------------------------------
+
+    def handle(self, event: m.Event) -> tuple[m.Command, ...]:
+        """Take one event; return what is to be done, in order."""
+        self._out = []
+        self._now = event.now
+        if self._state is not State.FINISHED:
+            self._dispatch(event)
+        return tuple(self._out)
+
+    def _dispatch(self, event: m.Event) -> None:
+        match event:
+            case m.Start():
+                self._start()
+            case m.Tick():
+                self._tick()
+            case m.PermissionChanged():
+                self._permission(event)
+            case m.Pause():
+                self._pause()
+            case m.Resume():
+                self._resume()
+            case m.Stop():
+                self._end(Outcome.STOPPED, "stopped by the operator")
+            case m.Fault():
+                self._say(Kind.FAULT, event.reason)
+                self._end(Outcome.FAULT, event.reason)
+            case m.ReadingConfirmed() if event.request in self._readings:
+                self._confirmed()  # a late one counts as well: it is on the disk
+            case _ if event.request == self._request:
+                self._answer(event)
+
+    def _answer(self, event: m.Answer) -> None:
+        match event, self._state:
+            case m.Arrived(), State.MOVING:
+                self._arrived()
+            case m.Blocked(), State.MOVING:
+                self._retry_or_skip(event.reason)
+            case m.LoadReached(), State.LOADING:
+                self._load = self._wanted
+                self._say(Kind.LOAD_APPLIED, f"{np.linalg.norm(self._wanted[:3]):.0f} N")
+                self._advance()
+            case m.LoadReached(), State.UNLOADING:
+                self._load = self._wanted
+                self._unloaded()
+            case m.LoadFailed(), State.LOADING:
+                self._give_up(f"load: {event.reason}")
+            case m.LoadFailed(), State.UNLOADING:
+                self._say(Kind.FAULT, event.reason)
+                self._end(Outcome.FAULT, f"the load cannot be released: {event.reason}")
+            case m.Settled(), State.SETTLING:
+                self._advance() if self.paused else self._read()
+            case m.ReadingFailed(), State.SETTLING | State.READING:
+                self._failed(event.reason)
+
+    def _start(self) -> None:
+        if self._state is not State.IDLE:
+            return
+        self._begun = self._now
+        text = f"{len(self._agenda.completed)} of {self._agenda.target} configurations are measured already"
+        self._out.append(m.Record(Kind.RESUMED if self._resumed else Kind.STARTED, 0, 0, text if self._resumed else ""))
+        self._advance()
+
+    def _tick(self) -> None:
+        if self._state is State.READY:
+            self._advance()
+        elif self._now >= self._deadline and self._state is State.MOVING:
+            self._out.append(m.StopMotion("the motion takes too long"))
+            self._retry_or_skip("the motion takes too long")
+        elif self._now >= self._deadline:
+            self._failed("never at rest" if self._state is State.SETTLING else "the reading takes too long")
+
+    def _permission(self, event: m.PermissionChanged) -> None:
+        if event.permitted == self._permitted:
+            return
+        self._permitted = event.permitted
+        self._asked = False
+        if self._state is State.IDLE:
+            return
+        self._say(Kind.PERMISSION_GAINED if event.permitted else Kind.PERMISSION_LOST, event.reason)
+        if event.permitted:
+            self._go_on()
+        else:
+            self._held = True
+            self._interrupt(f"permission lost: {event.reason}")
+
+    def _pause(self) -> None:
+        if self._paused or self._state is State.IDLE:
+            return
+        self._paused, self._asked = True, False
+        self._say(Kind.PAUSED, "")
+        self._interrupt("paused")
+
+    def _resume(self) -> None:
+        if self.paused:
+            self._paused = self._held = self._asked = False
+            self._say(Kind.CONTINUED, "")
+            self._go_on()
+
+    def _interrupt(self, reason: str) -> None:
+        """Stop a motion; it begins anew, from wherever the robot stands, when the operator resumes."""
+        if self._state is State.MOVING:
+            self._out.append(m.StopMotion(reason))
+            self._advance()
+        else:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        if self._state is State.READY:
+            self._advance()
+
+    # --- the way through a configuration ------------------------------------------------------------------------------
+
+    def _advance(self) -> None:
+        """Begin what comes next, if it may begin: a motion, the next step, or the release of the load."""
+        self._request += 1  # whatever is still answered is out of date
+        self._wait(State.READY)
+        if self._item is None:
+            self._item = self._agenda.next(self._now)
+            if self._item is None:
+                self._complete()
+                return
+            self._step = self._attempt = self._tries = 0
+        if not self._may_begin(moving=not self._at_item):
+            return
+        if not self._at_item:
+            self._move()
+        elif self._given_up_for or self._step == len(self._item.steps):
+            self._unload()
+        else:
+            self._load_or_settle()
+
+    def _may_begin(self, *, moving: bool) -> bool:
+        if self.paused:
+            self._ask("resume when it is safe to go on" if self._permitted else "reset the guard, then resume")
+        elif moving and not self._permitted:
+            self._ask("motion is not permitted yet")
+        else:
+            return True
+        return False
+
+    def _ask(self, text: str) -> None:
+        if not self._asked:
+            self._asked = True
+            self._out.append(m.AskOperator(text))
+            self._say(Kind.OPERATOR_ASKED, text)
+
+    def _move(self) -> None:
+        item = self._present
+        if item.kind == "configuration" and not self._open:
+            self._open = True
+            self._out.append(m.BeginAttempt(item.number, self._attempt))
+        kinds = {"startup": Kind.WARM_UP, "reference": Kind.REFERENCE, "configuration": Kind.CONFIGURATION_STARTED}
+        self._say(kinds[item.kind], "")
+        self._mark(Phase.MOVING)
+        self._wait(State.MOVING, self._rules.motion_limit)
+        self._out.append(m.Move(self._new(), item.q, item.number))
+
+    def _arrived(self) -> None:
+        if len(self._present.steps):
+            self._at_item = True
+        else:
+            self._agenda.done(self._present)
+            self._item = None
+        self._advance()
+
+    def _load_or_settle(self) -> None:
+        """Bring on the load of the present step, where it is not on."""
+        wanted = self._present.steps[self._step]
+        if self._load is not None and np.array_equal(wanted, self._load):
+            self._settle()
+            return
+        before = np.inf if self._load is None else np.linalg.norm(self._load[:3])
+        rising = np.linalg.norm(wanted[:3]) >= before
+        self._request_load(wanted, State.LOADING, Phase.LOADING if rising else Phase.UNLOADING)
+
+    def _request_load(self, wrench: Float1D, state: State, phase: Phase) -> None:
+        self._mark(phase)
+        self._wait(state)
+        self._load, self._wanted = None, np.array(wrench)
+        self._out.append(m.RequestLoad(self._new(), self._present.number, self._number, self._wanted))
+
+    def _settle(self) -> None:
+        self._mark(Phase.SETTLING)
+        self._wait(State.SETTLING, self._rules.settling_limit)
+        self._out.append(m.AwaitSettled(self._new(), self._present.number, self._number))
+
+    def _read(self) -> None:
+        self._mark(Phase.MEASURING)
+        self._wait(State.READING, self._rules.reading_limit)
+        self._readings.add(self._new())
+        self._out.append(m.TakeReading(self._request, self._present.number, self._number, self._attempt))
+
+    def _confirmed(self) -> None:
+        self._readings.clear()
+        self._tries = 0
+        self._step += 1
+        self._advance()
+
+    def _failed(self, reason: str) -> None:
+        """Try the reading again, or give the attempt up."""
+        self._tries += 1
+        if self._tries >= self._rules.readings:
+            self._give_up(reason)
+        elif self.paused:
+            self._advance()
+        else:
+            self._settle()
+
+    def _give_up(self, reason: str) -> None:
+        self._readings.clear()
+        self._given_up_for = reason
+        self._advance()
+
+    def _unload(self) -> None:
+        if self._load is None or np.any(self._load):
+            self._request_load(np.zeros(6), State.UNLOADING, Phase.UNLOADING)
+        else:
+            self._unloaded()
+
+    def _unloaded(self) -> None:
+        self._at_item = False
+        if self._given_up_for:
+            self._retry_or_skip(self._given_up_for)
+            return
+        self._mark(Phase.DONE)
+        self._agenda.done(self._present)
+        self._end_attempt(completed=True)
+        if self._present.kind == "configuration":
+            self._say(Kind.CONFIGURATION_DONE, "")
+        self._item = None
+        self._advance()
+
+    def _retry_or_skip(self, reason: str) -> None:
+        item = self._present
+        self._given_up_for = ""
+        self._end_attempt(completed=False, reason=reason)
+        self._attempt += 1
+        self._step = self._tries = 0
+        if self._attempt < self._rules.attempts:
+            self._say(Kind.CONFIGURATION_RETRIED, reason)
+        else:
+            spare = self._agenda.give_up(item)
+            self._say(Kind.CONFIGURATION_SKIPPED, reason)
+            if spare is not None:
+                self._out.append(m.Record(Kind.SPARE_USED, spare.number, 0, f"in place of {item.number}"))
+            self._item = None
+        self._advance()
+
+    def _end_attempt(self, *, completed: bool, reason: str = "") -> None:
+        if self._open:
+            self._open = False
+            self._out.append(m.EndAttempt(self._present.number, self._attempt, completed, reason))
+
+    # --- the end ------------------------------------------------------------------------------------------------------
+
+    def _complete(self) -> None:
+        done, target = len(self._agenda.completed), self._agenda.target
+        text = f"{done} of {target} configurations are measured"
+        self._say(Kind.FINISHED, text)
+        self._wait(State.FINISHED)
+        self._out.append(m.Finish(Outcome.COMPLETED if done >= target else Outcome.INCOMPLETE, text))
+
+    def _end(self, outcome: Outcome, text: str) -> None:
+        if self._state is State.MOVING:
+            self._out.append(m.StopMotion(text))
+        self._say(Kind.STOP_COMMANDED if outcome is Outcome.STOPPED else Kind.ABORTED, text)
+        self._end_attempt(completed=False, reason=text)
+        if self._load is None or np.any(self._load):
+            self._out.append(m.AskOperator("the load may still be on: release it before the robot moves"))
+        self._wait(State.FINISHED)
+        self._out.append(m.Finish(outcome, text))
+
+    @property
+    def _present(self) -> Item:
+        assert self._item is not None  # noqa: S101 - there is one in every state that asks
+        return self._item
+
+    @property
+    def _number(self) -> int:
+        return self._present.first_step + max(min(self._step, len(self._present.steps) - 1), 0)
+
+    def _new(self) -> int:
+        self._request += 1
+        return self._request
+
+    def _wait(self, state: State, limit: float = math.inf) -> None:
+        self._state, self._deadline = state, self._now + limit
+
+    def _mark(self, phase: Phase) -> None:
+        place = (self._present.number, self._number, phase)
+        if place != self._phase:
+            self._phase = place
+            self._out.append(m.Mark(*place))
+
+    def _say(self, kind: Kind, text: str) -> None:
+        number, step = (0, 0) if self._item is None else (self._item.number, self._number)
+        self._out.append(m.Record(kind, number, step, text))

@@ -1,0 +1,218 @@
+"""The procedure under every order of events: what it must never do, and that it always comes to an end.
+
+The world in `conftest.py` knows the rules (no motion without permission, in a pause, or under load; no reading before
+arrival and standstill, ...) and fails as soon as one is broken.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from calibration_core.procedure import messages as m
+from calibration_core.procedure.agenda import SequenceRules
+from calibration_core.procedure.messages import Kind, Outcome, State
+from calibration_core.procedure.plan import Plan
+from calibration_core.timeseries import Phase
+
+Started, Plans = Callable[..., Any], Callable[..., Plan]
+LEVELS = np.array([0.0, 500.0, 1000.0, 0.0])
+RULES = SequenceRules(startup_period=500.0)
+
+ACTIONS = st.sampled_from(
+    ["answer"] * 12
+    + ["fail"] * 2
+    + ["loss", "gain", "gain", "pause", "resume", "resume", "tick", "wait", "stale", "late"]
+)
+
+
+@settings(max_examples=1500, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    actions=st.lists(ACTIONS, max_size=150),
+    end=st.sampled_from(["run", "run", "run", "stop", "fault"]),
+    attempts=st.integers(1, 3),
+    readings=st.integers(1, 3),
+    final_load=st.booleans(),
+)
+def test_rules_hold_and_it_ends(
+    started: Started, plan_of: Plans, actions: list[str], end: str, attempts: int, readings: int, final_load: bool
+) -> None:
+    rules = dataclasses.replace(RULES, attempts=attempts, readings=readings)
+    world = started(plan_of(LEVELS[:3] if final_load else LEVELS), rules=rules)
+    for action in actions:
+        world.act(action)
+        share = world.sequence.share_done
+        assert 0.0 <= share <= 1.0
+    if end == "run":
+        finish = world.run()
+        if finish.outcome is Outcome.COMPLETED:
+            assert len(world.completed) == 4
+        elif finish.outcome is Outcome.INCOMPLETE:
+            assert len(world.completed) < 4
+            assert len(world.sequence.given_up) == 6 - len(world.completed)
+    else:
+        world.act(end)
+    assert world.finish is not None
+    assert sorted(world.completed) == sorted(world.sequence.completed)
+    assert len(set(world.completed)) == len(world.completed)
+    assert world.visits == list(range(len(world.visits)))  # every visit of the reference has its own step
+    for steps in world.confirmed.values():
+        assert steps == list(range(len(steps)))  # no step twice, none left out
+    world.act("gain")
+    world.act("tick")  # nothing follows
+
+
+def test_a_good_day(started: Started) -> None:
+    world = started()
+    assert world.run().outcome is Outcome.COMPLETED
+    assert world.completed == [1, 2, 3, 4]
+    assert world.visits == [0, 1, 2]  # at the beginning, after two, at the end
+    assert [record.kind for record in world.records if record.kind is Kind.WARM_UP] == [Kind.WARM_UP] * 2
+    of_two = [(mark.step, mark.phase) for mark in world.marks if mark.configuration == 2]
+    assert of_two == [
+        (0, Phase.MOVING), (0, Phase.SETTLING), (0, Phase.MEASURING),
+        (1, Phase.LOADING), (1, Phase.SETTLING), (1, Phase.MEASURING),
+        (2, Phase.LOADING), (2, Phase.SETTLING), (2, Phase.MEASURING),
+        (3, Phase.UNLOADING), (3, Phase.SETTLING), (3, Phase.MEASURING), (3, Phase.DONE),
+    ]  # fmt: skip
+    assert world.sequence.share_done == 1.0
+    assert world.sequence.seconds_left == 0.0
+
+
+def test_blocked_configurations_are_retried_and_replaced_by_spares(started: Started) -> None:
+    world = started()
+    world.act("gain")
+    while world.finish is None:
+        blocked = isinstance(world.asked, m.Move) and world.asked.configuration == 2 and world.attempt is not None
+        world.act("fail" if blocked else "answer" if world.asked else "tick")
+    assert world.attempts[2] == RULES.attempts - 1
+    assert world.completed == [1, 3, 4, 5]
+    assert world.sequence.given_up == {2}
+    assert any(record.kind is Kind.SPARE_USED and "in place of 2" in record.text for record in world.records)
+    assert world.finish.outcome is Outcome.COMPLETED
+
+
+def test_when_the_spares_are_used_up(started: Started) -> None:
+    world = started()
+    world.act("gain")
+    while world.finish is None:
+        world.act("fail" if isinstance(world.asked, m.Move) and world.attempt is not None else "answer")
+    assert world.finish.outcome is Outcome.INCOMPLETE
+    assert world.sequence.given_up == {1, 2, 3, 4, 5, 6}
+
+
+def test_loss_of_permission_while_moving_needs_the_operator(started: Started) -> None:
+    world = started()
+    world.act("gain")
+    assert isinstance(world.asked, m.Move)
+    target = world.asked.q
+    commands = world.sequence.handle(m.PermissionChanged(5.0, False, "mode"))
+    assert any(isinstance(command, m.StopMotion) for command in commands)
+    assert any(isinstance(command, m.AskOperator) for command in commands)
+    assert not any(isinstance(c, m.Move) for c in world.sequence.handle(m.PermissionChanged(6.0, True)))
+    assert not any(isinstance(c, m.Move) for c in world.sequence.handle(m.Tick(7.0)))
+    again = world.sequence.handle(m.Resume(8.0))
+    assert np.array_equal(next(c for c in again if isinstance(c, m.Move)).q, target)
+
+
+def test_reading_under_way_survives_a_pause_and_a_loss(started: Started) -> None:
+    world = started()
+    world.act("gain")
+    while not (isinstance(world.asked, m.TakeReading) and world.asked.configuration == 1):
+        world.act("answer")
+    world.act("pause")
+    world.act("loss")
+    world.act("answer")
+    assert world.confirmed == {(1, 0): [0]}
+    assert world.asked is None
+    assert world.sequence.state is State.READY
+    world.act("resume")
+    assert isinstance(world.asked, m.RequestLoad)  # a change of load is no motion
+
+
+def test_a_load_that_cannot_be_released_ends_it(started: Started) -> None:
+    world = started()
+    world.act("gain")
+    while not (isinstance(world.asked, m.RequestLoad) and world.asked.step == 3):
+        world.act("answer")
+    world.act("fail")  # the step that takes the load off fails: release is asked for, and fails as well
+    assert isinstance(world.asked, m.RequestLoad)
+    world.act("fail")
+    assert world.finish is not None
+    assert world.finish.outcome is Outcome.FAULT
+
+
+def test_late_confirmation_counts(started: Started) -> None:
+    world = started()
+    world.act("gain")
+    while not (isinstance(world.asked, m.TakeReading) and world.asked.configuration == 1):
+        world.act("answer")
+    old = world.asked
+    world.act("wait")
+    assert isinstance(world.asked, m.AwaitSettled)
+    world.late()
+    assert world.confirmed == {(1, 0): [old.step]}
+    assert isinstance(world.asked, m.RequestLoad)
+
+
+def test_resume_continues_at_the_next_configuration(started: Started) -> None:
+    world = started(completed=frozenset({1, 2}), given_up=frozenset({3}), visits=2)
+    assert world.records[0].kind is Kind.RESUMED
+    world.run()
+    assert world.completed == [4, 5]
+    assert world.visits == [2, 3]
+    assert world.sequence.completed == {1, 2, 4, 5}
+
+
+def test_resume_of_what_is_complete(started: Started) -> None:
+    world = started(completed=frozenset({1, 2, 3, 4}))
+    assert world.finish is not None
+    assert world.finish.outcome is Outcome.COMPLETED
+
+
+def test_startup_cycle_is_repeated_periodically(started: Started) -> None:
+    world = started(rules=dataclasses.replace(RULES, startup_period=20.0, startup_cycles=2))
+    world.run()
+    warm = [i for i, record in enumerate(world.records) if record.kind is Kind.WARM_UP]
+    first = next(i for i, record in enumerate(world.records) if record.kind is Kind.CONFIGURATION_STARTED)
+    assert len([i for i in warm if i < first]) == 4
+    assert len([i for i in warm if i > first]) >= 2
+
+
+def test_estimate_of_the_time_left(started: Started) -> None:
+    world = started()
+    assert math.isnan(world.sequence.seconds_left)
+    world.act("gain")
+    seen = []
+    while world.finish is None:
+        world.act("answer" if world.asked else "tick")
+        seen.append(world.sequence.seconds_left)
+    known = [x for x in seen if not math.isnan(x)]
+    total = world.now
+    halfway = known[len(known) // 2]
+    assert halfway == pytest.approx(total / 2, rel=0.5)
+    assert known[-1] == 0.0
+
+
+def test_stop_with_the_load_on_says_so(started: Started) -> None:
+    world = started()
+    world.act("gain")
+    while not (isinstance(world.asked, m.TakeReading) and world.asked.step == 1):
+        world.act("answer")
+    commands = world.sequence.handle(m.Stop(99.0))
+    assert any(isinstance(command, m.AskOperator) and "load" in command.text for command in commands)
+    assert isinstance(commands[-1], m.Finish)
+    assert commands[-1].outcome is Outcome.STOPPED
+
+
+def test_plan_without_reference_and_startup(started: Started, plan_of: Plans) -> None:
+    world = started(dataclasses.replace(plan_of(), reference=None, startup_cycle=np.empty((0, 3))))
+    assert world.run().outcome is Outcome.COMPLETED
+    assert world.visits == []
