@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -28,8 +29,9 @@ from pydantic import (
 
 from calibration_core.errors import CellError, quoted
 
-MAX_BYTES = 1 << 20
+MAX_BYTES = 1 << 18
 MAX_ALIASES = 100
+MAX_NESTING = 100  # brackets; far beyond any real file, far below what stops a YAML parser
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 
 
@@ -315,9 +317,24 @@ class _UniqueKeyLoader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no ty
         return mapping
 
 
+def too_deep(text: str) -> bool:
+    """Tell whether YAML text is nested so deeply that parsing it would take forever or end the process.
+
+    Counted are open brackets, and what can open levels at the beginning of a line (indentation, `-`, `?`).
+    """
+    data = np.frombuffer(text.encode("utf-8", "replace"), np.uint8)
+    change = np.isin(data, list(b"[{")).astype(np.int32) - np.isin(data, list(b"]}"))
+    open_brackets = np.cumsum(change)
+    if len(data) and int((open_brackets - np.minimum.accumulate(np.minimum(open_brackets, 0))).max()) > MAX_NESTING:
+        return True
+    return re.search(rf"^[ \-?]{{{4 * MAX_NESTING}}}", text, re.MULTILINE) is not None
+
+
 def _parse(path: Path, raw: bytes) -> dict[str, Any]:
     try:
         text = raw.decode("utf-8")
+        if too_deep(text):
+            raise CellError(path, "", f"more than {MAX_NESTING} levels of nesting", "plain YAML")
         aliases = sum(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=yaml.SafeLoader))
         if aliases > MAX_ALIASES:
             raise CellError(path, "", f"{aliases} YAML aliases", f"at most {MAX_ALIASES}")

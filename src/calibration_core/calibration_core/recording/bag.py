@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import RecordingError
+from calibration_core.errors import CellError, RecordingError
 from calibration_core.recording.batch import Batch
 from calibration_core.recording.decode import Decoder
 from calibration_core.recording.definitions import STEP_TYPE, TEXT_TYPE
@@ -130,32 +129,39 @@ def read_bag(path: Path, cell: Cell) -> Recording:
 
     Raises:
         RecordingError: The bag cannot be used, or lacks joint states or measurement points.
+        CellError: The cell file names one topic for two streams.
     """
     path = Path(path)
     bag = bag_files(path)
     topics = cell.topics
-    points = {topics.point(name): name for name in cell.points}
-    streams = {
-        topics.joint_states: Kind.JOINTS,
-        topics.wrench: Kind.WRENCH,
-        topics.temperature: Kind.TEMPERATURE,
-        **dict.fromkeys(points, Kind.POINT),
-    }
-    hashed = [*bag.files, *([bag.metadata] if bag.metadata else [])]
-    with ThreadPoolExecutor(1) as beside:
-        digests = beside.map(sha256_of, hashed)
-        contents = read_contents(
-            bag, streams, cell.robot.joints, step_topic=topics.step, text_topic=topics.robot_description
-        )
-        sha256 = dict(zip((file.name for file in hashed), digests, strict=True))
-    return _recording(path, bag, cell, contents, sha256)
+    contents = read_contents(
+        bag, _streams(cell), cell.robot.joints, step_topic=topics.step, text_topic=topics.robot_description
+    )
+    _require(path, cell, contents)
+    files = [*bag.files, *([bag.metadata] if bag.metadata else [])]
+    return _recording(path, bag, cell, contents, {file.name: sha256_of(file) for file in files})
+
+
+def _streams(cell: Cell) -> dict[str, Kind]:
+    """Return topic -> what it must carry; raise CellError where one topic is named for two things."""
+    topics = cell.topics
+    named = [
+        (topics.joint_states, Kind.JOINTS),
+        (topics.wrench, Kind.WRENCH),
+        (topics.temperature, Kind.TEMPERATURE),
+        *((topics.point(name), Kind.POINT) for name in cell.points),
+    ]
+    every = [topics.step, topics.robot_description, *(topic for topic, _ in named)]
+    twice = next((topic for topic in every if every.count(topic) > 1), None)
+    if twice is not None:
+        raise CellError(cell.path, "topics", f"{twice} for two streams", "a topic for each")
+    return dict(named)
 
 
 def _recording(path: Path, bag: BagFiles, cell: Cell, contents: Contents, sha256: dict[str, str]) -> Recording:
     notes = list(contents.notes)
     series: dict[str, TimeSeries] = {}
     efforts: TimeSeries | None = None
-    _require(path, cell, contents)
     for topic, samples in contents.streams.items():
         one, torque, found = to_series(samples, topic)
         notes += found

@@ -48,7 +48,8 @@ def encode(kind: Kind, series: TimeSeries, joints: tuple[str, ...], efforts: Flo
     for begin, values in blocks:
         data = np.ascontiguousarray(values, "<f8").view(np.uint8).reshape(len(values), -1)
         rows[:, begin : begin + data.shape[1]] = data
-    return [memoryview(row) for row in rows]
+    whole, length = memoryview(rows.tobytes()), rows.shape[1]
+    return [whole[at : at + length] for at in range(0, len(whole), length)]
 
 
 def _text(text: str) -> bytes:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from calibration_core.cell import too_deep
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.batch import Batch, Channel, Storage
 from calibration_core.recording.compression import decompress_file, decompress_message
@@ -109,6 +110,8 @@ def _metadata(file: Path) -> dict[str, Any]:
         if size > MAX_METADATA:
             raise RecordingError(file, "", f"{size} bytes", f"at most {MAX_METADATA}")
         text = file.read_text("utf-8")
+        if too_deep(text):
+            raise RecordingError(file, "", "endless nesting", "metadata as rosbag2 writes it")
         if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=_LOADER)):
             raise RecordingError(file, "", "YAML aliases", "metadata as rosbag2 writes it")
         data = yaml.load(text, Loader=_LOADER)

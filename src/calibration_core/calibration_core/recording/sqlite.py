@@ -14,7 +14,7 @@ import numpy as np
 from calibration_core.errors import RecordingError
 from calibration_core.recording.batch import Batch, Channel
 from calibration_core.recording.sqlite_pages import is_cut, message_rows
-from calibration_core.timeseries import Note
+from calibration_core.timeseries import Int1D, Note
 
 MAGIC = b"SQLite format 3\x00"
 ROWS = 8192  # messages of all topics per block
@@ -129,12 +129,11 @@ class SqliteStorage:
             return self._batch(key, database.execute(ROWWISE, bounds).fetchall())
         if count == 0:
             return None
-        if shortest == longest and len(joined or b"") == count * longest:
-            received = np.fromstring(stamps.decode("ascii", "replace"), np.int64, sep=",")
-            if len(received) == count:
-                start = np.arange(count, dtype=np.int64) * longest
-                length = np.full(count, longest, np.int64)
-                return Batch(self.channels[key], np.frombuffer(joined, np.uint8), start, length, received)
+        received = _times(stamps)
+        if shortest == longest and len(joined or b"") == count * longest and len(received) == count:
+            start = np.arange(count, dtype=np.int64) * longest
+            length = np.full(count, longest, np.int64)
+            return Batch(self.channels[key], np.frombuffer(joined, np.uint8), start, length, received)
         return self._batch(key, database.execute(ROWWISE, bounds).fetchall())
 
     def _batch(self, key: int, rows: list[tuple[int, bytes]]) -> Batch:
@@ -160,3 +159,11 @@ class SqliteStorage:
         for key, some in rows.items():
             if some:
                 yield self._batch(key, some)
+
+
+def _times(joined: bytes | None) -> Int1D:
+    """Numbers from text with commas; none if it is anything else."""
+    try:
+        return np.fromstring((joined or b"").decode("ascii", "replace"), np.int64, sep=",")
+    except ValueError:
+        return np.empty(0, np.int64)

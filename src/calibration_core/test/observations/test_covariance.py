@@ -24,7 +24,7 @@ def readings(n: int = 4, *, wrench: bool = True) -> Readings:
         step=np.zeros(n, np.int64),
         point=np.zeros(n, np.int64),
         q=np.zeros((n, 3)),
-        position=rng.normal(size=(n, 3)) + [3.0, 0.0, 1.0],
+        position=rng.normal(size=(n, 3)) + np.array([3.0, 0.0, 1.0]),
         wrench=rng.normal(size=(n, 6)) if wrench else None,
         time=np.full(n, np.nan),
         temperature=np.full(n, np.nan),
@@ -51,7 +51,7 @@ def test_no_wrench_has_no_uncertainty(cell: Cell) -> None:
 
 def test_a_wrench_without_a_claim(cell: Cell, tmp_path: Path) -> None:
     bare = altered(cell, tmp_path, "  force_torque: {sigma_force: 1.0, sigma_torque: 0.5}\n", "")
-    with pytest.raises(CellError, match="instruments.force_torque: found nothing"):
+    with pytest.raises(CellError, match=r"instruments\.force_torque: found nothing"):
         wrench_covariance(readings(), bare)
 
 
