@@ -1,0 +1,118 @@
+"""Circles through points in space: what a target describes when one joint turns (CWA 17384, 7.1 and 7.2)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from calibration_core.timeseries import Float1D, Float2D
+
+PARAMETERS = 6
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Circle:
+    """A circle in space.
+
+    Attributes:
+        centre: (3,) m.
+        normal: (3,) unit vector; its sense follows the order of the points (right-handed).
+        radius: m.
+        covariance: (6, 6) of centre (m), tilt of the normal about two axes across it (rad), radius (m); from the
+            points' own scatter.
+        rms: Root mean square of the distances from the circle, per degree of freedom, m.
+        arc: Angle that the points span, rad.
+    """
+
+    centre: Float1D
+    normal: Float1D
+    radius: float
+    covariance: Float2D
+    rms: float
+    arc: float
+
+
+def fit_circle(points: Float2D) -> Circle:
+    """Fit a circle by least squares of the distances in space (axial and radial).
+
+    Args:
+        points: (m, 3) m, m >= 4, in the order in which they were passed.
+
+    Raises:
+        ValueError: Fewer than four points, or all on one line.
+    """
+    if len(points) < 4:
+        msg = f"{len(points)} points, at least 4 are needed for a circle with an uncertainty"
+        raise ValueError(msg)
+    middle = points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(points - middle)
+    if sizes[1] < 1e-9 * max(sizes[0], 1e-300):
+        msg = "the points lie on one line"
+        raise ValueError(msg)
+    first, second, normal = axes
+    start = _in_plane(points - middle, first, second)
+    centre = middle + start[0] * first + start[1] * second
+    solution = least_squares(
+        _residual, np.r_[centre, 0.0, 0.0, start[2]], _jacobian, method="lm", args=(points, normal, first, second),
+        xtol=1e-15, ftol=1e-15, gtol=1e-15,
+    )  # fmt: skip
+    values = solution.x
+    turned = _normal(values, normal, first, second)
+    freedom = max(2 * len(points) - PARAMETERS, 1)
+    variance = 2 * float(solution.cost) / freedom
+    covariance = np.linalg.inv(solution.jac.T @ solution.jac) * variance
+    angles = _angles(points - values[:3], turned)
+    sense = 1.0 if np.median(np.diff(angles)) >= 0 else -1.0
+    return Circle(
+        values[:3], sense * turned, float(values[5]), covariance, float(np.sqrt(variance)), float(np.ptp(angles))
+    )
+
+
+def _in_plane(points: Float2D, first: Float1D, second: Float1D) -> Float1D:
+    """Return centre and radius of the algebraic circle in the plane of two axes (Coope 1993): a first guess."""
+    x, y = points @ first, points @ second
+    design = np.column_stack([2 * x, 2 * y, np.ones(len(x))])
+    a, b, c = np.linalg.lstsq(design, x**2 + y**2, rcond=None)[0]
+    return np.array([a, b, np.sqrt(max(c + a**2 + b**2, 0.0))])
+
+
+def _normal(values: Float1D, normal: Float1D, first: Float1D, second: Float1D) -> Float1D:
+    turned = normal + values[3] * first + values[4] * second
+    return turned / np.linalg.norm(turned)
+
+
+def _residual(values: Float1D, points: Float2D, normal: Float1D, first: Float1D, second: Float1D) -> Float1D:
+    axis = _normal(values, normal, first, second)
+    arms = points - values[:3]
+    axial = arms @ axis
+    radial = np.linalg.norm(arms - axial[:, None] * axis, axis=1) - values[5]
+    return np.concatenate([axial, radial])
+
+
+def _jacobian(values: Float1D, points: Float2D, normal: Float1D, first: Float1D, second: Float1D) -> Float2D:
+    """Return the derivatives of `_residual`, (2 m, 6)."""
+    raw = normal + values[3] * first + values[4] * second
+    length = float(np.linalg.norm(raw))
+    axis = raw / length
+    tilts = [(direction - axis * (axis @ direction)) / length for direction in (first, second)]
+    arms = points - values[:3]
+    axial = arms @ axis
+    across = arms - axial[:, None] * axis
+    unit = across / np.linalg.norm(across, axis=1)[:, None]
+    m = len(points)
+    jacobian = np.zeros((2 * m, PARAMETERS))
+    jacobian[:m, :3], jacobian[m:, :3] = -axis, -unit
+    for k, tilt in enumerate(tilts):
+        jacobian[:m, 3 + k] = arms @ tilt
+        jacobian[m:, 3 + k] = -axial * (unit @ tilt)
+    jacobian[m:, 5] = -1.0
+    return jacobian
+
+
+def _angles(arms: Float2D, axis: Float1D) -> Float1D:
+    """Return the angles about the axis along the sequence of points, unwrapped, rad."""
+    across = arms - np.outer(arms @ axis, axis)
+    x = across[0] / np.linalg.norm(across[0])
+    return np.unwrap(np.arctan2(across @ np.cross(axis, x), across @ x))

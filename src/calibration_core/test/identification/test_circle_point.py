@@ -1,0 +1,166 @@
+"""Circles, spheres, base coordinate system, joint axes and wrist centre against known truths."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robots import write_cell
+
+from calibration_core.cell import Cell
+from calibration_core.errors import IdentificationError
+from calibration_core.identification.circle import _jacobian, _residual, fit_circle
+from calibration_core.identification.circle_point import identify_axes, identify_base_frame
+from calibration_core.identification.sphere import fit_sphere, trilaterate
+from calibration_core.identification.wrist_centre import identify_wrist_centre
+from calibration_core.model.chain import Chain
+from calibration_core.model.kinematics import posture
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import Provenance, Readings
+
+HOME = np.array([0.2, -0.3, 0.4, 0.3, 0.9, -0.2])
+SIGMA = 2e-5
+
+
+def _readings(cell: Cell, chain: Chain, q: np.ndarray, sigma: float, seed: int = 0) -> Readings:
+    """Return what the tracker sees of all points at every pose."""
+    truth = nominal_parameters(cell)
+    names = tuple(truth.points)
+    m, k = len(q), len(names)
+    at = posture(chain, q)
+    seen = np.stack([at.point(truth.points[name]).T for name in names], axis=1).reshape(m * k, 3)
+    position = (seen - truth.tracker[:3, 3]) @ truth.tracker[:3, :3]
+    noise = np.random.default_rng(seed).normal(0, sigma, position.shape) if sigma else 0.0
+    rows = np.repeat(np.arange(m), k)
+    return Readings(
+        points=names, configuration=rows + 1, step=np.zeros(m * k, dtype=int), point=np.tile(np.arange(k), m),
+        q=q[rows], position=position + noise, wrench=None, time=np.arange(m * k, dtype=float),
+        temperature=np.full(m * k, np.nan), provenance=Provenance("sweeps.csv", "csv", {}, {}),
+    )  # fmt: skip
+
+
+def _sweeps(joints: range, poses: int = 25, arc: float = 2.4) -> np.ndarray:
+    parts = []
+    for joint in joints:
+        q = np.tile(HOME, (poses, 1))
+        q[:, joint] += np.linspace(-arc / 2, arc / 2, poses)
+        parts.append(q)
+    return np.concatenate(parts)
+
+
+def test_circle_jacobian_against_finite_differences() -> None:
+    rng = np.random.default_rng(1)
+    frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    points, values = rng.normal(size=(7, 3)), rng.normal(size=6) * 0.3
+    arguments = (points, frame[2], frame[0], frame[1])
+    exact = _jacobian(values, *arguments)
+    for k in range(6):
+        h = np.zeros(6)
+        h[k] = 1e-7
+        numeric = (_residual(values + h, *arguments) - _residual(values - h, *arguments)) / 2e-7
+        np.testing.assert_allclose(exact[:, k], numeric, atol=1e-7)
+
+
+@pytest.mark.parametrize("arc", [1.0, 3.0])
+def test_circle_intervals_cover(arc: float) -> None:
+    angle = np.linspace(0, arc, 30)
+    frame = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    frame[:, 2] *= np.linalg.det(frame)
+    truth = np.array([1.0, 2.0, 0.5])
+    z = []
+    for seed in range(200):
+        clean = truth + 1.5 * (np.cos(angle)[:, None] * frame[:, 0] + np.sin(angle)[:, None] * frame[:, 1])
+        circle = fit_circle(clean + np.random.default_rng(seed).normal(0, SIGMA, clean.shape))
+        assert circle.normal @ frame[:, 2] > 0.999
+        z.append((circle.centre - truth) / np.sqrt(np.diag(circle.covariance)[:3]))
+    assert 0.9 < np.mean(np.abs(z) < 2.0) < 0.98
+    assert circle.arc == pytest.approx(arc, rel=1e-3)
+
+
+def test_sphere_and_trilateration() -> None:
+    rng = np.random.default_rng(3)
+    truth, errors = np.array([0.3, -0.2, 1.0]), []
+    for _ in range(200):
+        directions = rng.normal(size=(20, 3))
+        points = truth + 0.25 * directions / np.linalg.norm(directions, axis=1)[:, None]
+        sphere = fit_sphere(points + rng.normal(0, SIGMA, points.shape))
+        errors.append((sphere.centre - truth) / np.sqrt(np.diag(sphere.covariance)[:3]))
+    assert 0.9 < np.mean(np.abs(errors) < 2.0) < 0.98
+    corners = rng.normal(size=(3, 3))
+    both = trilaterate(corners, np.linalg.norm(corners - truth, axis=1))
+    assert min(np.linalg.norm(both - truth, axis=1)) < 1e-12
+
+
+def test_base_frame_is_found(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    found = identify_base_frame(_readings(cell, chain_of(cell), _sweeps(range(2)), SIGMA), cell)
+    error = found.tracker @ np.linalg.inv(nominal_parameters(cell).tracker)
+    assert np.linalg.norm(error[:3, 3]) < 5 * found.position_std < 5e-4
+    assert np.linalg.norm(error[:3, :3] - np.eye(3)) < 8 * found.orientation_std < 1e-3
+    assert abs(found.axis_angle_error) < 1e-4
+    assert not found.warnings
+
+
+def test_short_arcs_are_called_short(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    found = identify_base_frame(_readings(cell, chain_of(cell), _sweeps(range(2), arc=0.7), SIGMA), cell)
+    assert len(found.warnings) == 2
+    assert "40 degrees" in found.warnings[0]
+
+
+def test_axes_recover_known_geometry_errors(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    rng = np.random.default_rng(5)
+    geometry = np.zeros((6, 6))
+    geometry[2:, [0, 1]] = rng.normal(0, 5e-4, (4, 2))
+    geometry[2:, [3, 4]] = rng.normal(0, 5e-4, (4, 2))
+    chain = chain_of(cell)
+    found = identify_axes(_readings(cell, chain.corrected(geometry), _sweeps(range(6)), 0.0), cell)
+    np.testing.assert_allclose(found.geometry[2:, [3, 4]], geometry[2:, [3, 4]], atol=1e-7)
+    np.testing.assert_allclose(found.geometry[2:, [0, 1]], geometry[2:, [0, 1]], atol=1e-7)
+    assert found.not_observed == ()
+    some = identify_axes(_readings(cell, chain, _sweeps(range(3)), SIGMA), cell)
+    assert some.not_observed == ("joint_4", "joint_5", "joint_6")
+    assert not some.geometry[3:].any()
+
+
+def test_wrist_centre_is_found(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    chain = chain_of(cell)
+    rng = np.random.default_rng(6)
+    q = np.tile(HOME, (25, 1))
+    q[:, 3:] += rng.uniform(-1.2, 1.2, (25, 3))
+    found = identify_wrist_centre(_readings(cell, chain, q, SIGMA), cell)
+    truth = nominal_parameters(cell).tracker
+    centre = posture(chain, HOME[None]).origin[4][:, 0]
+    expected = truth[:3, :3].T @ (centre - truth[:3, 3])
+    np.testing.assert_allclose(found.position, expected, atol=6e-5)
+    assert found.spread < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("function", "joints", "expected"),
+    [(identify_base_frame, range(1, 2), "joint_1"), (identify_base_frame, range(1), "joint_2")],
+)
+def test_missing_sweeps_are_named(tmp_path: Path, function, joints: range, expected: str) -> None:
+    cell = write_cell(tmp_path)
+    with pytest.raises(IdentificationError) as caught:
+        function(_readings(cell, chain_of(cell), _sweeps(joints), SIGMA), cell)
+    assert caught.value.place == expected
+
+
+def test_a_wrist_that_does_not_move_is_refused(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    readings = _readings(cell, chain_of(cell), np.tile(HOME, (9, 1)), SIGMA)
+    with pytest.raises(IdentificationError):
+        identify_wrist_centre(readings, cell)
+
+
+@pytest.mark.parametrize("points", [np.zeros((3, 3)), np.outer(np.arange(6.0), [1, 2, 3])])
+def test_degenerate_points_are_refused(points: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="points"):
+        fit_circle(points)
+    with pytest.raises(ValueError, match="points"):
+        fit_sphere(points)
