@@ -158,6 +158,10 @@ class Guard:
         while len(self._samples) > 2 and self._samples[1].time <= time - self._rules.speed_window:
             del self._samples[0]
 
+    def on_clock_jump(self) -> None:
+        """Take note that the clock by which messages are stamped went back or leapt."""
+        self._clock_jumped = True
+
     def stop(self) -> None:
         """Permit nothing any more: the guard is being shut down."""
         self._stopping = True

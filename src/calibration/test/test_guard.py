@@ -1,0 +1,278 @@
+"""The guard as a node: a pulse that says yes only when everything is known, fresh and slow."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("calibration_interfaces")
+
+from builtin_interfaces.msg import Time
+from calibration_interfaces.msg import GuardEvidence, Outcome, Permission, RobotState
+from calibration_interfaces.srv import ConfirmMode, ResetGuard
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_msgs.msg import String as Text
+
+from calibration.guard import GuardNode
+from calibration.topics import GUARD_EVIDENCE, PERMISSION
+from calibration_core.errors import InputError
+
+CELL = str(Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml")
+JOINTS = [f"joint_{i}" for i in range(1, 7)]
+GOOD = {
+    "operating_mode": RobotState.MODE_MANUAL_REDUCED,
+    "drives": RobotState.DRIVES_ON,
+    "safety": RobotState.SAFETY_NORMAL,
+    "motion_possible": RobotState.TRUE,
+    "in_motion": RobotState.FALSE,
+    "in_error": RobotState.FALSE,
+    "speed_scaling": 1.0,
+    "speed_limit_mm_s": math.nan,
+}
+
+
+class Robot:
+    """Publishes what a driver publishes, 50 times a second, until told otherwise."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self.states = node.create_publisher(RobotState, "driver/robot_state", 10)
+        self.joints = node.create_publisher(JointState, "joint_states", 10)
+        self.state: dict[str, Any] | None = dict(GOOD)
+        self.q: np.ndarray | None = np.zeros(6)
+        self.rate = np.zeros(6)
+        self._last = time.monotonic()
+        self.timer = node.create_timer(0.02, self.send)
+
+    def send(self) -> None:
+        now = time.monotonic()
+        wall = time.time_ns()
+        if self.state is not None:
+            self.states.publish(RobotState(**self.state))
+        if self.q is not None:
+            self.q = self.q + self.rate * (now - self._last)
+            stamp = Time(sec=wall // 10**9, nanosec=wall % 10**9)
+            header = Header(stamp=stamp)
+            self.joints.publish(JointState(header=header, name=JOINTS[::-1], position=self.q[::-1].tolist()))
+        self._last = now
+
+
+class Cell:
+    """A guard, a robot, and what was heard of the guard."""
+
+    def __init__(self, spinning: Any, **parameters: Any) -> None:
+        # The machine that runs the tests may be busy; ages are as generous as the checks below allow.
+        usual = {"cell": CELL, "max_joints_age": 0.4, "max_state_age": 0.4, "freeze_time": 0.3}
+        overrides = [Parameter(name, value=value) for name, value in (usual | parameters).items()]
+        self.heard: list[Permission] = []
+        self.evidence: list[GuardEvidence] = []
+        client = spinning.plain("robot")
+        client.create_subscription(Permission, PERMISSION.relative, self.heard.append, QoSProfile(depth=100))
+        client.create_subscription(GuardEvidence, GUARD_EVIDENCE.relative, self.evidence.append, GUARD_EVIDENCE.qos)
+        self.resetter = client.create_client(ResetGuard, "guard/reset")
+        self.confirmer = client.create_client(ConfirmMode, "guard/confirm_mode")
+        self.robot = Robot(client)
+        self.guard = spinning.add(GuardNode(context=spinning.context, parameter_overrides=overrides))
+
+    @property
+    def now(self) -> Permission:
+        return self.heard[-1]
+
+    def permitted(self) -> bool:
+        return bool(self.heard) and self.now.permitted
+
+    def why(self, reason: int) -> Callable[[], bool]:
+        return lambda: bool(self.heard) and reason in self.now.reasons
+
+    def reset(self, name: str = "A. Smith") -> Any:
+        assert self.resetter.wait_for_service(10.0)
+        return self.resetter.call(ResetGuard.Request(operator_name=name), timeout_sec=10.0)
+
+    def confirm(self, **fields: Any) -> Any:
+        assert self.confirmer.wait_for_service(10.0)
+        return self.confirmer.call(ConfirmMode.Request(**fields), timeout_sec=10.0)
+
+
+def test_yes_when_all_is_well_and_never_before(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    assert not cell.heard[0].permitted
+    assert cell.now.text == "motion is permitted"
+    assert cell.now.speed_limit == 0.25
+    until(lambda: cell.evidence and cell.evidence[-1].permission.permitted)
+    evidence = cell.evidence[-1]
+    assert evidence.joints == JOINTS
+    assert list(evidence.positions) == [0.0] * 6
+    assert evidence.allowed_modes == ["MANUAL_REDUCED"]
+    assert {"flange", "wrench point", "mp1"} <= set(evidence.points)
+    assert evidence.state.operating_mode == RobotState.MODE_MANUAL_REDUCED
+    began, seconds = len(cell.heard), 1.0
+    time.sleep(seconds)
+    assert len(cell.heard) - began == pytest.approx(50 * seconds, rel=0.4)
+
+
+LOSSES = [
+    ({"operating_mode": RobotState.MODE_AUTOMATIC}, Permission.MODE_NOT_ALLOWED),
+    ({"operating_mode": RobotState.MODE_UNKNOWN}, Permission.MODE_UNKNOWN),
+    ({"drives": RobotState.DRIVES_OFF}, Permission.DRIVES_OFF),
+    ({"drives": RobotState.DRIVES_UNKNOWN}, Permission.DRIVES_UNKNOWN),
+    ({"safety": RobotState.SAFETY_PROTECTIVE_STOP}, Permission.SAFETY_STOP),
+    ({"safety": 77}, Permission.SAFETY_UNKNOWN),
+    ({"motion_possible": RobotState.FALSE}, Permission.MOTION_NOT_POSSIBLE),
+    ({"in_error": RobotState.TRUE}, Permission.IN_ERROR),
+]
+
+
+@pytest.mark.parametrize(("change", "reason"), LOSSES)
+def test_a_loss_is_told_at_once_and_latched(spinning: Any, until: Any, change: dict[str, int], reason: int) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    cell.robot.state = GOOD | change
+    until(cell.why(reason))
+    assert not cell.now.permitted
+    assert cell.now.latched
+    refused = cell.reset()
+    assert refused.outcome.code == Outcome.NOT_PERMITTED
+    assert reason in refused.permission.reasons
+    cell.robot.state = dict(GOOD)
+    until(lambda: list(cell.now.reasons) == [Permission.LATCHED])
+    assert cell.reset("  ").outcome.code == Outcome.INPUT_UNUSABLE
+    assert not cell.permitted()
+    assert cell.reset().outcome.code == Outcome.OK
+    until(cell.permitted)
+
+
+def test_silence_of_the_controller(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    cell.robot.state = None
+    until(cell.why(Permission.STATE_STALE))
+    assert cell.now.latched
+
+
+def test_silence_of_the_joints(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    cell.robot.q = None
+    until(cell.why(Permission.JOINTS_STALE))
+
+
+def test_joints_that_are_no_numbers_or_missing(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    cell.robot.q = np.full(6, math.nan)
+    until(cell.why(Permission.JOINTS_NOT_FINITE))
+
+
+def test_joints_that_are_frozen_in_motion(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    cell.robot.state = GOOD | {"in_motion": RobotState.TRUE}
+    until(cell.why(Permission.JOINTS_FROZEN))
+
+
+def test_over_speed(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    cell.robot.rate = np.array([0.3, 0, 0, 0, 0, 0])
+    until(cell.why(Permission.OVER_SPEED))
+    fast = next(p for p in cell.heard if Permission.OVER_SPEED in p.reasons)
+    assert fast.speed > 0.275
+    assert fast.speed_point
+    cell.robot.rate = np.zeros(6)
+    until(lambda: list(cell.now.reasons) == [Permission.LATCHED])
+
+
+def test_the_clock_of_the_messages(spinning: Any, until: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    usual = cell.guard.now_ns
+    monkeypatch.setattr(cell.guard, "now_ns", lambda: usual() - 10**10)
+    until(lambda: any(Permission.CLOCK_JUMPED in p.reasons for p in cell.heard))
+    assert cell.now.latched
+
+
+def test_an_operators_word_where_the_controller_says_nothing(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning, **{"robot_state.adapter": "manual_confirm"})
+    cell.robot.state = None
+    until(cell.why(Permission.STATE_ABSENT))
+    wrong = cell.confirm(operator_name="", operating_mode=RobotState.MODE_MANUAL_REDUCED, valid_for=60.0)
+    assert wrong.outcome.code == Outcome.INPUT_UNUSABLE
+    right = cell.confirm(operator_name="A. Smith", operating_mode=RobotState.MODE_MANUAL_REDUCED, valid_for=2.0)
+    assert right.outcome.code == Outcome.OK
+    until(cell.permitted)
+    assert right.confirmed_until.sec > 0
+    until(cell.why(Permission.CONFIRMATION_EXPIRED))
+    assert any(e.state.operator_name == "A. Smith" and e.state.operator_confirmed for e in cell.evidence)
+
+
+def test_automatic_mode_needs_a_declared_limit(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning, allowed_modes=["AUTOMATIC"])
+    cell.robot.state = GOOD | {"operating_mode": RobotState.MODE_AUTOMATIC}
+    until(cell.why(Permission.SPEED_LIMIT_MISSING))
+    cell.robot.state = GOOD | {"operating_mode": RobotState.MODE_AUTOMATIC, "speed_limit_mm_s": 250.0}
+    until(cell.permitted)
+
+
+def test_automatic_mode_with_a_declared_limit(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning, allowed_modes=["AUTOMATIC"], declared_limit=0.2)
+    cell.robot.state = GOOD | {"operating_mode": RobotState.MODE_AUTOMATIC}
+    until(cell.permitted)
+
+
+def test_a_generic_adapter_reads_any_topic(spinning: Any, until: Any) -> None:
+    place = "robot_state.generic"
+    cell = Cell(
+        spinning,
+        **{
+            "robot_state.adapter": "generic",
+            f"{place}.topic": "mode_word",
+            f"{place}.type": "std_msgs/msg/String",
+            f"{place}.operating_mode": "data = T1: MANUAL_REDUCED",
+            f"{place}.drives": "data = T1: ON",
+            f"{place}.safety": "data = T1: NORMAL, HALT: EMERGENCY_STOP",
+        },
+    )
+    word = Text(data="T1")
+    talker = cell.robot.node.create_publisher(Text, "mode_word", 10)
+    cell.robot.node.create_timer(0.05, lambda: talker.publish(word))
+    until(cell.permitted)
+    word.data = "HALT"
+    until(cell.why(Permission.SAFETY_STOP))
+
+
+def test_the_last_word_is_no(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    cell.guard.stop()
+    until(cell.why(Permission.STOPPING))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "found"),
+    [
+        ({"cell": ""}, "cell"),
+        ({"cell": "no.yaml"}, "no.yaml"),
+        ({"allowed_modes": ["FAST"]}, "FAST"),
+        ({"robot_state.adapter": "kuka"}, "kuka"),
+        ({"robot_state.topics": ["status=x"]}, "status"),
+        ({"robot_state.adapter": "abb"}, "abb_robot_msgs"),
+        ({"robot_state.adapter": "generic"}, "operating_mode"),
+        ({"speed_limit": 0.3}, "speed_limit"),
+        ({"unheard_of": 1}, "unheard_of"),
+    ],
+)
+def test_parameters_that_cannot_be_used(context: Any, parameters: dict[str, Any], found: str) -> None:
+    overrides = [Parameter(name, value=value) for name, value in ({"cell": CELL} | parameters).items()]
+    with pytest.raises(InputError, match=found):
+        GuardNode(context=context, parameter_overrides=overrides)
