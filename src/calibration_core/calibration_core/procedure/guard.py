@@ -12,8 +12,9 @@ import math
 
 import numpy as np
 
+from calibration_core.errors import TrajectoryError
 from calibration_core.procedure.robot_status import TEXT, Drives, OperatingMode, Reason, RobotStatus, Safety
-from calibration_core.procedure.speed import Monitored
+from calibration_core.procedure.speed import SAFETY_RATED_SPEED, Monitored
 from calibration_core.timeseries import Float1D
 
 ALWAYS_LATCHED = frozenset({Reason.OVER_SPEED, Reason.JOINTS_JUMPED, Reason.CLOCK_JUMPED})
@@ -42,7 +43,7 @@ class GuardRules:
     """
 
     allowed_modes: frozenset[OperatingMode] = frozenset({OperatingMode.MANUAL_REDUCED})
-    speed_limit: float = 0.25
+    speed_limit: float = SAFETY_RATED_SPEED
     tolerance: float = 0.1
     declared_limit: float | None = None
     max_state_age: float = 0.5
@@ -53,6 +54,12 @@ class GuardRules:
     scaling_zero_time: float = 0.2
     max_pause: float = 1.0
     clock_tolerance: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Raise TrajectoryError on a speed limit above the safety-rated reduced speed."""
+        if not 0.0 < self.speed_limit <= SAFETY_RATED_SPEED:
+            found, expected = f"{self.speed_limit:g} m/s", f"above 0, at most {SAFETY_RATED_SPEED} m/s"
+            raise TrajectoryError("limits", "speed_limit", found, expected)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

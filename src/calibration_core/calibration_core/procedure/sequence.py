@@ -214,7 +214,6 @@ class Sequence:
 
     def _advance(self) -> None:
         """Begin what comes next, if it may begin: a motion, the next step, or the release of the load."""
-        self._request += 1  # whatever is still answered is out of date
         self._wait(State.READY)
         if self._item is None:
             self._item = self._agenda.next(self._now)

@@ -16,10 +16,9 @@ import math
 import numpy as np
 
 from calibration_core.errors import TrajectoryError
-from calibration_core.procedure.speed import Monitored, hermite_bound
+from calibration_core.procedure.speed import SAFETY_RATED_SPEED, Monitored, hermite_bound
 from calibration_core.timeseries import Float1D, Float2D, read_only
 
-SAFETY_RATED_SPEED = 0.25  # m/s (CWA 17384, 7.1)
 POINT_SPACING = 0.02  # rad of the joint that moves most, between points, where the number of points allows
 SHORTEST_MOTION = 0.2  # s
 SLACK = 0.01  # wanted relative slack of the bound on one piece of the line

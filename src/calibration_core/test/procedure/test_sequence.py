@@ -162,6 +162,32 @@ def test_late_confirmation_counts(started: Started) -> None:
     assert isinstance(world.asked, m.RequestLoad)
 
 
+def test_confirmation_after_the_attempt_was_given_up_does_not_count(started: Started) -> None:
+    world = started(rules=dataclasses.replace(RULES, readings=1))
+    world.act("gain")
+    while not (isinstance(world.asked, m.TakeReading) and world.asked.configuration == 1):
+        world.act("answer")
+    old = world.asked
+    world.act("wait")  # the reading takes too long: the attempt is over, the next one begins
+    assert isinstance(world.asked, m.Move)
+    assert world.sequence.handle(m.ReadingConfirmed(world.now, old.request)) == ()
+    assert world.run().outcome is Outcome.COMPLETED
+    assert world.confirmed[1, 1] == [0, 1, 2, 3]
+
+
+def test_answers_to_an_interrupted_motion_are_out_of_date(started: Started) -> None:
+    world = started()
+    world.act("gain")
+    old = world.asked.request
+    world.act("loss")
+    world.act("gain")
+    world.act("resume")
+    assert world.asked.request != old
+    assert world.sequence.handle(m.Arrived(world.now, old)) == ()
+    assert world.sequence.handle(m.Blocked(world.now, old, "stopped")) == ()
+    assert world.sequence.state is State.MOVING
+
+
 def test_resume_continues_at_the_next_configuration(started: Started) -> None:
     world = started(completed=frozenset({1, 2}), given_up=frozenset({3}), visits=2)
     assert world.records[0].kind is Kind.RESUMED
