@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.anomalies import find_anomalies
@@ -14,6 +13,7 @@ from calibration_core.diagnosis.evidence import estimates, field
 from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
 from calibration_core.diagnosis.naming import findings_of
 from calibration_core.diagnosis.selection import Selection, select
+from calibration_core.identification.distributions import f_tail
 from calibration_core.identification.estimate import Identification
 from calibration_core.identification.loaded import Options, PreparedLoaded, identify_prepared, prepare_loaded
 from calibration_core.identification.offsets import without_offsets
@@ -210,7 +210,7 @@ def what_remains(
     noise_freedom = next(
         (c.degrees_of_freedom for c in identification.noise.checks if c.source == "rigid triangle"), 10**6
     )
-    beyond = float(f_distribution.sf(ratio, freedom, noise_freedom)) < SIGNIFICANT
+    beyond = f_tail(ratio, freedom, noise_freedom) < SIGNIFICANT
     significant = bool(beyond and np.sqrt(ratio) > SMALLEST_EXCESS)
     sigma = identification.noise.claimed * noise_scale
     excess = sigma * float(np.sqrt(max(ratio - 1, 0.0)))

@@ -10,9 +10,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t
 
 from calibration_core.errors import EquilibriumError
+from calibration_core.identification.distributions import student_quantile
 from calibration_core.identification.geometry import (
     AbsoluteProblem,
     GeometryFit,
@@ -69,7 +69,9 @@ class Improvement:
         pair by pair; folds share training data, which makes the standard error a little small, hence two of them
         and not one.
         """
-        return self.configurations > 1 and self.gain > float(t.isf(CHANCE, self.configurations - 1)) * self.error
+        if self.configurations < 2:
+            return False
+        return self.gain > student_quantile(1 - CHANCE, self.configurations - 1) * self.error
 
     @property
     def text(self) -> str:

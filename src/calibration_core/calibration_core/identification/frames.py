@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from calibration_core.model.chain import rotation_about
 from calibration_core.model.kinematics import Posture
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
@@ -61,7 +61,7 @@ def fit_frames(
         inverse, _ = _inverse(columns, scale)
         step = inverse @ (columns.T @ residual)
         pose[:3, 3] += step[:3]
-        pose[:3, :3] = Rotation.from_rotvec(step[3:6]).as_matrix() @ pose[:3, :3]
+        pose[:3, :3] = rotation_about(step[3:6]) @ pose[:3, :3]
         if k:
             tool = tool + step[6:].reshape(k, 3)
         if np.abs(step).max() < CONVERGED:

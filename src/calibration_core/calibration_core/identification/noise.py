@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
+from calibration_core.identification.distributions import chi2_limit
 from calibration_core.identification.estimate import NoiseAudit, NoiseCheck
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
 
@@ -108,7 +108,7 @@ def audit(noise: Float3D, checks: tuple[NoiseCheck | None, ...], chi2: float, fr
 
 def _rejects(check: NoiseCheck, claimed: float) -> bool:
     squares = check.degrees_of_freedom * (check.seen / claimed) ** 2
-    return bool(check.degrees_of_freedom > 0 and squares > chi2_distribution.isf(LEVEL, check.degrees_of_freedom))
+    return bool(check.degrees_of_freedom > 0 and squares > chi2_limit(LEVEL, check.degrees_of_freedom))
 
 
 def _text(claimed: float, rest: NoiseCheck, model_free: list[NoiseCheck], rejected: set[str]) -> str:

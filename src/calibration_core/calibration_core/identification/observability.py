@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import norm, t
 
+from calibration_core.identification.distributions import normal_quantile, student_quantile
 from calibration_core.identification.estimate import JointStiffness, Unidentified
 from calibration_core.identification.solve import Solution
 from calibration_core.timeseries import Float1D, Float2D
@@ -29,7 +29,7 @@ def stiffness_table(
         freedom: Degrees of freedom of `scale` if it was estimated; None if the claimed noise is used.
         torque_rms: (n,) N*m, how much load torque each joint saw.
     """
-    quantile = float(norm.ppf(0.975)) if freedom is None else float(t.ppf(0.975, max(freedom, 1)))
+    quantile = normal_quantile(0.975) if freedom is None else student_quantile(0.975, max(freedom, 1))
     table = []
     for i, joint in enumerate(joints):
         value = float(solution.value[i])

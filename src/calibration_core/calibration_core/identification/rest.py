@@ -9,9 +9,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.stats import chi2 as chi2_distribution
 
+from calibration_core.identification.distributions import chi2_limit
 from calibration_core.identification.estimate import NoiseAudit, NoiseCheck
 from calibration_core.identification.noise import LEVEL, audit
 from calibration_core.timeseries import Float2D, Float3D, Int1D
@@ -58,6 +57,8 @@ def compare_neighbours(q: Float2D, residual: Float2D, point: Int1D, configuratio
     """
     if len(q) < ENOUGH:
         return None
+    from scipy.spatial import cKDTree  # slow to load, and loaded recordings do not need it
+
     squares, distances = [], []
     for number in np.unique(point):
         rows = np.flatnonzero(point == number)
@@ -126,4 +127,4 @@ def audit_absolute(
 
 def _rejects(check: NoiseCheck, claimed: float) -> bool:
     squares = check.degrees_of_freedom * (check.seen / claimed) ** 2
-    return bool(squares > chi2_distribution.isf(LEVEL, check.degrees_of_freedom))
+    return bool(squares > chi2_limit(LEVEL, check.degrees_of_freedom))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import chi2
 
+from calibration_core.identification.distributions import chi2_limit
 from calibration_core.identification.estimate import Exclusion
 from calibration_core.identification.fit import LoadedFit, fit_compliance
 from calibration_core.identification.offsets import deleted
@@ -88,8 +88,8 @@ def _suspicion(problem: LoadedProblem, compliance: Float1D, m: int) -> tuple[Flo
     linear = problem.linearise(compliance)
     squared, error, _ = deleted(linear.rows, linear.residual)
     testable = squared > 0
-    scale = float(np.median(squared[testable]) / chi2.median(3)) if testable.any() else 1.0
-    threshold = float(chi2.isf(FALSE_EXCLUSION / m, 3)) * max(1.0, scale)
+    scale = float(np.median(squared[testable]) / chi2_limit(0.5, 3)) if testable.any() else 1.0
+    threshold = chi2_limit(FALSE_EXCLUSION / m, 3) * max(1.0, scale)
     return squared, np.linalg.norm(error, axis=1), threshold
 
 

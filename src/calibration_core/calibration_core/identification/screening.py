@@ -10,9 +10,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
+from calibration_core.identification.distributions import chi2_limit, f_limit
 from calibration_core.identification.geometry import (
     AbsoluteProblem,
     GeometryFit,
@@ -100,9 +99,7 @@ def _judge(
     return result, squared, _threshold(squared[used], len(problem), result.freedom)
 
 
-def _exclude(
-    problem: AbsoluteProblem, result: GeometryFit, used: Bool1D, protected: Bool1D, budget: int
-) -> Bool1D:
+def _exclude(problem: AbsoluteProblem, result: GeometryFit, used: Bool1D, protected: Bool1D, budget: int) -> Bool1D:
     """Return the readings to exclude, found one at a time in the problem linearised at `result`."""
     columns, residual = _linearised(problem, result)
     normal, left, e = result.normal, used.copy(), residual
@@ -116,8 +113,10 @@ def _exclude(
             break
         left[worst], found[worst] = False, True
         own = NormalEquations(
-            columns[:, :, worst] @ columns[:, :, worst].T, columns[:, :, worst] @ residual[:, worst],
-            float(residual[:, worst] @ residual[:, worst]), 1,
+            columns[:, :, worst] @ columns[:, :, worst].T,
+            columns[:, :, worst] @ residual[:, worst],
+            float(residual[:, worst] @ residual[:, worst]),
+            1,
         )
         normal = normal - own
         e = residual - np.tensordot(bounded_step(normal, lower), columns, axes=1)
@@ -151,5 +150,5 @@ def _threshold(squared: Float1D, readings: int, freedom: int) -> float:
     known = squared[squared > 0]
     if len(known) < 4 or freedom < 4:
         return np.inf
-    scale = max(float(np.quantile(known, level)) / float(chi2.ppf(level, 3)) for level in (0.5, 0.9))
-    return MARGIN**2 * scale * 3 * float(f_distribution.isf(FALSE_EXCLUSION / readings, 3, freedom))
+    scale = max(float(np.quantile(known, level)) / chi2_limit(1 - level, 3) for level in (0.5, 0.9))
+    return MARGIN**2 * scale * 3 * f_limit(FALSE_EXCLUSION / readings, 3, freedom)

@@ -101,6 +101,15 @@ def rotation_xyz(rx: float, ry: float, rz: float) -> Float2D:
     return rotation_x(rx) @ rotation_y(ry) @ rotation_z(rz)
 
 
+def rotation_about(vector: Float1D) -> Float2D:
+    """Return the rotation about a vector, (3,), by its length in rad (Rodrigues' formula)."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    once, twice = np.sinc(angle / np.pi), np.sinc(angle / (2 * np.pi)) ** 2 / 2  # sin(t) / t and (1 - cos(t)) / t^2
+    return np.asarray(np.eye(3) + once * cross + twice * cross @ cross)
+
+
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> Float2D:
     """Return Rz(yaw) Ry(pitch) Rx(roll), fixed axes (contract, section 2), angles in rad."""
     return rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)

@@ -6,8 +6,8 @@ import dataclasses
 import math
 
 import numpy as np
-from scipy import stats
 
+from calibration_core.identification.distributions import chi2_tail, f_tail
 from calibration_core.identification.estimate import Identification
 
 SIGNIFICANCE = 0.01
@@ -79,8 +79,8 @@ def _significant(seen: float, freedom: int, noise: float, noise_freedom: float) 
         return True
     ratio = (seen / noise) ** 2
     if math.isinf(noise_freedom):
-        return float(stats.chi2.sf(ratio * freedom, freedom)) < SIGNIFICANCE
-    return float(stats.f.sf(ratio, freedom, max(noise_freedom, 1.0))) < SIGNIFICANCE
+        return chi2_tail(ratio * freedom, freedom) < SIGNIFICANCE
+    return f_tail(ratio, freedom, max(noise_freedom, 1.0)) < SIGNIFICANCE
 
 
 def _where(result: Identification, most: int = 3) -> tuple[tuple[int, ...], str]:
