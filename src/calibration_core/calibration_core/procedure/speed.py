@@ -15,7 +15,6 @@ from calibration_core.model.kinematics import cross, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, read_only
 
-
 SAFETY_RATED_SPEED = 0.25  # m/s (CWA 17384, 7.1)
 
 

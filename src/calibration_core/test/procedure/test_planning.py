@@ -189,3 +189,23 @@ def test_a_joint_that_does_not_show_is_said(small_cell: Cell) -> None:
     frames = small_cell.frames.model_copy(update={"measurement_points": {"mp": (0.0, 0.0, 0.1)}})
     with pytest.raises(PlanError, match="do not determine"):
         make_plan(small_cell.model_copy(update={"frames": frames}))
+
+
+@pytest.mark.parametrize("n", [3, 4, 7])
+def test_any_number_of_joints(small_cell: Cell, n: int) -> None:
+    robot = small_cell.robot
+    rows, limits = list(robot.dh), list(robot.joint_limits)
+    if n == 7:
+        rows.insert(4, rows[3].model_copy(update={"d": 0.15}))
+        limits.insert(4, (-2.0, 2.0))
+    changes = {
+        "dh": tuple(rows[:n]), "joint_limits": tuple(limits[:n]), "joints": tuple(f"j{i}" for i in range(n)),
+        "stiffness": (1e5,) * n, "inertials": None,
+    }  # fmt: skip
+    cell = small_cell.model_copy(update={"robot": robot.model_copy(update=changes)})
+    rules = PlanningRules(space=SpaceRules(floor=None, dexterity=0.02, body=0.03))
+    plan = make_plan(cell, configurations=12, rules=rules)
+    assert plan.table1()[1].shape == (18, n)
+    assert plan.expected is not None
+    assert plan.expected.efficiency > 0.9
+    assert np.isfinite(plan.expected.stiffness_std).all()
