@@ -81,7 +81,7 @@ def largest_pull(cell: Cell, parameters: ModelParameters, rules: LoadRules) -> f
 
 def wrench_steps(force: Float1D, levels: tuple[float, ...]) -> Float2D:
     """Return the (steps, 6) wrenches of a pull, N and N*m, base axes, at the wrench point."""
-    return np.hstack([np.outer(levels, force), np.zeros((len(levels), 3))])
+    return np.hstack([np.outer(levels, force) + 0.0, np.zeros((len(levels), 3))])  # no negative zeros
 
 
 def point_noise(chain: Chain, cell: Cell, parameters: ModelParameters, q: Float2D) -> Float3D:
