@@ -235,3 +235,16 @@ def from_average(message: Any) -> Mean:
     one = Average(mean, covariance, message.samples, message.effective_samples, message.outliers)
     begin, end = stamp_ns(message.begin), stamp_ns(message.end)
     return Mean(message.name, message.header.frame_id, begin, end, one, message.tare)
+
+
+def to_tare(header: Header, number: int, bias: Float1D, mean: Mean | None, requested_by: str, reason: str) -> Any:
+    """Return a tare as a message; without a mean it is the end of one."""
+    return msg.TareEvent(
+        header=header,
+        number=number,
+        bias=to_wrench(bias),
+        covariance=np.zeros(36) if mean is None else mean.average.covariance.ravel(),
+        samples=0 if mean is None else mean.average.samples,
+        requested_by=requested_by,
+        reason=reason,
+    )
