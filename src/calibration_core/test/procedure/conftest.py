@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
+from calibration_core.model.chain import Chain
 from calibration_core.procedure import messages as m
 from calibration_core.procedure.agenda import SequenceRules
 from calibration_core.procedure.messages import State
 from calibration_core.procedure.plan import REFERENCE_NUMBER, Plan, PlannedConfiguration, Reference
 from calibration_core.procedure.planning import make_plan
 from calibration_core.procedure.sequence import Sequence
+from calibration_core.procedure.speed import Monitored
 
 CELLS = Path(__file__).parents[4] / "config" / "cells"
 
@@ -35,6 +37,22 @@ def small_cell() -> Cell:
 def plan(demo_cell: Cell) -> Plan:
     """Return the default plan of the demo cell."""
     return make_plan(demo_cell)
+
+
+@pytest.fixture(scope="session")
+def plane_arm() -> Monitored:
+    """Return a planar arm of two metres: the speed of its end is easy to say."""
+    arm = Chain(
+        joints=("a", "b", "c"),
+        rotation=np.tile(np.eye(3), (3, 1, 1)),
+        translation=np.array([[0.0, 0, 0], [1.0, 0, 0], [0.5, 0, 0]]),
+        offset=np.zeros(3),
+        flange_rotation=np.eye(3),
+        flange_translation=np.array([0.5, 0, 0]),
+        limits=np.tile([-3.0, 3.0], (3, 1)),
+        gravity=np.zeros(3),
+    )
+    return Monitored(arm, ("a", "b", "c", "flange"), np.zeros((1, 3)), np.zeros((4, 3)))
 
 
 LEVELS = np.array([0.0, 500.0, 1000.0, 0.0])

@@ -7,32 +7,16 @@ import math
 import os
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration_core.cell import Cell
-from calibration_core.model.chain import Chain
-from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.robot import chain_of
 from calibration_core.procedure.guard import Guard, GuardRules
-from calibration_core.procedure.robot_status import TEXT, Drives, OperatingMode, Reason, RobotStatus, Safety
+from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 from calibration_core.procedure.speed import Monitored
 
 GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, Safety.NORMAL, True, False, False, 1.0)
 RULES = GuardRules()
 SEQUENCES = int(os.environ.get("GUARD_SEQUENCES", "600"))  # `make bench` runs 10,000
-ARM = Chain(  # a planar arm of two metres: the speed of its end is easy to say
-    joints=("a", "b", "c"),
-    rotation=np.tile(np.eye(3), (3, 1, 1)),
-    translation=np.array([[0.0, 0, 0], [1.0, 0, 0], [0.5, 0, 0]]),
-    offset=np.zeros(3),
-    flange_rotation=np.eye(3),
-    flange_translation=np.array([0.5, 0, 0]),
-    limits=np.tile([-3.0, 3.0], (3, 1)),
-    gravity=np.zeros(3),
-)
-END = Monitored(ARM, ("a", "b", "c", "flange"), np.zeros((1, 3)), np.zeros((4, 3)))
 
 
 def end_speed(q: np.ndarray, rate: np.ndarray) -> float:
@@ -41,17 +25,6 @@ def end_speed(q: np.ndarray, rate: np.ndarray) -> float:
     links = np.array([1.0, 0.5, 0.5])
     velocity = np.cumsum(links * turning * np.exp(1j * (angle + np.pi / 2)))
     return float(np.abs(velocity).max())
-
-
-def running(start: float = 0.0) -> tuple[Guard, float]:
-    """Return a guard that permits motion, and the time."""
-    guard, now = Guard(END, RULES), start
-    for _ in range(3):
-        now += 0.02
-        guard.on_status(GOOD, now)
-        guard.on_joints(np.zeros(3), now, now)
-    assert guard.decide(now).permitted
-    return guard, now
 
 
 # --- the rules, stated again ------------------------------------------------------------------------------------------
@@ -262,9 +235,11 @@ class _Sender:
     declared=st.sampled_from([None, 0.25, 1.0]),
     warm=st.booleans(),
 )
-def test_never_a_permission_that_the_rules_forbid(sequence: list, declared: float | None, warm: bool) -> None:
+def test_never_a_permission_that_the_rules_forbid(
+    plane_arm: Monitored, sequence: list, declared: float | None, warm: bool
+) -> None:
     rules = dataclasses.replace(RULES, allowed_modes=MODES, declared_limit=declared)
-    guard, history, sender, now = Guard(END, rules), History(rules), _Sender(), 0.0
+    guard, history, sender, now = Guard(plane_arm, rules), History(rules), _Sender(), 0.0
     good = [(0.02, ("both", "move"))] * 2 if warm else []
     for gap, (kind, value) in [*good, *sequence]:
         now += gap
@@ -286,151 +261,3 @@ def test_never_a_permission_that_the_rules_forbid(sequence: list, declared: floa
         assert {reason.name for reason in decision.reasons} == forbidden
         assert {reason.name for reason in decision.latched} == latched
         assert decision.permitted == (not forbidden)
-
-
-# --- single rules -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"operating_mode": OperatingMode.UNKNOWN}, Reason.MODE_UNKNOWN),
-        ({"operating_mode": OperatingMode.AUTOMATIC}, Reason.MODE_NOT_ALLOWED),
-        ({"operating_mode": OperatingMode.MANUAL_HIGH}, Reason.MODE_NOT_ALLOWED),
-        ({"drives": Drives.OFF}, Reason.DRIVES_OFF),
-        ({"drives": Drives.UNKNOWN}, Reason.DRIVES_UNKNOWN),
-        ({"safety": Safety.EMERGENCY_STOP}, Reason.SAFETY_STOP),
-        ({"safety": Safety.UNKNOWN}, Reason.SAFETY_UNKNOWN),
-        ({"motion_possible": False}, Reason.MOTION_NOT_POSSIBLE),
-        ({"in_error": True}, Reason.IN_ERROR),
-        ({"operator_confirmed": True}, Reason.CONFIRMATION_EXPIRED),
-    ],
-)
-def test_a_lost_condition_stops_and_latches(change: dict, reason: Reason) -> None:
-    guard, now = running()
-    guard.on_status(dataclasses.replace(GOOD, **change), now + 0.01)
-    decision = guard.decide(now + 0.01)
-    assert decision.reasons == (reason, Reason.LATCHED)
-    assert TEXT[reason] in decision.text
-    guard.on_status(GOOD, now + 0.02)
-    assert guard.decide(now + 0.02).reasons == (Reason.LATCHED,)  # good again, and still no permission
-    guard.on_joints(np.zeros(3), now + 0.03)
-    assert guard.reset(now + 0.03).permitted
-
-
-def test_reset_needs_the_cause_to_be_gone() -> None:
-    guard, now = running()
-    bad = dataclasses.replace(GOOD, drives=Drives.OFF)
-    guard.on_status(bad, now)
-    assert not guard.decide(now).permitted
-    assert Reason.LATCHED in guard.reset(now).reasons
-
-
-def test_staleness_is_seen_when_the_age_has_passed() -> None:
-    guard, now = running()
-    assert guard.decide(now + 0.09).permitted
-    assert Reason.JOINTS_STALE in guard.decide(now + 0.11).reasons
-    guard, now = running()
-    for i in range(1, 30):
-        guard.on_joints(np.zeros(3), now + 0.02 * i, now + 0.02 * i)
-        decision = guard.decide(now + 0.02 * i)
-        assert decision.permitted == (0.02 * i <= RULES.max_state_age + 1e-9)
-    assert decision.latched == (Reason.STATE_STALE,)
-
-
-def test_repeated_stamps_are_stale_and_repeated_values_in_motion_are_frozen() -> None:
-    guard, now = running()
-    for i in range(1, 8):
-        guard.on_status(GOOD, now + 0.02 * i)
-        guard.on_joints(np.zeros(3), now + 0.02 * i, now)  # arrives, but was measured long ago
-        decision = guard.decide(now + 0.02 * i)
-    assert Reason.JOINTS_STALE in decision.reasons
-    guard, now = running()
-    for i in range(1, 8):
-        guard.on_status(dataclasses.replace(GOOD, in_motion=True), now + 0.02 * i)
-        guard.on_joints(np.zeros(3), now + 0.02 * i, now + 0.02 * i)
-        decision = guard.decide(now + 0.02 * i)
-    assert decision.latched == (Reason.JOINTS_FROZEN,)
-
-
-@pytest.mark.parametrize("rate", [0.5, 1.0, 2.0])
-def test_over_speed_is_measured(demo_cell: Cell, rate: float) -> None:
-    """A turn of joint 1: the farthest point's speed is its distance from the axis times the rate."""
-    chain = chain_of(demo_cell)
-    monitored = Monitored.of(chain, nominal_parameters(demo_cell))
-    guard, q, now = Guard(monitored, RULES), np.array([0.0, 0.2, -0.3, 0.1, 0.8, 0.0]), 0.0
-    unit = monitored.speeds(q[None], np.eye(6)[:1])[0].max()
-    speed = rate * RULES.speed_limit
-    seen = []
-    for _ in range(20):
-        now += 0.01
-        q = q + np.eye(6)[0] * speed / unit * 0.01
-        guard.on_status(dataclasses.replace(GOOD, in_motion=True), now)
-        guard.on_joints(q, now, now)
-        seen.append(guard.decide(now))
-    assert seen[-1].speed == pytest.approx(speed, rel=1e-3)
-    assert seen[-1].speed_point in monitored.names
-    assert (Reason.OVER_SPEED in seen[-1].reasons) == (rate > 1.1)
-    if rate > 1.1:
-        assert Reason.OVER_SPEED in seen[1].reasons  # from the second sample on
-
-
-def test_modes_other_than_reduced_need_a_declared_limit() -> None:
-    automatic = dataclasses.replace(GOOD, operating_mode=OperatingMode.AUTOMATIC)
-    for declared, reported, permitted in (
-        (None, math.nan, False),
-        (0.25, math.nan, True),
-        (None, 0.2, True),
-        (0.3, 0.5, False),
-    ):
-        rules = dataclasses.replace(RULES, allowed_modes=MODES, declared_limit=declared)
-        guard = Guard(END, rules)
-        for now in (0.0, 0.02):
-            guard.on_status(dataclasses.replace(automatic, speed_limit=reported), now)
-            guard.on_joints(np.zeros(3), now, now)
-        decision = guard.decide(0.02)
-        assert decision.permitted == permitted
-        assert (Reason.SPEED_LIMIT_MISSING in decision.reasons) != permitted
-
-
-def test_operator_confirmation_expires() -> None:
-    guard = Guard(END, dataclasses.replace(RULES, allowed_modes=MODES))
-    confirmed = dataclasses.replace(
-        GOOD, operating_mode=OperatingMode.MANUAL_UNSPECIFIED, operator_confirmed=True, confirmed_until=0.05
-    )
-    permitted = []
-    for now in (0.0, 0.02, 0.04, 0.06):
-        guard.on_status(confirmed, now)
-        guard.on_joints(np.zeros(3), now, now)
-        permitted.append(guard.decide(now).permitted)
-    assert permitted == [False, True, True, False]
-    assert Reason.CONFIRMATION_EXPIRED in guard.decide(0.06).latched
-
-
-def test_planned_speed_is_refused_without_latching() -> None:
-    guard, now = running()
-    assert guard.decide(now, 0.26).reasons == (Reason.PLANNED_OVER_SPEED,)
-    assert guard.decide(now, math.nan).reasons == (Reason.PLANNED_OVER_SPEED,)
-    assert guard.decide(now, 0.25).permitted
-
-
-def test_clock_jumps_and_the_end() -> None:
-    for jump in (-0.5, 5.0):
-        guard, now = running(10.0)
-        assert Reason.CLOCK_JUMPED in guard.decide(now + jump).latched
-    guard, now = running()
-    guard.stop()
-    assert Reason.STOPPING in guard.decide(now).reasons
-
-
-def test_paused_by_the_controller() -> None:
-    guard, now = running()
-    for i in range(1, 20):
-        guard.on_status(dataclasses.replace(GOOD, speed_scaling=0.0), now + 0.02 * i)
-        guard.on_joints(np.zeros(3), now + 0.02 * i, now + 0.02 * i)
-        decision = guard.decide(now + 0.02 * i)
-    assert decision.latched == (Reason.SPEED_SCALING_ZERO,)
-
-
-def test_every_reason_has_a_text() -> None:
-    assert set(TEXT) == set(Reason)
