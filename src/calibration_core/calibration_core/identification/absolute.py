@@ -145,6 +145,7 @@ def predict_absolute(
     lengths = np.linalg.norm(after, axis=0)
     return TestResult(
         file=readings.provenance.path,
+        sha256=readings.provenance.sha256,
         readings=len(readings),
         rms=_rms(after),
         mean=float(lengths.mean()),

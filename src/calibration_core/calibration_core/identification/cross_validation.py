@@ -78,7 +78,7 @@ class Improvement:
         """The figures in words."""
         ratio = self.gain / self.error if self.error > 0 else (np.inf if self.gain > 0 else 0.0)
         return (
-            f"held-out 3-d rms {1e3 * self.before:.4f} -> {1e3 * self.after:.4f} mm, "
+            f"3-d rms of configurations left out from {1e3 * self.before:.4f} to {1e3 * self.after:.4f} mm, "
             f"paired gain {ratio:.1f} standard errors"
         )
 

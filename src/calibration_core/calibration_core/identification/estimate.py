@@ -220,8 +220,9 @@ class Residuals:
     """Measured against predicted, reading by reading (same rows as `readings`).
 
     Attributes:
-        measured: (m, 3) m.  Loaded recordings: deflection of the point, base axes, relative to the fitted unloaded
-            position of its configuration and point.  Absolute recordings: position, base frame.
+        measured: (m, 3) m.  Loaded recordings: deflection of the point under the external load alone, base axes,
+            relative to the equilibrium under the robot's own weight, the fitted offset of its configuration and point
+            taken off (displacement recordings: relative to step 0).  Absolute recordings: position, base frame.
         predicted: (m, 3) m, as `measured`.
         residual: (m, 3) m, measured - predicted.
         held_out: (m, 3) m, measured - predicted when the whole configuration was left out of the fit.
@@ -280,6 +281,7 @@ class TestResult:
         maximum: Largest 3-d error, m.
         rms_before: Per coordinate with the cell file's model, m.
         mean_before: Mean 3-d error with the cell file's model, m.
+        sha256: File name -> SHA-256 hex digest of every file of the second recording.
     """
 
     __test__ = False
@@ -291,6 +293,7 @@ class TestResult:
     maximum: float
     rms_before: float
     mean_before: float
+    sha256: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

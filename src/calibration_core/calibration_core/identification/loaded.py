@@ -199,6 +199,7 @@ def predict_loaded(
     lengths = np.linalg.norm(after[shown], axis=1)
     return TestResult(
         file=readings.provenance.path,
+        sha256=readings.provenance.sha256,
         readings=int(shown.sum()),
         rms=_rms(after[shown]),
         mean=float(lengths.mean()),
@@ -255,6 +256,14 @@ def _audit(problem: LoadedProblem, screened: Screened, fit: LoadedFit, cell: Cel
     return audit(problem.noise[screened.used], checks, fit.chi2, fit.freedom)
 
 
+def without_load(problem: LoadedProblem) -> LoadedProblem:
+    """Return the same problem with the robot under its own weight alone."""
+    load = problem.load
+    return dataclasses.replace(
+        problem, load=dataclasses.replace(load, force=np.zeros_like(load.force), torque=np.zeros_like(load.torque))
+    )
+
+
 def _load_torques(problem: LoadedProblem, parameters: ModelParameters) -> Float2D:
     """Return the (n, m) joint torques of the external load alone, N*m."""
     loaded = solve_equilibrium(problem.chain, problem.readings.q, parameters.compliance, problem.load)
@@ -266,7 +275,7 @@ def _figures(
     problem: LoadedProblem, screened: Screened, fit: LoadedFit, before: Float1D, scale: float, cell: Cell
 ) -> tuple[Residuals, Fit]:
     linear = problem.linearise(fit.compliance)
-    rigid = problem.linearise(np.zeros_like(before))
+    own = without_load(problem).linearise(fit.compliance)
     after = _relative(problem, linear, cell, screened.used)
     nominal = _relative(problem, problem.linearise(before), cell, screened.used)
     compliances = held_out_compliance(fit, problem.configuration)
@@ -275,7 +284,7 @@ def _figures(
     held_out = _relative(problem, left_out, cell, screened.used)
     shown = _shown(problem, cell)
     lengths = np.linalg.norm(held_out[shown], axis=1)
-    deflection = linear.predicted - rigid.predicted
+    deflection = linear.predicted - own.predicted
     predicted = _from_first_step(problem, deflection) if cell.measurements.points == "displacement" else deflection
     doubled = 2.0 if cell.measurements.points == "displacement" else 1.0
     variance = np.einsum("mii->mi", problem.noise) + np.einsum("mij,mij->mi", linear.rows.shared, linear.rows.shared)

@@ -114,7 +114,7 @@ def audit_absolute(
     text = (
         f"{plain.claimed * 1e6:.1f} µm per coordinate claimed, {left:.1f} µm left by the model. "
         f"The closest {'repeats of a posture' if repeats else 'neighbouring postures'} "
-        f"(within {neighbours.distance:.1e} rad) differ by {closest:.1f} µm only: the noise is not larger than that, "
+        f"(within {_angle(neighbours.distance)}) differ by {closest:.1f} µm only: the noise is not larger than that, "
         f"and at least {100 * share:.0f} % of the variance left depends on posture: the model leaves something out. "
         "The standard deviations treat it as independent from pose to pose and are rather too small."
     )
@@ -123,6 +123,15 @@ def audit_absolute(
     if understated:
         text += " The readings scatter more than claimed all the same."
     return dataclasses.replace(with_neighbours, understated=understated, text=text)
+
+
+def _angle(size: float) -> str:
+    """Return an angle, rad, with two significant digits and a unit in which it is read without an exponent."""
+    if size < 1e-7:
+        return "0.1 µrad"
+    factor, unit = (1.0, "rad") if size >= 1.0 else (1e3, "mrad") if size >= 1e-3 else (1e6, "µrad")
+    value = float(f"{size * factor:.1e}")
+    return f"{value:.0f} {unit}" if value >= 10 else f"{value:.1f} {unit}"
 
 
 def _rejects(check: NoiseCheck, claimed: float) -> bool:

@@ -132,8 +132,10 @@ def corrected(recording: Recording, offset: ClockOffset | None) -> tuple[Recordi
     """
     if offset is None or recording.wrench is None:
         return recording, []
-    figures = f"{offset.seconds * 1e3:.1f} ms, standard deviation {offset.std * 1e3:.1f} ms, {offset.ramps} load ramps"
-    text = f"tracker stamps ahead of the force/torque sensor's by {figures}"
+    size = (
+        f"{abs(offset.seconds) * 1e3:.1f} ms (standard deviation {offset.std * 1e3:.1f} ms, {offset.ramps} load ramps)"
+    )
+    text = f"tracker stamps {size} {'ahead of' if offset.seconds >= 0 else 'behind'} the force/torque sensor's"
     if not offset.significant:
         return recording, [Note("clock_offset", "tracker", f"{text}: not significant, not corrected")]
     base = _lag(recording.joints)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
 import math
 
 import numpy as np
@@ -20,7 +19,8 @@ from calibration_core.report.document import (
     cleaned,
     numbered,
 )
-from calibration_core.report.result import result_dict, result_json
+from calibration_core.report.rendering import document_number
+from calibration_core.report.result import result_dict, result_json, tested
 from calibration_core.report.rounding import counted, length_unit, listed, shortened, significant, spread
 from calibration_core.report.sections import procedure, records, residuals, stiffness, uncertainty
 from calibration_core.report.shown import shown
@@ -73,8 +73,7 @@ def build(identification: Identification, cell: Cell, evaluated: dt.date | None 
 
 def report_number(identification: Identification, cell: Cell) -> str:
     """Return the report's number: a short digest of input files and result; the same for the same answer."""
-    digest = hashlib.sha256(result_json(result_dict(identification, cell))).hexdigest()
-    return f"{digest[:4]}-{digest[4:8]}-{digest[8:12]}".upper()
+    return document_number(result_json(result_dict(identification, cell)))
 
 
 def date_of_test(start: str) -> str:
@@ -166,8 +165,10 @@ def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, 
         sections.append(Section("Requirements of the standard", "5", procedure.requirements(result.preconditions)))
     sections += [
         Section("Measuring equipment", "8 e)", procedure.equipment(cell)),
-        Section("Operating space", "8 g)", procedure.operating_space(result)),
-        Section("Measurement configurations", "8 d)", procedure.configurations(result)),
+        Section("Operating space", "8 g)", procedure.operating_space(result.space)),
+        Section(
+            "Measurement configurations", "8 d)", procedure.configurations(result.space.configuration, result.space.q)
+        ),
         Section("Residuals", "", _residual_blocks(view, cell)),
         Section("Noise", "5.3", uncertainty.noise_section(view)),
         Section("Condition and correlation", "5.4", uncertainty.correlation_section(result)),
@@ -179,7 +180,9 @@ def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, 
     sections += [
         Section("Readings not used", "", records.exclusion_section(result)),
         Section("Anomalies and remarks", "", records.remark_section(result)),
-        Section("Input and software", "", records.traceability_section(result, cell)),
+        Section(
+            "Input and software", "", records.traceability_section(cell, result.readings.provenance, tested(result))
+        ),
     ]
     return tuple(sections)
 

@@ -25,12 +25,19 @@ def software() -> dict[str, str]:
 
 
 def digests(
-    cell: Cell, provenance: Provenance, test: Mapping[str, str] | None = None
+    cell: Cell, provenance: Provenance | None = None, further: Mapping[str, Mapping[str, str]] | None = None
 ) -> tuple[tuple[str, str, str], ...]:
-    """Return (role, file, SHA-256) of every input file: recording, cell, URDF and the second recording."""
-    rows = [("recording", name, digest) for name, digest in sorted(provenance.sha256.items())]
+    """Return (role, file, SHA-256) of every input file.
+
+    Args:
+        cell: The cell, with its URDF.
+        provenance: The recording; None if none was read.
+        further: Role -> file -> SHA-256 of further files, for example of the second recording.
+    """
+    rows = [] if provenance is None else [("recording", *item) for item in sorted(provenance.sha256.items())]
     rows.append(("cell", str(cell.path), cell.sha256))
     if cell.urdf_path is not None and cell.urdf_path.is_file():
         rows.append(("robot", str(cell.robot.urdf), hashlib.sha256(cell.urdf_path.read_bytes()).hexdigest()))
-    rows += [("test", name, digest) for name, digest in sorted((test or {}).items())]
+    for role, files in (further or {}).items():
+        rows += [(role, *item) for item in sorted(files.items())]
     return tuple(rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def result_dict(identification: Identification, cell: Cell, command: str = "iden
         "next_measurements": [],
         **_further(result, cell),
     }
-    return {key: _plain(value) for key, value in content.items()}
+    return {key: plain(value) for key, value in content.items()}
 
 
 def result_json(content: dict[str, Any]) -> bytes:
@@ -139,11 +140,17 @@ def _further(result: Identification, cell: Cell) -> dict[str, Any]:
             },
             "cell": str(cell.path),
             "sha256": [
-                {"role": role, "file": name, "sha256": digest} for role, name, digest in digests(cell, provenance)
+                {"role": role, "file": name, "sha256": digest}
+                for role, name, digest in digests(cell, provenance, tested(result))
             ],
             "software": software(),
         },
     }
+
+
+def tested(result: Identification) -> dict[str, Mapping[str, str]]:
+    """Return the digests of the second recording under its role; empty without one."""
+    return {} if result.test is None else {"test": result.test.sha256}
 
 
 def correlation(identification: Identification) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -160,14 +167,14 @@ def _record(value: object) -> dict[str, Any]:
     return dict(vars(value))
 
 
-def _plain(value: Any) -> Any:
-    """Return the value with JSON types only: arrays and tuples as lists, non-finite numbers as None."""
+def plain(value: Any) -> Any:
+    """Return a value with JSON types only: arrays and tuples as lists, non-finite numbers as None."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):
@@ -175,5 +182,5 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     if hasattr(value, "__dataclass_fields__"):
-        return _plain(_record(value))
+        return plain(_record(value))
     return value

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import math
 
-from calibration_core.identification.estimate import Identification, JointStiffness
+from calibration_core.identification.estimate import Identification, JointStiffness, Stage
 from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed
 
 
 def summary(found: Identification) -> str:
     """Return what came out, at most a screen long: stiffness table, fit, warnings."""
     readings = found.readings
-    lines = [
-        f"{found.kind} recording: {counted(len(found.space.configuration), 'configuration')}, "
-        f"{counted(len(readings), 'reading')}, {counted(len(readings.points), 'point')}"
-    ]
+    configurations = counted(len(found.space.configuration), "configuration")
+    counts = f"{configurations}, {counted(len(readings), 'reading')}, {counted(len(readings.points), 'point')}"
+    lines = [f"{found.kind} recording: {counts}"]
     if found.stiffness:
         lines.append(f"{'joint':<24} {'stiffness [' + STIFFNESS.name + ']':>26}   95 % interval")
         lines += [_joint(joint) for joint in found.stiffness]
-    lines += [
-        f"{stage.name:<12} {1e3 * stage.rms:.4f} mm rms, held out {1e3 * stage.held_out_rms:.4f} mm: {stage.reason}"
-        for stage in found.stages
-    ]
+    lines += [_stage(stage) for stage in found.stages]
     fit = found.fit
     lines.append(
         f"residual {_um(fit.rms_after)} per coordinate (before {_um(fit.rms_before)}), on held-out configurations "
@@ -48,6 +44,12 @@ def summary(found: Identification) -> str:
     unmet = [p for p in found.preconditions if p.met is False]
     lines += [f"not as the standard demands ({p.clause}): {p.requirement}: {p.found}" for p in unmet]
     return "\n".join(lines)
+
+
+def _stage(stage: Stage) -> str:
+    kept = "kept    " if stage.kept else "not kept"
+    figures = f"{1e3 * stage.rms:.4f} mm rms, held out {1e3 * stage.held_out_rms:.4f} mm"
+    return f"{stage.name:<12} {kept}  {figures}: {stage.reason}"
 
 
 def _joint(joint: JointStiffness) -> str:

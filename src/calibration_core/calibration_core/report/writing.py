@@ -9,13 +9,10 @@ from pathlib import Path
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification
 from calibration_core.report.content import build
-from calibration_core.report.html import render_html
 from calibration_core.report.output import write_files
-from calibration_core.report.pdf import render_pdf
+from calibration_core.report.rendering import REPORT_HTML, rendered
 from calibration_core.report.result import RESULT, result_dict, result_json
 from calibration_core.report.tables import table_files
-
-REPORT_HTML, REPORT_PDF = "report.html", "report.pdf"
 
 
 def report_files(identification: Identification, cell: Cell, evaluated: dt.date | None = None) -> dict[str, bytes]:
@@ -26,8 +23,7 @@ def report_files(identification: Identification, cell: Cell, evaluated: dt.date 
         cell: The cell it belongs to.
         evaluated: Date of evaluation; today (UTC) if not given.
     """
-    document = build(identification, cell, evaluated)
-    return {REPORT_HTML: render_html(document, identification.space), REPORT_PDF: render_pdf(document)}
+    return rendered(build(identification, cell, evaluated), identification.space)
 
 
 def write_report(identification: Identification, cell: Cell, out_dir: Path, evaluated: dt.date | None = None) -> Path:

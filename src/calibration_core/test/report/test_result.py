@@ -44,7 +44,9 @@ def test_values_are_the_identifications(loaded: Identification, cell: Cell) -> N
     assert first["value"] == loaded.stiffness[0].value
     assert first["interval_95"] == list(loaded.stiffness[0].interval)
     assert content["condition_number"] == loaded.condition_number
-    assert [item["file"] for item in content["input"]["sha256"]] == ["demo_0.mcap", "metadata.yaml", str(cell.path)]
+    assert [item["file"] for item in content["input"]["sha256"]] == [
+        "demo_0.mcap", "metadata.yaml", str(cell.path), "demo_2_0.mcap",
+    ]  # fmt: skip
 
 
 def test_verdict_follows_the_residual(loaded: Identification, cell: Cell) -> None:

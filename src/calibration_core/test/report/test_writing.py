@@ -19,7 +19,7 @@ import typst
 from calibration_core.cell import Cell
 from calibration_core.errors import OutputError
 from calibration_core.identification.estimate import Identification
-from calibration_core.report import writing
+from calibration_core.report import rendering, writing
 from calibration_core.report.content import build
 from calibration_core.report.document import Facts, Items, Paragraph, Table
 from calibration_core.report.html import render_html
@@ -155,7 +155,7 @@ def test_nothing_is_written_if_one_part_fails(
     def broken(_: object) -> bytes:
         raise RuntimeError("no typesetter")
 
-    monkeypatch.setattr(writing, "render_pdf", broken)
+    monkeypatch.setattr(rendering, "render_pdf", broken)
     with pytest.raises(RuntimeError, match="no typesetter"):
         write_identification(loaded, cell, tmp_path / "out", {}, DAY)
     assert not (tmp_path / "out").exists()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calibration_core.cell import Cell, ForceTorque, Thermometer, Tracker
-from calibration_core.identification.estimate import Identification, Precondition
+from calibration_core.identification.estimate import Identification, OperatingSpace, Precondition
 from calibration_core.report.document import Block, Column, Facts, Figure, Paragraph, Table
 from calibration_core.report.rounding import counted, fixed, listed, significant, spread, subscript
 from calibration_core.report.space_figure import (
@@ -14,7 +16,7 @@ from calibration_core.report.space_figure import (
     measured_points,
     space_figure,
 )
-from calibration_core.timeseries import Float1D
+from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 MOST_ROWS, SHOWN_ROWS = 100, 40
 """A table longer than the first is cut to the second; the whole stands in the CSV file."""
@@ -115,23 +117,27 @@ def requirement_text(preconditions: tuple[Precondition, ...]) -> str:
     return text + (f", {unknown} cannot be told from the recording" if unknown else "")
 
 
-def configurations(result: Identification) -> tuple[Block, ...]:
-    """Return Table 1 in the template's form (8 d)."""
-    space = result.space
-    count = len(space.q)
+def configurations(numbers: Int1D | Sequence[int], q: Float2D, note: str = "") -> tuple[Block, ...]:
+    """Return Table 1 in the template's form (8 d).
+
+    Args:
+        numbers: (k,) numbers of the configurations.
+        q: (k, n) rad.
+        note: Small print below it.
+    """
+    count = len(q)
     shown = count if count <= MOST_ROWS else SHOWN_ROWS
-    columns = (Column("No"), *(Column(f"θ{subscript(i + 1)} [°]") for i in range(space.q.shape[1])))
+    columns = (Column("No"), *(Column(f"θ{subscript(i + 1)} [°]") for i in range(q.shape[1])))
     rows = tuple(
         (f"{int(number)}", *(fixed(angle, 3) for angle in row))
-        for number, row in zip(space.configuration[:shown], np.degrees(space.q[:shown]), strict=True)
+        for number, row in zip(numbers[:shown], np.degrees(q[:shown]), strict=True)
     )
-    note = "" if shown == count else f"First {shown} of {count:,}; all of them stand in table1.csv."
+    note = note if shown == count else f"First {shown} of {count:,}; all of them stand in table1.csv."
     return (Table("Manipulator measurement configurations", columns, rows, note, number=1),)
 
 
-def operating_space(result: Identification) -> tuple[Block, ...]:
+def operating_space(space: OperatingSpace) -> tuple[Block, ...]:
     """Return the operating space: extent and drawing (8 g)."""
-    space = result.space
     points = measured_points(space)
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     extent = ", ".join(f"{axis} {fixed(a, 3)} to {fixed(b, 3)} m" for axis, a, b in zip("xyz", low, high, strict=True))

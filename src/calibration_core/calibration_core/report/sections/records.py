@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification
@@ -10,6 +11,7 @@ from calibration_core.report.document import Block, Column, Facts, Items, Paragr
 from calibration_core.report.provenance import digests, software
 from calibration_core.report.rounding import counted, length_unit, padded, shortened, spread
 from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
+from calibration_core.timeseries import Provenance
 
 
 def exclusion_section(result: Identification) -> tuple[Block, ...]:
@@ -71,11 +73,20 @@ def remark_section(result: Identification) -> tuple[Block, ...]:
     return (Items(tuple(texts)),) if texts else (Paragraph("Nothing was noticed."),)
 
 
-def traceability_section(result: Identification, cell: Cell) -> tuple[Block, ...]:
-    """Return the input files with their digests, and the versions of the software."""
-    provenance = result.readings.provenance
-    files = tuple((role, name, digest) for role, name, digest in digests(cell, provenance))
-    messages = tuple((topic, f"{count:,}") for topic, count in provenance.messages.items())
+def traceability_section(
+    cell: Cell, provenance: Provenance | None = None, further: Mapping[str, Mapping[str, str]] | None = None
+) -> tuple[Block, ...]:
+    """Return the input files with their digests, and the versions of the software.
+
+    Args:
+        cell: The cell.
+        provenance: The recording; None if none was read.
+        further: Role -> file -> SHA-256 of further input files.
+    """
+    files = digests(cell, provenance, further)
+    counts = {} if provenance is None else provenance.messages
+    messages = tuple((topic, f"{count:,}") for topic, count in counts.items())
+    read = Table("Messages or rows read", (Column("Topic or table", "left", wide=True), Column("Number")), messages)
     versions = tuple(software().items())
     origin = tuple((label, text) for label, text in (("Origin of the data", cell.source), ("Note", cell.note)) if text)
     return (
@@ -83,6 +94,6 @@ def traceability_section(result: Identification, cell: Cell) -> tuple[Block, ...
         Table(
             "Input files", (Column("Role", "left"), Column("File", "left", wide=True), Column("SHA-256", "left")), files
         ),
-        Table("Messages or rows read", (Column("Topic or table", "left", wide=True), Column("Number")), messages),
+        *((read,) if messages else ()),
         Table("Software", (Column("Package", "left", wide=True), Column("Version", "left")), versions),
     )

@@ -135,7 +135,7 @@ def _per_load(result: Identification, used: Bool1D, unit: Unit) -> Table:
         Column(f"rms residual [{unit.name}]"),
         Column(f"rms, left out [{unit.name}]"),
     )
-    note = "The deflection contains that under the robot's own weight where the model has it."
+    note = "Deflection: under the external load alone, relative to the equilibrium under the robot's own weight."
     return Table("Residuals per load", columns, padded(body), note)
 
 
