@@ -278,6 +278,10 @@ for form, packed in (("zstd", ZSTD.compress(bytes(256 << 20))), ("nothing", b"no
 # What can be read, but identifies nothing
 UNIDENTIFIED = {
     "one configuration": f"{HEADER}\n{ROW}\n",
+    "one loaded configuration": f"{HEADER}\n{ROW}\n{ROW.replace('1,0', '1,1', 1)}\n",
+    "positions on one line": HEADER + "\n" + "".join(
+        f"{c},0,0.{c},0.2,0.{c},0,0,0,0,0,0,mp1,1.{c},0.5,0.2\n" for c in range(1, 9)
+    ),
     "one place": HEADER + "\n" + "".join(f"{ROW.replace('1,0', f'{i},0', 1)}\n" for i in range(40)),
     "no load that changes": HEADER + "\n" + "".join(
         f"{c},{s},0.{c},0.2,0.3,5,0,0,0,0,0,mp1,1.{c},0.5,0.2\n" for c in range(1, 9) for s in range(3)

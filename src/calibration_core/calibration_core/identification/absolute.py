@@ -93,10 +93,24 @@ def identify_absolute(
         CellError: A wrench was recorded and a frame for it is missing.
         IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
     """
-    chain = chain_of(cell)
-    nominal = nominal_parameters(cell)
+    case = evaluate_absolute(readings, cell, robust=robust, readmit=readmit, progress=progress)
+    return identification_of(case, readings, cell, robust=robust, test=test)
+
+
+def identification_of(
+    case: Evaluated, readings: Readings, cell: Cell, *, robust: bool = True, test: Readings | None = None
+) -> Identification:
+    """Say in values and figures what was decided.
+
+    Args:
+        case: The evaluated recording.
+        readings: The recording.
+        cell: The cell file.
+        robust: Whether gross errors were set aside.
+        test: A second recording, predicted but not fitted.
+    """
+    chain = case.problem.chain
     covariance = position_covariance(readings, cell)
-    case = _evaluate(readings, cell, chain, nominal, covariance, robust, readmit, progress or (lambda _: None))
     result = case.ladder.final.fit
     parameters = result.parameters
     noise = _audit(case, readings, covariance)
@@ -155,17 +169,23 @@ def predict_absolute(
     )
 
 
-def _evaluate(
+def evaluate_absolute(
     readings: Readings,
     cell: Cell,
-    chain: Chain,
-    nominal: ModelParameters,
-    covariance: Float3D,
-    robust: bool,
-    readmit: frozenset[Key],
-    progress: Progress,
+    *,
+    robust: bool = True,
+    readmit: frozenset[Key] = frozenset(),
+    progress: Progress | None = None,
 ) -> Evaluated:
-    problem = absolute_problem(readings, cell, chain, nominal, covariance)
+    """Take all decisions: gross errors, identifiable geometry, stages of the ladder; arguments as `identify_absolute`.
+
+    Raises:
+        CellError: A wrench was recorded and a frame for it is missing.
+        IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
+    """
+    progress = progress or (lambda _: None)
+    nominal = nominal_parameters(cell)
+    problem = absolute_problem(readings, cell, chain_of(cell), nominal, position_covariance(readings, cell))
     start = start_parameters(problem, nominal)
     terms, hidden = choose_frames(problem, start)
     start = start.replace(points={**start.points, **_unfitted_points(terms, start, nominal)})

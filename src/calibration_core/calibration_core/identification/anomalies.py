@@ -7,14 +7,19 @@ from collections.abc import Sequence
 from calibration_core.identification.estimate import Anomaly, Exclusion, NoiseAudit
 from calibration_core.timeseries import Readings
 
+WRONG_ROBOT = 0.02  # m: no robot in working order is this far from its nominal geometry after the best frames
 
-def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: Readings) -> tuple[Anomaly, ...]:
-    """Return understated noise, excluded readings and unsettled plateaus, each with its size.
+
+def anomalies_of(
+    noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: Readings, frame_rms: float = 0.0
+) -> tuple[Anomaly, ...]:
+    """Return understated noise, excluded readings, unsettled plateaus and a robot file that does not fit.
 
     Args:
         noise: Claimed against seen.
         exclusions: Readings not used.
         readings: With the notes of what was set aside before.
+        frame_rms: What nominal geometry leaves per coordinate after the best frames, m.
     """
     found = []
     if noise.understated:
@@ -24,10 +29,18 @@ def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: R
         largest = max(exclusions, key=lambda exclusion: exclusion.size)
         numbers = [exclusion.configuration for exclusion in exclusions]
         where: dict[str, str | int] = {
-            "point": largest.point, "configuration": largest.configuration, "step": largest.step,
+            "point": largest.point,
+            "configuration": largest.configuration,
+            "step": largest.step,
         }
         text = f"{len(exclusions)} readings excluded, each named"
         found.append(Anomaly("outlier_readings", where, (min(numbers), max(numbers)), largest.size, "m", text))
+    if frame_rms > WRONG_ROBOT:
+        text = (
+            f"after the best frames the nominal robot is {1e3 * frame_rms:.0f} mm rms off: another robot, another "
+            "order or sign of the joints, or other units"
+        )
+        found.append(Anomaly("wrong_robot_file", {"robot": "geometry"}, None, frame_rms, "m", text))
     unsettled = [note for note in readings.notes if note.kind == "unsettled"]
     found += [Anomaly("unsettled", {"place": n.place}, None, float(n.count), "1", n.text) for n in unsettled]
     return tuple(found)

@@ -179,7 +179,7 @@ def _base(chain: Chain, first: Axis, second: Axis) -> BaseFrame:
     expected = np.arccos(np.clip(nominal[0][0] @ nominal[1][0], -1, 1))
     arcs = {1: max(c.arc for c in first.circles), 2: max(c.arc for c in second.circles)}
     warnings = tuple(
-        f"joint {joint} turned by {np.degrees(arc):.0f} degrees only: the arc, not the algorithm, decides the uncertainty"
+        f"joint {joint} turned by {np.degrees(arc):.0f} degrees only: its arc decides the uncertainty"
         for joint, arc in arcs.items()
         if arc < SHORT_ARC
     )

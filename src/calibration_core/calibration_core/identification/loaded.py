@@ -8,8 +8,8 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
+from calibration_core.identification.anomalies import anomalies_of
 from calibration_core.identification.estimate import (
-    Anomaly,
     Fit,
     Identification,
     NoiseAudit,
@@ -41,6 +41,8 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Readings
 
+MIN_CONFIGURATIONS = 2  # one posture cannot tell joints from frames
+UNLOADED = 0.02  # share of the largest force below which a step counts as unloaded
 SET_ASIDE = 1e12  # factor on the variance of an excluded reading, so that offsets do not depend on it
 
 
@@ -130,7 +132,7 @@ def identify_prepared(
         stages=(),
         unidentified=weak_directions(joints, fit.solution),
         exclusions=screened.exclusions,
-        anomalies=_anomalies(noise, screened, readings),
+        anomalies=anomalies_of(noise, screened.exclusions, readings, 0.0 if frames is None else frames.rms),
         preconditions=check_preconditions(readings, cell, space, figures.noise),
         residuals=residuals,
         space=space,
@@ -218,6 +220,10 @@ def _require_load(readings: Readings) -> None:
     ]
     if not several:
         raise IdentificationError(path, "step", "one step in every configuration", "unloaded and loaded steps")
+    if len(several) < MIN_CONFIGURATIONS:
+        found = f"{len(several)} with unloaded and loaded steps"
+        expected = f"at least {MIN_CONFIGURATIONS} (CWA 17384, 5.1, asks for 12)"
+        raise IdentificationError(path, "configuration", found, expected)
     if not np.any(np.ptp(readings.wrench, axis=0) > 0):
         raise IdentificationError(path, "fx ... tz", "the same wrench everywhere", "a load that changes between steps")
 
@@ -225,11 +231,14 @@ def _require_load(readings: Readings) -> None:
 def _with_frames(
     readings: Readings, cell: Cell, chain: Chain, believed: ModelParameters, used: Bool1D | None = None
 ) -> tuple[ModelParameters, FrameFit | None]:
-    """Refit tracker pose and points where the recording holds absolute positions."""
+    """Refit tracker pose and points where the recording holds absolute positions.
+
+    Unloaded readings alone, where every configuration has some: a stiffness that is still wrong then moves no frame.
+    """
     if cell.measurements.points == "displacement":
         return believed, None
-    rows = np.arange(len(readings)) if used is None else np.flatnonzero(used)
-    some = readings.select(rows)
+    rows = np.ones(len(readings), dtype=bool) if used is None else used
+    some = readings.select(rows & _unloaded(readings, rows))
     rest = solve_equilibrium(chain, some.q, believed.compliance, load_of(some, cell, believed))
     points = np.stack([believed.points[name] for name in readings.points])
     guess = None if cell.frames.tracker is None else believed.tracker
@@ -243,6 +252,14 @@ def _with_frames(
         )
     fitted = dict(zip(readings.points, fit.points, strict=True))
     return believed.replace(tracker=fit.tracker, points={**believed.points, **fitted}), fit
+
+
+def _unloaded(readings: Readings, rows: Bool1D) -> Bool1D:
+    assert readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
+    force = np.linalg.norm(readings.wrench[:, :3], axis=1)
+    light = force <= UNLOADED * force.max()
+    everywhere = set(readings.configuration[rows]) == set(readings.configuration[rows & light])
+    return light if everywhere else np.ones(len(readings), dtype=bool)
 
 
 def _audit(problem: LoadedProblem, screened: Screened, fit: LoadedFit, cell: Cell) -> NoiseAudit:
@@ -365,27 +382,3 @@ def _frame_estimates(frames: FrameFit, cell: Cell, readings: Readings) -> tuple[
             value = float(frames.points[j, axis])
             estimates.append(ParameterEstimate(f"{name} {label}", "point", value, float(std[index]), "m", before))
     return tuple(estimates)
-
-
-def _anomalies(noise: NoiseAudit, screened: Screened, readings: Readings) -> tuple[Anomaly, ...]:
-    found = []
-    if noise.understated:
-        found.append(
-            Anomaly("noise_understated", {"instrument": "tracker"}, None, noise.claimed * noise.scale, "m", noise.text)
-        )
-    if screened.exclusions:
-        largest = max(screened.exclusions, key=lambda exclusion: exclusion.size)
-        numbers = [exclusion.configuration for exclusion in screened.exclusions]
-        found.append(
-            Anomaly(
-                "outlier_readings",
-                {"point": largest.point, "configuration": largest.configuration, "step": largest.step},
-                (min(numbers), max(numbers)),
-                largest.size,
-                "m",
-                f"{len(screened.exclusions)} readings excluded, each named",
-            )
-        )
-    unsettled = [note for note in readings.notes if note.kind == "unsettled"]
-    found += [Anomaly("unsettled", {"place": n.place}, None, float(n.count), "1", n.text) for n in unsettled]
-    return tuple(found)

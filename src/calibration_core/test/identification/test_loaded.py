@@ -215,3 +215,18 @@ def test_pose_needs_three_points_off_one_line(tmp_path: Path) -> None:
     two = readings.select(readings.point < 2)
     with pytest.raises(IdentificationError, match="three such points"):
         identify_loaded(two, cell, Options(deflections="pose"))
+
+
+def test_one_loaded_configuration_is_refused(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    readings = loaded_readings(cell, 17)
+    with pytest.raises(IdentificationError, match="at least 2"):
+        identify_loaded(readings.select(readings.configuration == 4), cell)
+
+
+def test_a_robot_file_that_does_not_fit_is_an_anomaly(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    readings = loaded_readings(cell, 18)
+    swapped = readings.q[:, [0, 2, 1, 3, 4, 5]]
+    found = identify_loaded(_replace(readings, q=swapped), cell)
+    assert "wrong_robot_file" in [anomaly.kind for anomaly in found.anomalies]
