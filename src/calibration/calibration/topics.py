@@ -78,6 +78,7 @@ READING = Topic("/calibration/reading", "calibration_interfaces/msg/Reading", Qu
 TARE = Topic("/calibration/tare", "calibration_interfaces/msg/TareEvent", Quality.EVENTS)
 SAMPLE_CHECK = Topic("/calibration/sample_check", "calibration_interfaces/msg/SampleCheck", Quality.SAMPLES)
 LOAD_STATE = Topic("/calibration/load_state", "calibration_interfaces/msg/LoadState", Quality.STATE)
+MOTION_PULSE = Topic("/calibration/motion_pulse", "std_msgs/msg/Bool", Quality.PULSE)
 RAW_WRENCH = Topic("/force_torque/raw", Kind.WRENCH.value, Quality.SAMPLES)
 
 OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, TARE, SAMPLE_CHECK, LOAD_STATE, RAW_WRENCH)
@@ -154,3 +155,22 @@ def message_class(kind: str) -> Any:
     """
     package, group, name = kind.split("/")
     return getattr(importlib.import_module(f"{package}.{group}"), name)
+
+
+def offered_qos(profile_: QoSProfile) -> dict[str, object]:
+    """Return a profile as rosbag2 writes it into a bag."""
+
+    def time(one: Any) -> dict[str, int]:
+        return {"sec": int(one.nanoseconds // 10**9), "nsec": int(one.nanoseconds % 10**9)}
+
+    return {
+        "history": profile_.history.name.lower(),
+        "depth": profile_.depth,
+        "reliability": profile_.reliability.name.lower(),
+        "durability": profile_.durability.name.lower(),
+        "deadline": time(profile_.deadline),
+        "lifespan": time(profile_.lifespan),
+        "liveliness": profile_.liveliness.name.lower(),
+        "liveliness_lease_duration": time(profile_.liveliness_lease_duration),
+        "avoid_ros_namespace_conventions": profile_.avoid_ros_namespace_conventions,
+    }

@@ -1,0 +1,176 @@
+"""Node `recorder`: every topic of the table to a bag, as raw bytes, on the disk within a fraction of a second.
+
+Callbacks only append; a thread of its own writes and syncs.  `~/close` ends the bag's file, so that it can be evaluated
+while the node lives on; `~/open` continues the bag with a further file.
+"""
+
+from __future__ import annotations
+
+import collections
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from std_srvs.srv import Trigger
+
+from calibration.definitions import definition
+from calibration.node import CalibrationNode, Declared, run
+from calibration.topics import Quality, Topic, incompatible, offered_qos, recorded_topics, subscription_profile
+from calibration_core.cell import load_cell
+from calibration_core.errors import OutputError
+from calibration_core.recording.live_writer import LiveBag, LiveTopic
+
+LOOK = 0.05  # s of wall time between looks for publishers
+
+PARAMETERS = (
+    Declared("cell", "", "The cell file.", required=True),
+    Declared("out", "", "Directory of the bag; one that is there is continued.", required=True),
+    Declared("sync_period", 0.25, "Wall time after which what came is on the disk, s.", low=0.01, high=1.0),
+    Declared("compression", "none", "Of the chunks.", choices=("none", "lz4", "zstd")),
+)
+
+Item = tuple[Topic, int, bytes]
+
+
+class RecorderNode(CalibrationNode):
+    """Records until it is stopped or told to close."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Open the bag and wait for publishers."""
+        super().__init__("recorder", PARAMETERS, **kwargs)
+        self._topics = recorded_topics(load_cell(self.value("cell")))
+        self._heard: dict[str, tuple[Any, Any]] = {}
+        self._queue: collections.deque[Item] = collections.deque()
+        self._infos: dict[str, LiveTopic] = {}
+        self._numbers: dict[str, int] = {}
+        self._lock = threading.RLock()  # the bag and what belongs to it
+        self._bag: LiveBag | None = self._new_bag()
+        self._ending = threading.Event()
+        self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
+        self._writer.start()
+        self.create_service(Trigger, "~/close", self._on_close)
+        self.create_service(Trigger, "~/open", self._on_open)
+        self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(1.0, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._look()
+
+    def _new_bag(self) -> LiveBag:
+        self._numbers = {}
+        return LiveBag(Path(self.value("out")), self.value("compression"))
+
+    # --- what comes in ----------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        """Subscribe to what is published; our own topics at once, for their quality is known."""
+        for topic in self._topics:
+            offered = self.get_publishers_info_by_topic(topic.relative)
+            if topic.name in self._heard:
+                subscription, asked = self._heard[topic.name]
+                if not offered or not incompatible(self, topic.relative, asked):
+                    continue
+                self.destroy_subscription(subscription)
+            elif not offered and topic.quality is Quality.SAMPLES:
+                continue
+            profile = subscription_profile(self, topic.relative) if offered else topic.qos
+            subscription = self.create_subscription(
+                topic.message, topic.relative, self._taker(topic), profile, raw=True
+            )
+            self._heard[topic.name] = (subscription, profile)
+
+    def _taker(self, topic: Topic) -> Callable[[bytes], None]:
+        def take(payload: bytes) -> None:
+            if topic.name not in self._infos:
+                self._infos[topic.name] = self._info(topic)
+            self._queue.append((topic, self.now_ns(), payload))
+
+        return take
+
+    def _info(self, topic: Topic) -> LiveTopic:
+        offered = self.get_publishers_info_by_topic(topic.relative)
+        hashes = {str(one.topic_type_hash) for one in offered}
+        known = hashes.pop() if len(hashes) == 1 else ""
+        qos = tuple(offered_qos(one.qos_profile) for one in offered)
+        return LiveTopic(topic.name, topic.type, definition(topic.type), known, qos)
+
+    # --- what goes out ----------------------------------------------------------------------------------------
+
+    def _write_on(self) -> None:
+        while not self._ending.wait(self.value("sync_period")):
+            if not self._write():
+                return
+
+    def _write(self) -> bool:
+        """Bring everything onto the disk that has come; False once that fails."""
+        try:
+            with self._lock:
+                written = False
+                while self._queue:
+                    topic, received, payload = self._queue.popleft()
+                    if self._bag is None:
+                        continue
+                    if topic.name not in self._numbers:
+                        self._numbers[topic.name] = self._bag.add_topic(self._infos[topic.name])
+                    self._bag.write(self._numbers[topic.name], received, payload)
+                    written = True
+                if written and self._bag is not None:
+                    self._bag.sync()
+        except OutputError as error:
+            self.get_logger().fatal(str(error))
+            self.failed.set()
+            return False
+        return True
+
+    def _on_close(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            if self._bag is None:
+                response.success, response.message = False, "no bag is open"
+                return response
+            response.success = self._write()
+            response.message = f"{self._bag.messages} messages in {self._bag.file}"
+            self._bag.close()
+            self._bag = None
+        self._tell()
+        return response
+
+    def _on_open(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            if self._bag is not None:
+                response.success, response.message = False, f"{self._bag.file} is open"
+                return response
+            try:
+                self._bag = self._new_bag()
+            except OutputError as error:
+                response.success, response.message = False, str(error)
+                return response
+            response.success, response.message = True, str(self._bag.file)
+        self._tell()
+        return response
+
+    def _tell(self) -> None:
+        bag = self._bag
+        if bag is None:
+            self.diagnostics.report("bag", 1, "closed: nothing is recorded")
+            return
+        figures = {"messages": bag.messages, "waiting": len(self._queue), "topics": len(self._numbers)}
+        self.diagnostics.report("bag", 0, f"recording to {bag.file}", figures)
+
+    def stop(self) -> None:
+        """Write what has come and close the bag."""
+        self._ending.set()
+        self._writer.join(timeout=5.0)
+        with self._lock:
+            if self._bag is not None and not self.failed.is_set() and self._write():
+                self._bag.close()
+            self._bag = None
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    return run(RecorderNode, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

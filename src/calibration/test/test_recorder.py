@@ -1,0 +1,225 @@
+"""The node `recorder`: everything of the table goes into the bag, nothing is lost, and the bag can always be read."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from calibration_interfaces.msg import MeasurementStep, RobotState, TareEvent
+from geometry_msgs.msg import PointStamped, WrenchStamped
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from calibration.conversions import to_header, to_step, to_wrench
+from calibration.definitions import definition
+from calibration.node import ParameterError
+from calibration.recorder import RecorderNode
+from calibration.topics import OWN, contract_topics, recorded_topics
+from calibration_core.cell import load_cell
+from calibration_core.recording.bag import read_bag
+from calibration_core.recording.kinds import Kind
+from calibration_core.timeseries import Phase
+
+ROOT = Path(__file__).resolve().parents[3]
+CELL_FILE = ROOT / "config" / "cells" / "demo.cell.yaml"
+CELL = load_cell(CELL_FILE)
+START = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+def recorder(context: Any, out: Path | str, **values: Any) -> RecorderNode:
+    given = {"cell": str(CELL_FILE), "out": str(out), "sync_period": 0.05, **values}
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    return RecorderNode(context=context, parameter_overrides=overrides)
+
+
+def q(k: int) -> list[float]:
+    return [0.001 * k + joint for joint in range(6)]
+
+
+def joint_state(k: int) -> JointState:
+    return JointState(header=to_header(START + k * MS), name=list(CELL.robot.joints), position=q(k))
+
+
+def point(k: int) -> PointStamped:
+    message = PointStamped(header=to_header(START + k * MS, "tracker"))
+    message.point.x = float(k)
+    return message
+
+
+def test_the_recorders_list_is_what_the_reader_reads() -> None:
+    topics = {topic.name: topic.type for topic in contract_topics(CELL)}
+    names = CELL.topics
+    read = {
+        names.joint_states: Kind.JOINTS.value,
+        names.wrench: Kind.WRENCH.value,
+        names.temperature: Kind.TEMPERATURE.value,
+        **{names.point(name): Kind.POINT.value for name in CELL.points},
+        names.robot_description: "std_msgs/msg/String",
+        names.step: "calibration_interfaces/msg/MeasurementStep",
+    }
+    assert topics == read
+    recorded = [topic.name for topic in recorded_topics(CELL)]
+    assert len(recorded) == len(set(recorded)) == len(read) + len(OWN)
+
+
+@pytest.mark.parametrize("topic", recorded_topics(CELL), ids=lambda topic: topic.name)
+def test_definitions_describe_the_messages(topic: Any) -> None:
+    """The text alone has to tell other programs how to read what rclpy has written."""
+    from rclpy.serialization import serialize_message
+
+    text = definition(topic.type)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, topic.type))
+    message = topic.message()
+    for field, kind in message.get_fields_and_field_types().items():
+        if kind == "sequence<double>":
+            setattr(message, field, [1.0, 2.0])
+    back = store.deserialize_cdr(serialize_message(message), topic.type)
+    for field in message.get_fields_and_field_types():
+        value = getattr(back, field)
+        assert not isinstance(value, np.ndarray) or value.size in (2, 0, 9, 36)
+
+
+def test_definition_of_what_is_not_installed() -> None:
+    assert definition("no_such_msgs/msg/Thing") == ""
+
+
+def test_everything_goes_into_the_bag(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
+    client = spinning.plain()
+    best_effort = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publishers = {
+        "joint_states": client.create_publisher(JointState, "joint_states", 100),
+        **{name: client.create_publisher(PointStamped, f"tracker/{name}", best_effort) for name in CELL.points},
+        "wrench": client.create_publisher(WrenchStamped, "force_torque/wrench", 100),
+        "temperature": client.create_publisher(Temperature, "cell/temperature", 10),
+    }
+    by_name = {topic.name: topic for topic in recorded_topics(CELL)}
+    step = client.create_publisher(MeasurementStep, "calibration/step", by_name["/calibration/step"].qos)
+    tare = client.create_publisher(TareEvent, "calibration/tare", by_name["/calibration/tare"].qos)
+    urdf = client.create_publisher(String, "robot_description", by_name["/robot_description"].qos)
+    urdf.publish(String(data="<robot/>"))  # before the recorder is there
+    for k, phase in enumerate((Phase.MOVING, Phase.MEASURING)):
+        step.publish(to_step(START + k * MS, 1, k, phase))
+    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
+    until(lambda: all(one.get_subscription_count() for one in publishers.values()))
+    volatile = client.create_publisher(RobotState, "calibration/robot_state", 10)  # the recorder has to ask for less
+    tare.publish(TareEvent(number=1))
+    for k in range(200):
+        publishers["joint_states"].publish(joint_state(k))
+        for name in CELL.points:
+            publishers[name].publish(point(k))
+        volatile.publish(RobotState(source="test"))
+        publishers["wrench"].publish(WrenchStamped(header=to_header(START + k * MS), wrench=to_wrench(np.full(6, k))))
+        time.sleep(0.001)
+    until(lambda: "/calibration/robot_state" in node._numbers)
+    publishers["temperature"].publish(Temperature(header=to_header(START), temperature=21.5))
+    service = client.create_client(Trigger, "recorder/close")
+    until(lambda: node._bag is None or node._bag.messages > 5 * 200 + 5)
+    answer = service.call(Trigger.Request())
+    assert answer.success, answer.message
+    back = read_bag(tmp_path / "bag", CELL)
+    np.testing.assert_array_equal(back.joints.values, [q(k) for k in range(200)])
+    for name in CELL.points:
+        np.testing.assert_array_equal(back.points[name].values[:, 0], np.arange(200.0))
+    assert back.wrench is not None
+    np.testing.assert_array_equal(back.wrench.values[:, 5], np.arange(200.0))
+    assert back.temperature is not None
+    assert back.steps is not None
+    assert back.steps.phase.tolist() == [Phase.MOVING, Phase.MEASURING]
+    assert back.robot_description == "<robot/>"
+    assert back.notes == ()
+    with AnyReader([tmp_path / "bag"]) as reader:
+        found = {connection.topic: connection for connection in reader.connections}
+        tares = [
+            reader.deserialize(raw, c.msgtype).number for c, _, raw in reader.messages() if c.topic.endswith("tare")
+        ]
+    assert tares == [1]
+    assert all(str(connection.digest).startswith("RIHS01_") for connection in found.values())
+    assert "/calibration/robot_state" in found
+
+
+def test_close_and_open(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
+    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
+    client = spinning.plain()
+    publisher = client.create_publisher(JointState, "joint_states", 100)
+    until(publisher.get_subscription_count)
+    close = client.create_client(Trigger, "recorder/close")
+    opening = client.create_client(Trigger, "recorder/open")
+    assert close.wait_for_service(15.0)
+    publisher.publish(joint_state(0))
+    until(lambda: node._bag.messages)
+    assert not opening.call(Trigger.Request()).success
+    assert close.call(Trigger.Request()).message == f"1 messages in {tmp_path / 'bag' / 'bag_0.mcap'}"
+    assert not close.call(Trigger.Request()).success
+    publisher.publish(joint_state(1))
+    time.sleep(0.2)
+    assert opening.call(Trigger.Request()).success
+    publisher.publish(joint_state(2))
+    until(lambda: node._bag.messages)
+    assert close.call(Trigger.Request()).success
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert reader.message_count == 2
+
+
+def test_places_that_cannot_be_used(context: Any, tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="out: found nothing"):
+        recorder(context, "")
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(Exception, match="expected a directory"):
+        recorder(context, tmp_path / "file")
+
+
+EXECUTABLE = ROOT / "install" / "calibration" / "lib" / "calibration" / "recorder"
+
+
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_the_process_leaves_a_bag_that_can_be_read(
+    spinning: Any, until: Callable[..., None], tmp_path: Path, source_environment: dict[str, str], kill: signal.Signals
+) -> None:
+    bag = tmp_path / "bag"
+    command = [str(EXECUTABLE), "--ros-args", "-p", f"cell:={CELL_FILE}", "-p", f"out:={bag}"]
+    process = subprocess.Popen(command, env=source_environment)
+    try:
+        client = spinning.plain()
+        joints = client.create_publisher(JointState, "joint_states", 1000)
+        tracker = client.create_publisher(PointStamped, "tracker/mp1", 1000)
+        until(lambda: joints.get_subscription_count() and tracker.get_subscription_count(), timeout=30.0)
+        sent: list[float] = []
+        for k in range(1500):
+            joints.publish(joint_state(k))
+            tracker.publish(point(k))
+            sent.append(time.monotonic())
+            time.sleep(0.001)
+        os.kill(process.pid, kill)
+        killed = time.monotonic()
+        code = process.wait(10.0)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+    back = read_bag(bag, CELL)
+    np.testing.assert_array_equal(back.joints.values, [q(k) for k in range(len(back.joints))])
+    assert len(back.joints) >= sum(moment < killed - 1.0 for moment in sent)
+    if kill is signal.SIGKILL:
+        assert code == -signal.SIGKILL
+    else:
+        assert code == 0
+        assert len(back.joints) == 1500
+        assert "truncated" not in [note.kind for note in back.notes]
+        assert time.monotonic() - killed < 2.0
