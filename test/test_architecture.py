@@ -24,7 +24,7 @@ FOR_ALL = {"errors", "cell"}
 FOR_PROCEDURE = {"timeseries", "model", "procedure", "identification.observability"}
 ENTRY = {"cli", "commands", "__main__"}
 FOR_SIM = {"errors", "cell", "timeseries", "recording"}
-SIM_NODE = {"calibration_sim.node", "calibration_sim.node_main", "calibration_sim.node_messages"}
+SIM_NODE = {"calibration_sim.node", "calibration_sim.node_cell", "calibration_sim.node_messages"}
 MESSAGES = re.compile(r"(.*_(msgs|interfaces)|rclpy|rosidl_.*|launch|launch_ros|ament_.*)(\..*)?")
 
 
