@@ -6,12 +6,14 @@ spring until spring, weight and external wrench balance:
     qfrc_passive(x) - qfrc_bias(x) + J(x)^T w = 0,    x = commanded angle + deflection,
 
 with the wrench w acting at the deflected wrench point.  Springs are MuJoCo's (`qfrc_passive`, reference = commanded
-angle), weight is MuJoCo's (`qfrc_bias` at rest), the wrench goes in through `mj_applyFT`.
+angle), weight is MuJoCo's (`qfrc_bias` at rest), the wrench goes in through `mj_applyFT`.  Springs besides the joints
+(`mjcf.Spring`), pushes on links and torques beside the joints take part in the same balance.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -20,7 +22,7 @@ from numpy.typing import ArrayLike
 from calibration_core.errors import EquilibriumError
 from calibration_core.timeseries import Float1D, Float2D
 from calibration_sim.chain import Chain
-from calibration_sim.mjcf import build_mjcf
+from calibration_sim.mjcf import Spring, build_mjcf
 from calibration_sim.transforms import Placement
 
 RELATIVE_TOLERANCE = 1e-12  # of the largest torque at work
@@ -37,13 +39,43 @@ class Equilibrium:
         deflection: (n,) rad, link side minus commanded angle.
         torque: (n,) N*m, what the springs exert on the links.
         flange: Flange frame in the base frame.
+        rest: (nv,) rad and m, all coordinates; what a next solution nearby may start from.
         residual: Largest unbalanced torque, relative to the largest torque at work.
     """
 
     deflection: Float1D
     torque: Float1D
     flange: Placement
+    rest: Float1D
     residual: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Push:
+    """A force on a link that no sensor knows of.
+
+    Attributes:
+        link: Name of the link.
+        place: (3,) m, where it acts, in the link's frame.
+        force: Position (3,) m of that place -> force (3,) N, both in base axes.
+    """
+
+    link: str
+    place: Float1D
+    force: Callable[[Float1D], Float1D]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SideTorque:
+    """A torque that acts on a link about its joint, beside the drive.
+
+    Attributes:
+        joint: Index in the order of q.
+        torque: Joint angle on the link side, rad -> N*m.
+    """
+
+    joint: int
+    torque: Callable[[float], float]
 
 
 class Mechanism:
@@ -58,6 +90,7 @@ class Mechanism:
         joint_frame_errors: Float2D | None = None,
         joint_zero: ArrayLike | None = None,
         wrench_point: ArrayLike = (0.0, 0.0, 0.0),
+        springs: Sequence[Spring] = (),
     ) -> None:
         """Compile the model.
 
@@ -68,16 +101,20 @@ class Mechanism:
             joint_frame_errors: (n, 6) m and rad, see `build_mjcf`.
             joint_zero: (n,) rad, true angle minus encoder angle.
             wrench_point: (3,) m, flange frame.
+            springs: What gives way besides the joints.
         """
         stiffness = np.asarray(stiffness, dtype=np.float64)
-        text = build_mjcf(chain, stiffness, np.asarray(gravity, dtype=np.float64), joint_frame_errors)
+        text = build_mjcf(chain, stiffness, np.asarray(gravity, dtype=np.float64), joint_frame_errors, springs)
         self.model = mujoco.MjModel.from_xml_string(text)
         self.data = mujoco.MjData(self.model)
         self._zero = np.zeros(len(chain.joints)) if joint_zero is None else np.asarray(joint_zero, dtype=np.float64)
         self._wrench_point = np.asarray(wrench_point, dtype=np.float64)
         self._dofs = np.array([self.model.joint(name).dofadr[0] for name in chain.joints], dtype=np.int64)
         self._flange = int(self.model.body(chain.links[chain.flange].name).id)
-        self._joints = len(chain.joints)
+        self._links = [int(self.model.body(link.name).id) for link in chain.links]
+        self._origins = np.array(self.model.body_pos)
+        self._pushes: Sequence[Push] = ()
+        self._sides: Sequence[SideTorque] = ()
 
     def forward(self, angles: ArrayLike) -> Placement:
         """Return the flange frame in the base frame with the links (not the motors) at `angles` (n,) rad."""
@@ -97,37 +134,61 @@ class Mechanism:
     def origins(self, angles: ArrayLike) -> Float2D:
         """Return the origins (links, 3) of all links in the base frame, m, with the links at `angles` (n,) rad."""
         self.forward(angles)
-        return np.array(self.data.xpos[1:])
+        return np.array(self.data.xpos[self._links])
 
-    def equilibrium(self, q: ArrayLike, wrench: ArrayLike | None = None) -> Equilibrium:
+    def places(self) -> Float2D:
+        """Return the origins (links, 3) of all links in the base frame, m, where the last solution left them."""
+        return np.array(self.data.xpos[self._links])
+
+    def grow(self, share: float) -> None:
+        """Make all links longer by a share of their length, as heat does."""
+        self.model.body_pos[:] = (1.0 + share) * self._origins
+
+    def equilibrium(
+        self,
+        q: ArrayLike,
+        wrench: ArrayLike | None = None,
+        *,
+        shift: ArrayLike | None = None,
+        pushes: Sequence[Push] = (),
+        sides: Sequence[SideTorque] = (),
+        start: Float1D | None = None,
+    ) -> Equilibrium:
         """Solve for the rest position.
 
         Args:
             q: (n,) rad, commanded angles (the encoder sits on the motor side and reads these).
             wrench: (6,) N and N*m, base axes, acting on the flange at the wrench point; None: no external load.
+            shift: (n,) rad, how far each link stands from its commanded angle with no torque on its spring.
+            pushes: Forces on links.
+            sides: Torques beside the drives.
+            start: (nv,) where to start from; None: the springs' rest.
 
         Raises:
             EquilibriumError: Newton's method did not converge: the load is beyond what the springs can carry.
         """
         w = np.zeros(6) if wrench is None else np.asarray(wrench, dtype=np.float64)
         reference = np.zeros(self.model.nv)
-        reference[self._dofs] = np.asarray(q, dtype=np.float64) + self._zero
+        commanded = np.asarray(q, dtype=np.float64) + self._zero
+        reference[self._dofs] = commanded if shift is None else commanded + np.asarray(shift)
+        self._pushes, self._sides = pushes, sides
         self.model.qpos_spring[:] = reference
         spring = np.array(self.model.jnt_stiffness, dtype=np.float64).reshape(self.model.nv, -1)[:, 0]
         rounding = 8.0 * np.finfo(np.float64).eps * spring * np.maximum(1.0, np.abs(reference))
 
-        x = reference.copy()
+        x = np.array(reference if start is None else start, dtype=np.float64)
         slope = np.diag(-spring)
         unbalanced, scale = self._unbalanced(x, w)
         step = np.zeros_like(x)
         for _ in range(MAX_ITERATIONS):
             if np.all(np.abs(unbalanced) <= np.maximum(RELATIVE_TOLERANCE * scale, rounding)):
                 size = float(np.max(np.abs(unbalanced)))
-                deflection = (x - reference)[self._dofs]
+                deflection = x[self._dofs] - commanded
                 torque = np.array(self.data.qfrc_passive)[self._dofs]
-                return Equilibrium(deflection, torque, self._flange_placement(), size / scale if scale > 0.0 else 0.0)
+                place = self._flange_placement()
+                return Equilibrium(deflection, torque, place, x, size / scale if scale > 0.0 else 0.0)
             try:
-                step = np.linalg.solve(slope, -unbalanced)
+                step = np.asarray(np.linalg.solve(slope, -unbalanced), dtype=np.float64)
             except np.linalg.LinAlgError:  # the springs buckle here
                 break
             before = float(np.max(np.abs(unbalanced)))
@@ -150,6 +211,12 @@ class Mechanism:
         load = np.zeros(model.nv)
         point = self._flange_placement().apply(self._wrench_point)
         mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], point, self._flange, load)
+        for push in self._pushes:
+            body = model.body(push.link).id
+            place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ push.place
+            mujoco.mj_applyFT(model, data, push.force(place), np.zeros(3), place, body, load)
+        for side in self._sides:
+            load[self._dofs[side.joint]] += side.torque(float(x[self._dofs[side.joint]]))
         parts = np.array([data.qfrc_passive, data.qfrc_bias, load])
         return parts[0] - parts[1] + parts[2], float(np.max(np.abs(parts)))
 
