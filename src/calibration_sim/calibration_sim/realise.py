@@ -1,0 +1,146 @@
+"""Turns a scenario into a recording, the cell file that goes with it, and the label that is kept apart."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import yaml
+
+from calibration_core.timeseries import Readings
+from calibration_sim.influence import Background, background, signal_to_noise
+from calibration_sim.laws.effect import Effect
+from calibration_sim.look import Noise, lagging_sensor, look, spherical_tracker
+from calibration_sim.makers import MAKERS
+from calibration_sim.makers.draw import Draw
+from calibration_sim.protocols import LOADED, make_protocol, points_of
+from calibration_sim.robots import MAGNITUDES, robot_cell
+from calibration_sim.scenarios import CLUTTER, NEEDS_SINGLE_STEPS, SINGLES, Planned, Scenario
+from calibration_sim.truth import Spread, draw_truth, generator
+from calibration_sim.world import World, play
+
+# What every recording differs by from its cell file: stiffness by 15 percent, geometry by 0.3 mm per joint, and frames
+# and points by what registration leaves.
+EVERYWHERE = Spread(
+    stiffness=0.15,
+    joint_zero=5e-5,
+    joint_shift=3e-4 / np.sqrt(3.0),
+    tracker_shift=2e-3,
+    tracker_turn=1e-4,
+    sensor_turn=5e-4,
+    point=2e-4,
+)
+TRUE_ANYWAY = ("geometry_error", "joint_zero_offset", "joint_elasticity", "measurement_point_offset")
+EFFECT_STREAM, CLUTTER_STREAM, LOOK_STREAM = 11, 12, 13
+MOST_CLUTTER = 5.0  # amplitude, typical = 1, beyond which a small effect would be absurd
+CLUTTER_NAMES = tuple(name for name in SINGLES if name not in NEEDS_SINGLE_STEPS)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Realised:
+    """A scenario made real.
+
+    Attributes:
+        readings: The recording.
+        cell: What the diagnosis may know, as written to the cell file.
+        label: What it is to find, as plain values for JSON.
+    """
+
+    readings: Readings
+    cell: dict[str, Any]
+    label: dict[str, Any]
+
+
+def realise(scenario: Scenario) -> Realised:
+    """Make a recording; the same scenario gives the same one.
+
+    Raises:
+        CalibrationError: The robot cannot be read or finds no rest.
+    """
+    cell = robot_cell(scenario.robot)
+    truth = draw_truth(cell, scenario.seed, spread=EVERYWHERE)
+    world = World(cell, truth, (lagging_sensor(cell),))
+    protocol = make_protocol(cell, scenario.protocol, scenario.seed)
+    known: Background | None = None
+    if scenario.planned or scenario.clutter > 0.0:
+        known = background(world, protocol, float(cell.instruments.tracker.sigma or 0.0))
+    effects: list[Effect] = []
+    ratios: list[float] = []
+    if known is not None:
+        for k, planned in enumerate(scenario.planned):
+            effect, ratio = _loud_enough(scenario, planned, k, known)
+            effects.append(effect)
+            ratios.append(ratio)
+    small = [] if known is None else _clutter(scenario, known)
+    full = world.with_effects(*effects, *small)
+    seed = int(generator(scenario.seed, LOOK_STREAM).integers(2**31))
+    readings = look(full, play(full, protocol), points_of(cell, scenario.protocol), scenario.noise, seed)
+    label = {
+        "group": scenario.group,
+        "robot": scenario.robot,
+        "protocol": scenario.protocol,
+        "seed": scenario.seed,
+        "number": scenario.number,
+        "effects": [effect.label.as_dict() for effect in effects],
+        "snr": ratios,
+        "clutter": scenario.clutter,
+        "noise": dataclasses.asdict(scenario.noise),
+        "stiffness": full.actual.stiffness.tolist(),
+        "true_anyway": list(TRUE_ANYWAY) if scenario.protocol.endswith("A") else [],
+    }
+    return Realised(readings, _file(full, scenario), label)
+
+
+def _draw(scenario: Scenario, stream: tuple[int, int], planned: Planned, amplitude: float) -> Effect:
+    """Draw an effect; the amplitude alone differs between calls for one stream."""
+    rng = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=stream))
+    stiffness = np.array(robot_cell(scenario.robot).robot.stiffness)
+    size = MAGNITUDES[scenario.robot]
+    return MAKERS[planned.name](Draw(size, stiffness, amplitude, rng, planned.place, LOADED, planned.plain))
+
+
+def _loud_enough(scenario: Scenario, planned: Planned, k: int, known: Background) -> tuple[Effect, float]:
+    """Draw an effect and scale it to the signal-to-noise ratio that is asked for."""
+    stream = (EFFECT_STREAM, k)
+    amplitude = planned.amplitude
+    effect = _draw(scenario, stream, planned, amplitude)
+    ratio = signal_to_noise(known, play(known.world.with_effects(effect), known.protocol))
+    for _ in range(3):
+        enough = ratio >= planned.snr if planned.at_least else abs(ratio - planned.snr) < 0.1 * planned.snr
+        if planned.snr == 0.0 or enough:
+            break
+        amplitude *= float(np.clip(1.05 * planned.snr / max(ratio, 1e-9), 0.05, 20.0))
+        effect = _draw(scenario, stream, planned, amplitude)
+        ratio = signal_to_noise(known, play(known.world.with_effects(effect), known.protocol))
+    return effect, ratio
+
+
+def _clutter(scenario: Scenario, known: Background) -> list[Effect]:
+    """Draw fifty small effects, each as loud as the scenario says."""
+    if scenario.clutter == 0.0:
+        return []
+    rng = generator(scenario.seed, CLUTTER_STREAM)
+    result = []
+    for k, name in enumerate(rng.choice(CLUTTER_NAMES, CLUTTER)):
+        planned, stream = Planned(str(name)), (CLUTTER_STREAM, k)
+        effect = _draw(scenario, stream, planned, 1.0)
+        ratio = signal_to_noise(known, play(known.world.with_effects(effect), known.protocol))
+        amplitude = min(scenario.clutter / max(ratio, 1e-9), MOST_CLUTTER)
+        result.append(_draw(scenario, stream, planned, amplitude))
+    return result
+
+
+def _file(world: World, scenario: Scenario) -> dict[str, Any]:
+    """Return the cell file that the diagnosis reads."""
+    cell: dict[str, Any] = yaml.safe_load(world.cell.path.read_text(encoding="utf-8"))
+    noise: Noise = scenario.noise
+    if noise.spherical_claim:
+        claim = spherical_tracker(world.cell)
+        cell["instruments"]["tracker"] = {"sigma_range": claim.sigma_range, "sigma_angle": claim.sigma_angle}
+    if scenario.protocol == "A":
+        for section, key in (("frames", "force_torque"), ("frames", "wrench_point"), ("instruments", "force_torque")):
+            del cell[section][key]
+    for effect in world.effects:
+        cell = effect.change_file(cell)
+    return cell
