@@ -1,0 +1,233 @@
+"""The table of measures: what all outcomes together say, beside the bars that they are held against."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from calibration_sim.proving.running import Run
+from calibration_sim.proving.scoring import Outcome
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One recording with everything that is known of it.
+
+    Attributes:
+        name: Of the recording.
+        label: What was in it.
+        outcome: What came of it; None: no result.
+        run: How the diagnosis went; None: not run.
+    """
+
+    name: str
+    label: Mapping[str, Any]
+    outcome: Outcome | None
+    run: Run | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Measure:
+    """One line of the table.
+
+    Attributes:
+        text: What is measured.
+        value: The figure; None: no recording tells.
+        bar: What it is held against, as text.
+        met: Whether it is met; None: no bar or no figure.
+        count: Recordings (or parameters) behind the figure.
+    """
+
+    text: str
+    value: float | None
+    bar: str
+    met: bool | None
+    count: int
+
+
+Chosen = Callable[[Case], bool]
+Flags = Callable[[Case, Outcome], Iterable[bool]]
+
+
+def measures(cases: Sequence[Case]) -> list[Measure]:
+    """Return the whole table.  A recording without a result counts as one in which nothing is right."""
+    typical = _both(_group("single"), lambda case: case.label["effects"][0]["amplitude"] == 1.0)
+    seen = _both(typical, lambda case: case.outcome is not None and case.outcome.found > 0)
+    loads = {kind: _both(typical, _protocol(kind)) for kind in "LR"}
+    cluttered = _both(_group("clutter"), lambda case: case.label["clutter"] == 3.0)
+    several = _group("pair")
+    return [
+        _most("nothing missing: a finding", cases, _group("nothing"), lambda _, o: [o.found > 0], 0.01),
+        _most("nothing missing: verdict not `consistent`", cases, _group("nothing"), _inconsistent, None),
+        _most("fifty small effects, SNR 3: a finding above 10 µm", cases, cluttered, lambda _, o: [o.large > 0], 0.10),
+        _least("effect right, given something found, typical", cases, seen, _first, 0.97),
+        _least("place right, given the effect is right, typical", cases, typical, _placed, 0.95),
+        _least("effect right, typical, with unloading", cases, loads["L"], _first, 0.85),
+        _least("effect right, typical, with reversed load", cases, loads["R"], _first, 0.90),
+        _most("a false second finding beside a single effect", cases, _group("single"), _false, None),
+        _least("effect right, absolute and hardly visible ones besides", cases, _group("besides"), _first, None),
+        _least("pairs: both found", cases, several, lambda _, o: [all(o.effect_right)], 0.85),
+        _most("pairs: a false third", cases, several, _false, 0.08),
+        _least("triples: effects found", cases, _group("triple"), lambda _, o: o.effect_right, None),
+        _most("triples: a false fourth", cases, _group("triple"), _false, None),
+        _least("outside: flagged, nothing wrongly named", cases, _group("outside"), _outside, 0.95),
+        _least("outside: flagged", cases, _group("outside"), lambda _, o: [o.flagged], None),
+        _least("aliases: cannot be told apart, said", cases, _group("alias"), lambda _, o: [o.aliases_said], 1.0),
+        _least("anomalies: found, located, no physics claimed", cases, _group("anomaly"), _anomaly, 0.97),
+        _within("parameters in their 95 % intervals, same law", cases, _group("single"), lambda _, o: o.covered),
+        _within("stiffnesses in their 95 % intervals, single effects", cases, _named_right, _stiff),
+        _ratio(cases),
+        *_costs(cases),
+    ]
+
+
+def power(cases: Sequence[Case]) -> list[dict[str, Any]]:
+    """Return, per effect and protocol, the share of singles named right at each amplitude, and the median SNR."""
+    rows: dict[tuple[str, str, str], dict[str, Any]] = {}
+    for case in cases:
+        if case.label["group"] not in {"single", "besides"}:
+            continue
+        effect = case.label["effects"][0]
+        key = (str(effect["effect"]), str(case.label["robot"]), str(case.label["protocol"]))
+        row = rows.setdefault(key, {"effect": key[0], "robot": key[1], "protocol": key[2], "right": {}, "snr": {}})
+        amplitude = f"{effect['amplitude']:g}"
+        right = case.outcome is not None and bool(case.outcome.first_right)
+        row["right"].setdefault(amplitude, []).append(right)
+        row["snr"].setdefault(amplitude, []).append(float(case.label["snr"][0]))
+    for row in rows.values():
+        row["right"] = {key: float(np.mean(value)) for key, value in row["right"].items()}
+        row["snr"] = {key: float(np.median(value)) for key, value in row["snr"].items()}
+    return list(rows.values())
+
+
+def wrong(cases: Sequence[Case]) -> list[dict[str, Any]]:
+    """Return every recording whose diagnosis said something that was not there, failed, or missed an effect."""
+    rows = []
+    for case in cases:
+        truth = [effect["effect"] for effect in case.label["effects"]]
+        row = {"name": case.name, "group": case.label["group"], "truth": truth}
+        if case.outcome is None:
+            rows.append({**row, "failed": "not run" if case.run is None else case.run.error})
+        elif case.outcome.named or not all(case.outcome.effect_right):
+            missed = [e for e, right in zip(truth, case.outcome.effect_right, strict=True) if not right]
+            rows.append({**row, "named": list(case.outcome.named), "missed": missed, "verdict": case.outcome.verdict})
+    return rows
+
+
+def _group(name: str) -> Chosen:
+    return lambda case: bool(case.label["group"] == name)
+
+
+def _protocol(first: str) -> Chosen:
+    return lambda case: str(case.label["protocol"]).startswith(first)
+
+
+def _both(one: Chosen, other: Chosen) -> Chosen:
+    return lambda case: one(case) and other(case)
+
+
+def _inconsistent(_: Case, outcome: Outcome) -> list[bool]:
+    return [outcome.verdict != "consistent"]
+
+
+def _first(_: Case, outcome: Outcome) -> list[bool]:
+    return [bool(outcome.first_right)]
+
+
+def _placed(_: Case, outcome: Outcome) -> list[bool]:
+    return [right for right in outcome.place_right if right is not None]
+
+
+def _false(_: Case, outcome: Outcome) -> list[bool]:
+    return [bool(outcome.named) and any(outcome.effect_right)]
+
+
+def _outside(_: Case, outcome: Outcome) -> list[bool]:
+    return [outcome.flagged and outcome.found == 0]
+
+
+def _anomaly(_: Case, outcome: Outcome) -> list[bool]:
+    return [all(outcome.anomaly_right) and outcome.found == 0]
+
+
+def _named_right(case: Case) -> bool:
+    return case.label["group"] == "single" and case.outcome is not None and bool(case.outcome.first_right)
+
+
+def _stiff(_: Case, outcome: Outcome) -> tuple[bool, ...]:
+    return outcome.stiffness_covered
+
+
+def _share(cases: Sequence[Case], chosen: Chosen, flags: Flags, missing: bool) -> tuple[float | None, int]:
+    values: list[bool] = []
+    for case in cases:
+        if chosen(case):
+            values += [missing] if case.outcome is None else list(flags(case, case.outcome))
+    return (float(np.mean(values)) if values else None), len(values)
+
+
+def _least(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags, bar: float | None) -> Measure:
+    value, count = _share(cases, chosen, flags, missing=False)
+    met = None if bar is None or value is None else value >= bar - 1e-12
+    return Measure(text, value, "" if bar is None else f">= {bar:g}", met, count)
+
+
+def _most(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags, bar: float | None) -> Measure:
+    value, count = _share(cases, chosen, flags, missing=True)
+    met = None if bar is None or value is None else value <= bar + 1e-12
+    return Measure(text, value, "" if bar is None else f"<= {bar:g}", met, count)
+
+
+def _within(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags) -> Measure:
+    done = [case for case in cases if case.outcome is not None]
+    value, count = _share(done, chosen, flags, missing=False)
+    return Measure(text, value, "0.92-0.98", None if value is None else 0.92 <= value <= 0.98, count)
+
+
+def _ratio(cases: Sequence[Case]) -> Measure:
+    ratios = [
+        case.outcome.held_out_ratio
+        for case in cases
+        if case.label["group"] == "single" and case.outcome is not None and case.outcome.held_out_ratio is not None
+    ]
+    value = float(np.median(ratios)) if ratios else None
+    text = "held-out rms after / noise, single effects, median"
+    return Measure(text, value, "<= 1.05", None if value is None else value <= 1.05, len(ratios))
+
+
+def _costs(cases: Sequence[Case]) -> list[Measure]:
+    runs = [case.run for case in cases if case.run is not None and case.label["protocol"] == "L"]
+    seconds = np.array([run.seconds for run in runs])
+    memory = np.array([run.megabytes for run in runs])
+    count, some = len(runs), len(runs) > 0
+    failed = [case.run.exit != 0 for case in cases if case.run is not None]
+    slow = float(np.quantile(seconds, 0.95)) if some else None
+    large = float(memory.max()) if some else None
+    middle = float(np.median(seconds)) if some else None
+    share = float(np.mean(failed)) if failed else None
+    return [
+        Measure("s per recording (18 x 9 x 3), median", middle, "", None, count),
+        Measure("s per recording (18 x 9 x 3), 95 %", slow, "<= 10", None if slow is None else slow <= 10.0, count),
+        Measure("MB per recording, largest", large, "<= 500", None if large is None else large <= 500.0, count),
+        Measure("diagnoses that failed", share, "<= 0", None if share is None else share == 0.0, len(failed)),
+    ]
+
+
+def markdown(cases: Sequence[Case], head: str) -> str:
+    """Return the table, the power per effect and what went wrong, as Markdown."""
+    lines = [head, "", "| measure | value | bar | met | n |", "|---|---|---|---|---|"]
+    for measure in measures(cases):
+        value = "-" if measure.value is None else f"{measure.value:.3g}"
+        met = "" if measure.met is None else ("yes" if measure.met else "**no**")
+        lines.append(f"| {measure.text} | {value} | {measure.bar} | {met} | {measure.count} |")
+    lines += ["", "Named right by amplitude (typical = 1), median signal-to-noise ratio in brackets:", ""]
+    lines += ["| effect | robot | protocol | x0.5 | x1 | x2 |", "|---|---|---|---|---|---|"]
+    for row in power(cases):
+        shares = [
+            f"{row['right'][a]:.2f} ({row['snr'][a]:.0f})" if a in row["right"] else "" for a in ("0.5", "1", "2")
+        ]
+        lines.append(f"| {row['effect']} | {row['robot']} | {row['protocol']} | " + " | ".join(shares) + " |")
+    return "\n".join([*lines, ""])

@@ -1,0 +1,318 @@
+"""The proof: what is written, what the diagnosis is told, how it is scored, and what the table says."""
+
+from __future__ import annotations
+
+import io
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calibration_sim.proving import batch
+from calibration_sim.proving.cli import main
+from calibration_sim.proving.measures import Case, Measure, markdown, measures, power, wrong
+from calibration_sim.proving.running import Run, Settings, read_run, result_path, run_all
+from calibration_sim.proving.scoring import same_place, score
+from calibration_sim.proving.writing import open_labels, recording_digest, write_recordings
+from calibration_sim.scenarios import grid
+
+CONSISTENT: dict[str, Any] = {"schema": 1, "verdict": "consistent", "findings": [], "anomalies": [], "stiffness": []}
+# A stand-in for the diagnosis: notes what it was told, says "consistent", fails where asked to.
+PROGRAM = f"""
+import json, pathlib, sys, time
+args = sys.argv[1:]
+out = pathlib.Path(args[args.index("--out") + 1])
+with open(pathlib.Path(__file__).with_name("calls.txt"), "a") as calls:
+    calls.write(json.dumps(args) + "\\n")
+mode = pathlib.Path(__file__).with_name("mode.txt").read_text()
+if mode == "fail":
+    sys.exit("measurements.csv: line 3: found 'x', expected a number")
+if mode == "hang":
+    time.sleep(60)
+(out / "result.json").write_text(json.dumps({CONSISTENT!r}))
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    path = tmp_path / "program.py"
+    path.write_text(PROGRAM)
+    (tmp_path / "mode.txt").write_text("well")
+    return path
+
+
+def _command(program: Path) -> tuple[str, ...]:
+    return sys.executable, str(program)
+
+
+def _calls(program: Path) -> list[list[str]]:
+    return [json.loads(line) for line in program.with_name("calls.txt").read_text().splitlines()]
+
+
+def _effect(effect: str = "off_axis_compliance", **changes: Any) -> dict[str, Any]:
+    return {
+        "family": "structure",
+        "effect": effect,
+        "location": {"joint": "joint_2"},
+        "amplitude": 1.0,
+        "parameters": {},
+        "equivalent": [],
+        "same_law": False,
+        "configurations": [],
+        **changes,
+    }
+
+
+def _label(*effects: dict[str, Any], group: str = "single", **changes: Any) -> dict[str, Any]:
+    return {
+        "group": group,
+        "robot": "heavy",
+        "protocol": "L",
+        "effects": list(effects),
+        "snr": [10.0] * len(effects),
+        "clutter": 0.0,
+        "stiffness": [1e6, 2e6],
+        "true_anyway": [],
+        **changes,
+    }
+
+
+def _finding(effect: str = "off_axis_compliance", joint: str = "joint_2", **changes: Any) -> dict[str, Any]:
+    return {
+        "effect": effect,
+        "family": "structure",
+        "location": {"joint": joint},
+        "parameters": [],
+        "evidence": {"magnitude": 5e-5},
+        "cannot_be_told_from": [],
+        **changes,
+    }
+
+
+def _result(*findings: dict[str, Any], verdict: str = "missing_physics", **changes: Any) -> dict[str, Any]:
+    return {**CONSISTENT, "verdict": verdict if findings else "consistent", "findings": list(findings), **changes}
+
+
+def test_a_right_answer_is_right() -> None:
+    outcome = score(_label(_effect()), _result(_finding()))
+    assert outcome.first_right is True
+    assert outcome.effect_right == (True,)
+    assert outcome.place_right == (True,)
+    assert outcome.named == ()
+    assert outcome.found == outcome.large == 1
+
+
+def test_another_joint_is_right_only_where_the_true_one_is_listed() -> None:
+    listed = {"effect": "off_axis_compliance", "location": {"joint": "joint_2"}}
+    assert score(_label(_effect()), _result(_finding(joint="joint_3"))).place_right == (False,)
+    outcome = score(_label(_effect()), _result(_finding(joint="joint_3", cannot_be_told_from=[listed])))
+    assert outcome.place_right == (True,)
+    assert outcome.effect_right == (True,)
+
+
+def test_an_exact_alias_counts_as_the_effect() -> None:
+    alias = {"effect": "base_compliance", "location": {"base": "base"}}
+    effect = _effect(location={"joint": "joint_1"}, equivalent=[alias])
+    finding = _finding("base_compliance", location={"base": "base"})
+    outcome = score(_label(effect), _result(finding))
+    assert outcome.first_right is True
+    assert outcome.place_right == (True,)
+    assert not outcome.aliases_said
+    said = {**finding, "cannot_be_told_from": [{"effect": effect["effect"], "location": effect["location"]}]}
+    assert score(_label(effect), _result(said)).aliases_said
+
+
+def test_a_wrong_name_is_wrong_and_a_second_one_is_false() -> None:
+    outcome = score(_label(_effect()), _result(_finding("hysteresis"), _finding()))
+    assert outcome.first_right is False
+    assert outcome.effect_right == (True,)
+    assert outcome.named == ("hysteresis",)
+
+
+def test_what_is_true_anyway_is_no_false_finding_unless_it_is_the_question() -> None:
+    plain = _label(group="nothing", true_anyway=["geometry_error"])
+    assert score(plain, _result(_finding("geometry_error"))).found == 0
+    asked = _label(_effect("geometry_error"), true_anyway=["geometry_error"])
+    assert score(asked, _result(_finding("geometry_error"))).first_right is True
+
+
+def test_empirical_terms_are_no_physics() -> None:
+    outcome = score(_label(group="outside"), _result(_finding("sparse_law", family="empirical"), verdict="unexplained"))
+    assert outcome.found == 0
+    assert outcome.flagged
+
+
+def test_parameters_and_stiffnesses_are_held_against_their_intervals() -> None:
+    parameters = [
+        {"name": "compliance_x", "value": 2.0e-7, "std": 1e-8},
+        {"name": "compliance_y", "value": 2.0e-7, "std": 1e-8},
+    ]
+    effect = _effect(parameters={"compliance_x": 2.15e-7, "compliance_y": 2.5e-7}, same_law=True)
+    rows = [
+        {"joint": "joint_1", "value": 1.01e6, "std": 1e4, "identifiable": True},
+        {"joint": "joint_2", "value": 2.5e6, "std": 1e4, "identifiable": True},
+    ]
+    outcome = score(_label(effect), _result(_finding(parameters=parameters), stiffness=rows))
+    assert outcome.covered == (True, False)
+    assert outcome.stiffness_covered == (True, False)
+    assert score(_label({**effect, "same_law": False}), _result(_finding(parameters=parameters))).covered == ()
+
+
+@pytest.mark.parametrize(
+    ("stated", "right"),
+    [([10, 18], True), ([9, 18], True), ([1, 9], True), ([3, 18], False), ([1, 18], False)],
+)
+def test_a_moved_target_is_located_by_its_first_configuration(stated: list[int], right: bool) -> None:
+    effect = _effect("target_moved", family="anomaly", location={"point": "mp1"}, configurations=list(range(10, 19)))
+    anomaly = {"kind": "target_moved", "location": {"point": "mp1"}, "configurations": stated}
+    label = _label(effect, group="anomaly")
+    assert score(label, {**CONSISTENT, "anomalies": [anomaly]}).anomaly_right == (right,)
+    elsewhere = {**anomaly, "location": {"point": "mp2"}}
+    assert score(label, {**CONSISTENT, "anomalies": [elsewhere]}).anomaly_right == (False,)
+
+
+def test_places() -> None:
+    assert same_place({"joints": ["joint_2", "joint_1"]}, {"joints": ["joint_1", "joint_2"]})
+    assert not same_place({"joint": "joint_2"}, {"link": "link_2"})
+    assert not same_place({}, {"joint": "joint_2"})
+    assert same_place({"sensor": "force_torque"}, {"sensor": "sensor"})
+
+
+def _case(label: dict[str, Any], result: dict[str, Any] | None, seconds: float = 2.0) -> Case:
+    run = Run("0" * 64, 0 if result is not None else 1, seconds, 200.0)
+    return Case("r", label, None if result is None else score(label, result), run)
+
+
+def _measure(cases: list[Case], start: str) -> Measure:
+    return next(m for m in measures(cases) if m.text.startswith(start))
+
+
+def test_the_table_counts_what_it_says() -> None:
+    nothing = _label(group="nothing")
+    both = _label(_effect(), _effect("hysteresis"), group="pair")
+    cases = [
+        *[_case(nothing, _result())] * 3,
+        _case(nothing, _result(_finding("creep"))),
+        _case(both, _result(_finding(), _finding("hysteresis"))),
+        _case(both, _result(_finding(), _finding("creep"))),
+        _case(_label(_effect()), _result(_finding())),
+        _case(_label(_effect()), _result()),
+        _case(_label(_effect(family="outside", effect="nest_slip"), group="outside"), _result(verdict="unexplained")),
+    ]
+    assert _measure(cases, "nothing missing: a finding").value == pytest.approx(0.25)
+    assert _measure(cases, "nothing missing: a finding").met is False
+    assert _measure(cases, "pairs: both found").value == pytest.approx(0.5)
+    assert _measure(cases, "pairs: a false third").value == pytest.approx(0.5)
+    assert _measure(cases, "effect right, given something found").value == pytest.approx(1.0)
+    assert _measure(cases, "effect right, typical, with unloading").value == pytest.approx(0.5)
+    assert _measure(cases, "outside: flagged, nothing").value == pytest.approx(0.0)  # consistent: not flagged
+    assert _measure(cases, "aliases").value is None
+    assert "| nothing missing: a finding | 0.25 | <= 0.01 | **no** | 4 |" in markdown(cases, "head")
+    assert power(cases)[0]["right"] == {"1": 0.5}
+    assert [row["group"] for row in wrong(cases)] == ["nothing", "pair", "single", "outside"]
+
+
+def test_a_recording_without_a_result_counts_against() -> None:
+    cases = [_case(_label(group="nothing"), None), _case(_label(_effect()), None)]
+    assert _measure(cases, "nothing missing: a finding").value == pytest.approx(1.0)
+    assert _measure(cases, "effect right, typical, with unloading").value == pytest.approx(0.0)
+    assert _measure(cases, "diagnoses that failed").value == pytest.approx(1.0)
+
+
+def test_end_to_end_with_a_stand_in(tmp_path: Path, program: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The hash comes first, the diagnosis is told two files and a folder, a second call runs nothing again."""
+    out = tmp_path / "proof"
+    command = shlex.join(_command(program))
+    arguments = ["--seed", "5", "--out", str(out), "--count", "3", "--jobs", "1", "--command", command]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("SHA-256 of the labels: ")
+    digest = said.splitlines()[0].rsplit(" ", 1)[1]
+    assert set(open_labels(out, digest)) == {path.name for path in (out / "recordings").iterdir()}
+    calls = _calls(program)
+    assert len(calls) == 3
+    for recording, key, cell, option, folder in calls:
+        assert (key, option) == ("--cell", "--out")
+        assert {path.name for path in Path(recording).parent.iterdir()} == {"measurements.csv", "cell.yaml"}
+        assert Path(cell).parent == Path(recording).parent
+        assert Path(folder).name == Path(recording).parent.name
+    assert json.loads((out / "table.json").read_text())["labels"] == digest
+    assert (out / "table.md").read_text() in said
+    assert main(arguments) == 0
+    assert len(_calls(program)) == 3
+    cell = next((out / "recordings").iterdir()) / "cell.yaml"
+    cell.write_text(cell.read_text() + "\n")
+    assert main(arguments) == 0  # that recording is written anew, the same as before, and its result still holds
+    assert len(_calls(program)) == 3
+    assert capsys.readouterr().out.count(digest) == 4
+
+
+def test_labels_that_were_touched_are_refused(tmp_path: Path) -> None:
+    scenarios = grid(5)
+    _, digest = write_recordings(scenarios[:1], len(scenarios), tmp_path, jobs=1)
+    (tmp_path / "labels.json").write_text("{}")
+    with pytest.raises(ValueError, match="sealed as"):
+        open_labels(tmp_path, digest)
+
+
+def _recorded(tmp_path: Path) -> tuple[Path, str]:
+    folder = tmp_path / "proof" / "recordings" / "r0001"
+    folder.mkdir(parents=True)
+    (folder / "measurements.csv").write_text("a table")
+    (folder / "cell.yaml").write_text("a cell")
+    return tmp_path / "proof", recording_digest(folder)
+
+
+def test_failures_and_time_limits_are_recorded_and_tried_again(tmp_path: Path, program: Path) -> None:
+    out, digest = _recorded(tmp_path)
+    mode = program.with_name("mode.txt")
+    mode.write_text("fail")
+    run_all(["r0001"], out, Settings(_command(program), jobs=1))
+    failed = read_run(out, "r0001")
+    assert failed is not None
+    assert (failed.exit, failed.sha256) == (1, digest)
+    assert failed.error.startswith("measurements.csv: line 3")
+    mode.write_text("hang")
+    run_all(["r0001"], out, Settings(_command(program), jobs=1, limit=1.0))
+    hung = read_run(out, "r0001")
+    assert hung is not None
+    assert hung.exit == -1
+    assert hung.seconds < 10.0
+    mode.write_text("well")
+    run_all(["r0001"], out, Settings(_command(program), jobs=1))
+    well = read_run(out, "r0001")
+    assert well is not None
+    assert well.exit == 0
+    assert well.megabytes > 3.0
+    assert result_path(out, "r0001").is_file()
+
+
+def test_one_process_takes_many_recordings(tmp_path: Path) -> None:
+    """`os.path:join` stands in for the diagnosis: it answers without being a program, so every call is a defect."""
+    out, _ = _recorded(tmp_path)
+    run_all(["r0001"], out, Settings(("calibration", "diagnose"), entry="os.path:join", jobs=1))
+    run = read_run(out, "r0001")
+    assert run is not None
+    assert run.exit == 1
+    assert "TypeError" in run.error
+
+
+def test_batch_answers_every_line() -> None:
+    def call(arguments: list[str]) -> int:
+        if arguments == ["exit"]:
+            sys.exit(2)
+        if arguments == ["fault"]:
+            raise ValueError("a defect")
+        sys.stderr.write("one\ntwo\n")
+        return 0
+
+    answers = io.StringIO()
+    batch.serve(call, io.StringIO('["well"]\n["exit"]\n["fault"]\n'), answers)
+    replies = [json.loads(line) for line in answers.getvalue().splitlines()]
+    assert [reply["exit"] for reply in replies] == [0, 2, 1]
+    assert replies[0]["error"] == "two"
+    assert replies[2]["error"] == "ValueError: a defect"
+    assert replies[0]["megabytes"] > 3.0
