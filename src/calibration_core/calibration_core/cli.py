@@ -20,23 +20,30 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads cost time on 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
-    options = _parser().parse_args(arguments)
-    options.out = options.out or Path("build/calibration") / options.command
+    options = parse(arguments)
     from calibration_core import commands  # imported late: `--help` needs no numerics
 
     try:
-        summary = commands.COMMANDS[options.command](options)
+        summary = commands.command(options.command)(options)
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
     except EquilibriumError as error:
-        named = InputError(options.recording, "wrench", str(error), "a load within the robot's capacity, in N and N·m")
+        source = options.recording or getattr(options, "plan", None) or options.cell
+        named = InputError(source, "wrench", str(error), "a load within the robot's capacity, in N and N·m")
         print(named, file=sys.stderr)
         return 2
     except BrokenPipeError:
         return 0
     print(summary)
     return 0
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """Return the options of one command; end the process if the arguments make no sense."""
+    options = _parser().parse_args(arguments)
+    options.out = options.out or Path("build/calibration") / options.command
+    return options
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -58,6 +65,9 @@ def _command(
     parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     parser.add_argument("--cell", type=Path, required=True, metavar="CELL.yaml", help="the cell file")
     parser.add_argument("--out", type=Path, metavar="DIR", help=f"where results go (default build/calibration/{name})")
+    parser.add_argument(
+        "--no-report", dest="report", action="store_false", help="result and tables only, without report.html and .pdf"
+    )
     parser.set_defaults(recording=None)
     return parser
 
@@ -106,15 +116,57 @@ def _predict(parser: argparse.ArgumentParser) -> None:
 
 def _plan(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--configurations", type=int, default=18, help="configurations to measure (default 18, at least 12)"
+        "--configurations",
+        type=int,
+        default=18,
+        metavar="N",
+        help="configurations to measure (default 18, at least 12)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the search (default 0)")
+    parser.add_argument(
+        "--spares",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help="spare configurations as a share of those to measure (default 0.5, as the standard asks for)",
+    )
+    parser.add_argument("--seed", type=_seed, default=0, help="seed of the search (default 0)")
+    parser.add_argument(
+        "--load-levels",
+        type=float,
+        nargs="+",
+        metavar="SHARE",
+        help="load steps as shares of the full pull, the first 0 (default 0 0.25 0.5 0.75 1 0.75 0.5 0.25 0)",
+    )
+    parser.add_argument(
+        "--load-share",
+        type=float,
+        default=1.0,
+        metavar="SHARE",
+        help="full pull as a share of the rated load (default 1)",
+    )
+    parser.add_argument("--largest-force", type=float, metavar="N", help="range of the force/torque sensor, force")
+    parser.add_argument("--largest-torque", type=float, metavar="NM", help="range of the force/torque sensor, torque")
+    parser.add_argument(
+        "--box",
+        type=float,
+        nargs=6,
+        metavar=("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
+        help="operating space of the measurement points in the base frame, m (default: all that can be reached)",
+    )
+    parser.add_argument("--model", type=Path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plan", type=Path, metavar="PLAN.yaml", help="the plan; without it one is made")
     parser.add_argument("--model", type=Path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
-    parser.add_argument("--seed", type=int, help="add instrument noise from this seed (default: none)")
+    parser.add_argument("--seed", type=_seed, help="add instrument noise from this seed (default: none)")
+
+
+def _seed(text: str) -> int:
+    seed = int(text)
+    if seed < 0:
+        raise argparse.ArgumentTypeError(f"{seed} is negative")
+    return seed
 
 
 if __name__ == "__main__":

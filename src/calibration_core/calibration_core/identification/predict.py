@@ -40,13 +40,14 @@ def predict_readings(readings: Readings, cell: Cell, model: ModelParameters) -> 
     rest = solve_equilibrium(chain, readings.q, model.compliance, load)
     points = np.stack([model.points[name] for name in readings.points])[readings.point].T
     predicted = (rest.at.point(points).T - model.tracker[:3, 3]) @ model.tracker[:3, :3]
-    return predicted if cell.measurements.points == "absolute" else predicted - _at_step_zero(readings, predicted)
+    return predicted if cell.measurements.points == "absolute" else from_step_zero(readings, predicted)
 
 
-def _at_step_zero(readings: Readings, values: Float2D) -> Float2D:
+def from_step_zero(readings: Readings, values: Float2D) -> Float2D:
+    """Return (m, 3) values less those of the first step of the same configuration and point."""
     keys = np.column_stack([readings.configuration, readings.point])
     _, group = np.unique(keys, axis=0, return_inverse=True)
     group = group.reshape(-1)
     order = np.lexsort((readings.step, group))
     _, starts = np.unique(group[order], return_index=True)
-    return values[order[starts]][group]
+    return values - values[order[starts]][group]

@@ -188,7 +188,8 @@ def grouped_rms(configuration: Int1D, values: Float2D) -> tuple[Float1D, Float1D
     count = np.bincount(index)
     square = np.sum(values**2, axis=1)
     largest = np.zeros(len(numbers))
-    np.maximum.at(largest, index, np.sqrt(square))
+    with np.errstate(invalid="ignore"):  # NaN where nothing was left out stays NaN
+        np.maximum.at(largest, index, np.sqrt(square))
     return numbers.astype(np.float64), np.sqrt(np.bincount(index, square) / (3 * count)), largest
 
 
@@ -227,18 +228,20 @@ def _per_configuration(axes: Axes, readings: Readings, residuals: Residuals, uni
         axes.set_xticks(place[::every], [f"{int(no)}" for no in numbers[::every]])
     else:
         place = numbers
+    name_of_fit = "fitted" if np.any(np.isfinite(held_out)) else "predicted"
     axes.vlines(place, 0, fitted, color=PALE, linewidth=2.4 if len(place) <= 45 else 1.2)
-    axes.plot(place, fitted, "o", color=INK, markersize=3.4, label="fitted")
-    axes.plot(
-        place,
-        held_out,
-        "D",
-        color=ACCENT,
-        markersize=4.2,
-        markerfacecolor="none",
-        markeredgewidth=0.7,
-        label="predicted from the others",
-    )
+    axes.plot(place, fitted, "o", color=INK, markersize=3.4, label=name_of_fit)
+    if np.any(np.isfinite(held_out)):
+        axes.plot(
+            place,
+            held_out,
+            "D",
+            color=ACCENT,
+            markersize=4.2,
+            markerfacecolor="none",
+            markeredgewidth=0.7,
+            label="predicted from the others",
+        )
     axes.axhline(rms(residuals.sigma[used]) * unit.factor, color=INK, linestyle="--", linewidth=0.8, label="expected")
     axes.set(xlabel=name, ylabel=f"rms residual [{unit.name}]")
     axes.set_ylim(0, None)

@@ -7,12 +7,11 @@ import hashlib
 from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.report.document import Document
 from calibration_core.report.html import render_html
+from calibration_core.report.output import REPORT_HTML, REPORT_PDF, Content
 from calibration_core.report.pdf import render_pdf
 
-REPORT_HTML, REPORT_PDF = "report.html", "report.pdf"
 
-
-def rendered(document: Document, space: OperatingSpace) -> dict[str, bytes]:
+def rendered(document: Document, space: OperatingSpace) -> dict[str, Content]:
     """Return `report.html` and `report.pdf`: file name -> content.
 
     Args:

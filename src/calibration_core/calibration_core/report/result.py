@@ -12,12 +12,11 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification, JointStiffness
-from calibration_core.report.output import write_files
+from calibration_core.report.output import RESULT, write_files
 from calibration_core.report.provenance import digests, software
 from calibration_core.report.verdict import rest
 
 SCHEMA = 1
-RESULT = "result.json"
 
 
 def result_dict(identification: Identification, cell: Cell, command: str = "identify") -> dict[str, Any]:

@@ -92,8 +92,12 @@ def parameters(result: Identification, cell: Cell) -> tuple[Block, ...]:
     return (Facts(tuple(rows)),)
 
 
-def requirements(preconditions: tuple[Precondition, ...]) -> tuple[Block, ...]:
-    """Return the standard's requirements, each met, not met, or not to be told from the recording."""
+def requirements(
+    preconditions: tuple[Precondition, ...],
+    caption: str = "Requirements of CWA 17384, checked on the recording",
+    source: str = "recording",
+) -> tuple[Block, ...]:
+    """Return the standard's requirements, each met, not met, or not to be told."""
     columns = (
         Column("Clause", "left"),
         Column("Requirement", "left", wide=True),
@@ -101,20 +105,16 @@ def requirements(preconditions: tuple[Precondition, ...]) -> tuple[Block, ...]:
         Column("Result", "left"),
     )
     rows = tuple((item.clause, item.requirement, item.found, _ANSWER[item.met]) for item in preconditions)
-    return (
-        Table(
-            "Requirements of CWA 17384, checked on the recording", columns, rows, requirement_text(preconditions) + "."
-        ),
-    )
+    return (Table(caption, columns, rows, requirement_text(preconditions, source) + "."),)
 
 
-def requirement_text(preconditions: tuple[Precondition, ...]) -> str:
+def requirement_text(preconditions: tuple[Precondition, ...], source: str = "recording") -> str:
     """Return how many requirements are met, not met, and open."""
     met, failed, unknown = (sum(item.met is answer for item in preconditions) for answer in (True, False, None))
     text = f"{met} of {len(preconditions)} met"
     if failed:
         text += f", {failed} not met"
-    return text + (f", {unknown} cannot be told from the recording" if unknown else "")
+    return text + (f", {unknown} cannot be told from the {source}" if unknown else "")
 
 
 def configurations(numbers: Int1D | Sequence[int], q: Float2D, note: str = "") -> tuple[Block, ...]:

@@ -87,7 +87,7 @@ def traceability_section(
     counts = {} if provenance is None else provenance.messages
     messages = tuple((topic, f"{count:,}") for topic, count in counts.items())
     read = Table("Messages or rows read", (Column("Topic or table", "left", wide=True), Column("Number")), messages)
-    versions = tuple(software().items())
+    versions = ", ".join(f"{package} {version}" for package, version in software().items())
     origin = tuple((label, text) for label, text in (("Origin of the data", cell.source), ("Note", cell.note)) if text)
     return (
         *((Facts(origin),) if origin else ()),
@@ -95,5 +95,5 @@ def traceability_section(
             "Input files", (Column("Role", "left"), Column("File", "left", wide=True), Column("SHA-256", "left")), files
         ),
         *((read,) if messages else ()),
-        Table("Software", (Column("Package", "left", wide=True), Column("Version", "left")), versions),
+        Facts((("Software", versions),)),
     )

@@ -2,18 +2,41 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Literal, Protocol
+
 import numpy as np
 
-from calibration_core.identification.estimate import Identification
+from calibration_core.identification.estimate import OperatingSpace, Residuals
 from calibration_core.report.document import Block, Column, Figure, Table
 from calibration_core.report.figures import PREDICTED_MARKS, grouped, grouped_rms, prediction_figure, residual_figure
 from calibration_core.report.rounding import Unit, decimals, fixed, length_unit, padded, rms, shortened, spread
 from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
 from calibration_core.report.style import MOST_MARKS
-from calibration_core.timeseries import Bool1D, Float1D
+from calibration_core.timeseries import Bool1D, Float1D, Readings
 
 
-def residual_section(result: Identification) -> tuple[Block, ...]:
+class Compared(Protocol):
+    """Readings beside what was predicted for them: an identification, or a prediction by a given model."""
+
+    @property
+    def kind(self) -> Literal["loaded", "absolute"]:
+        """`loaded` where the values are deflections, `absolute` where they are positions."""
+
+    @property
+    def readings(self) -> Readings:
+        """What was measured."""
+
+    @property
+    def residuals(self) -> Residuals:
+        """Row by row; `held_out` is NaN where nothing was left out of a fit."""
+
+    @property
+    def space(self) -> OperatingSpace:
+        """The operating space."""
+
+
+def residual_section(result: Compared) -> tuple[Block, ...]:
     """Return figures and tables of the residuals."""
     rows = result.residuals
     used: Bool1D = ~np.asarray(rows.excluded, dtype=bool)
@@ -21,18 +44,18 @@ def residual_section(result: Identification) -> tuple[Block, ...]:
     blocks: list[Block] = [
         Figure(
             "residuals",
-            "Residuals (measured minus predicted): a) rms per coordinate of every configuration, fitted and predicted "
-            "from a fit to all others; b) per base axis, box: quartiles, whiskers: 95 %, dashed: 95 % of the expected "
+            f"Residuals (measured minus predicted): a) rms per coordinate of every configuration{_fitted(rows)}; "
+            "b) per base axis, box: quartiles, whiskers: 95 %, dashed: 95 % of the expected "
             f"noise; c) length of the residual.{_drawn(int(np.count_nonzero(used)))}",
             "Residuals per configuration, per axis and against load",
             residual_figure(result.readings, rows, reach_of_rows(result)),
         ),
-        _per_axis(result, used, unit),
+        _fitting(_per_axis(result, used, unit), rows, 5),
         _per_point(result, used, unit),
     ]
     if np.any(rows.load > 0):
-        blocks.append(_per_load(result, used, unit))
-    blocks.append(_per_configuration(result, used, unit))
+        blocks.append(_fitting(_per_load(result, used, unit), rows, -1))
+    blocks.append(_fitting(_per_configuration(result, used, unit), rows, -1))
     loaded = result.kind == "loaded"
     what = "Deflection" if loaded else "Position"
     blocks.append(
@@ -47,7 +70,7 @@ def residual_section(result: Identification) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def reach_of_rows(result: Identification) -> Float1D:
+def reach_of_rows(result: Compared) -> Float1D:
     """Return (m,) m, horizontal distance of the configuration's flange from the base's z axis, row by row."""
     radius = np.linalg.norm(np.asarray(result.space.flange)[:, :2], axis=1)
     order = np.argsort(result.space.configuration, kind="stable")
@@ -56,12 +79,33 @@ def reach_of_rows(result: Identification) -> Float1D:
     return np.asarray(radius[order[place]])
 
 
+def _left_out(rows: Residuals) -> bool:
+    """Say whether there are predictions of configurations that were left out of a fit."""
+    return bool(np.any(np.isfinite(rows.held_out)))
+
+
+def _fitted(rows: Residuals) -> str:
+    return ", fitted and predicted from a fit to all others" if _left_out(rows) else ""
+
+
+def _fitting(table: Table, rows: Residuals, column: int) -> Table:
+    """Return a table without its column of configurations left out, where there are none."""
+    if _left_out(rows):
+        return table
+    kept = [i for i in range(len(table.columns)) if i != column % len(table.columns)]
+    return dataclasses.replace(
+        table,
+        columns=tuple(table.columns[i] for i in kept),
+        rows=tuple(tuple(row[i] for i in kept) for row in table.rows),
+    )
+
+
 def _drawn(rows: int, most: int = MOST_MARKS) -> str:
     """Return the sentence that says that not every reading has its mark."""
     return "" if rows <= most else f" Marks: {most:,} of {rows:,} readings, evenly spaced ones and the largest."
 
 
-def _per_axis(result: Identification, used: Bool1D, unit: Unit) -> Table:
+def _per_axis(result: Compared, used: Bool1D, unit: Unit) -> Table:
     rows = result.residuals
     places = decimals(rms(rows.residual[used]) * unit.factor)
     body = [
@@ -86,13 +130,15 @@ def _per_axis(result: Identification, used: Bool1D, unit: Unit) -> Table:
         Column(f"rms, left out [{unit.name}]"),
         Column(f"Expected [{unit.name}]"),
     )
-    note = (
-        "Expected: standard deviation of a residual, from noise after the audit and degrees of freedom left by the fit."
+    note = "Expected: standard deviation of a residual, from " + (
+        "noise after the audit and degrees of freedom left by the fit."
+        if _left_out(rows)
+        else "the stated uncertainty of the tracker."
     )
     return Table("Residuals per base axis", columns, padded(body), note)
 
 
-def _per_point(result: Identification, used: Bool1D, unit: Unit) -> Table:
+def _per_point(result: Compared, used: Bool1D, unit: Unit) -> Table:
     body = []
     for i, name in enumerate(result.readings.points):
         mine = used & (result.readings.point == i)
@@ -108,11 +154,12 @@ def _per_point(result: Identification, used: Bool1D, unit: Unit) -> Table:
     return Table("Residuals per measurement point", columns, padded(body))
 
 
-def _per_load(result: Identification, used: Bool1D, unit: Unit) -> Table:
+def _per_load(result: Compared, used: Bool1D, unit: Unit) -> Table:
     rows = result.residuals
     load = rows.load
     group = np.full(len(load), -1)
     group[used] = grouped(load[used])
+    deflections = result.kind == "loaded"
     coarse = length_unit(rms(rows.measured[used]))
     body = []
     for number in range(int(np.max(group)) + 1):
@@ -123,7 +170,7 @@ def _per_load(result: Identification, used: Bool1D, unit: Unit) -> Table:
             (
                 span,
                 f"{int(np.count_nonzero(mine)):,}",
-                _size(rms(rows.measured[mine]), coarse),
+                *((_size(rms(rows.measured[mine]), coarse),) if deflections else ()),
                 _size(rms(rows.residual[mine]), unit),
                 _size(rms(rows.held_out[mine]), unit),
             )
@@ -131,15 +178,16 @@ def _per_load(result: Identification, used: Bool1D, unit: Unit) -> Table:
     columns = (
         Column("Force [N]", "left", wide=True),
         Column("Readings used"),
-        Column(f"rms deflection [{coarse.name}]"),
+        *((Column(f"rms deflection [{coarse.name}]"),) if deflections else ()),
         Column(f"rms residual [{unit.name}]"),
         Column(f"rms, left out [{unit.name}]"),
     )
-    note = "Deflection: under the external load alone, relative to the equilibrium under the robot's own weight."
+    relative = "Deflection: under the external load alone, relative to the equilibrium under the robot's own weight."
+    note = relative if deflections else ""
     return Table("Residuals per load", columns, padded(body), note)
 
 
-def _per_configuration(result: Identification, used: Bool1D, unit: Unit) -> Table:
+def _per_configuration(result: Compared, used: Bool1D, unit: Unit) -> Table:
     rows = result.residuals
     chosen = result.readings.configuration[used]
     numbers, fitted, largest = grouped_rms(chosen, rows.residual[used])

@@ -1,0 +1,61 @@
+"""What several commands share: where the results stand, and what a plan's configurations look like in space."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.estimate import OperatingSpace
+from calibration_core.identification.space import operating_space
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.robot import chain_of
+from calibration_core.model.simulate import Schedule
+from calibration_core.model.statics import Load
+from calibration_core.recording.source import sha256_of
+from calibration_core.report.output import REPORT_HTML, REPORT_PDF, RESULT
+from calibration_core.timeseries import Provenance, Readings
+
+
+def report_line(arguments: argparse.Namespace) -> str:
+    """Return the last line of a summary: where to look."""
+    if not arguments.report:
+        return f"result: {arguments.out / RESULT}"
+    return f"report: {arguments.out / REPORT_HTML} and {arguments.out / REPORT_PDF}"
+
+
+def digest_of(path: Path) -> dict[str, str]:
+    """Return file name -> SHA-256 of one input file."""
+    return {path.name: sha256_of(path)}
+
+
+def scheduled_space(schedule: Schedule, cell: Cell, parameters: ModelParameters) -> OperatingSpace:
+    """Return the operating space of what is to be measured, one entry per configuration at its largest load.
+
+    Args:
+        schedule: All steps of all configurations.
+        cell: The cell.
+        parameters: The model that answers.
+
+    Raises:
+        EquilibriumError: A load is beyond what the joints can carry.
+    """
+    steps = len(schedule.step)
+    readings = Readings(
+        points=tuple(parameters.points),
+        configuration=schedule.configuration,
+        step=schedule.step,
+        point=np.zeros(steps, dtype=np.int64),
+        q=schedule.q,
+        position=np.zeros((steps, 3)),
+        wrench=None,
+        time=np.full(steps, np.nan),
+        temperature=np.full(steps, np.nan),
+        provenance=Provenance("plan", "csv", {}, {}),
+    )
+    load = None
+    if parameters.wrench_point is not None and np.any(schedule.wrench):
+        load = Load(schedule.wrench[:, :3].T, schedule.wrench[:, 3:].T, parameters.wrench_point, None)
+    return operating_space(chain_of(cell).corrected(parameters.geometry), parameters, readings, load)

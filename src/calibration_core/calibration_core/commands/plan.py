@@ -1,0 +1,168 @@
+"""`calibration plan`: measurement configurations and loads (Table 1 of the standard)."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import Any
+
+import numpy as np
+
+from calibration_core.cell import Cell, load_cell
+from calibration_core.commands.common import digest_of, report_line, scheduled_space
+from calibration_core.errors import InputError, quoted
+from calibration_core.identification.estimate import OperatingSpace
+from calibration_core.model.model_file import read_model
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.simulate import Schedule
+from calibration_core.procedure.loads import NINE_STEPS, LoadRules
+from calibration_core.procedure.plan import Plan
+from calibration_core.procedure.plan_file import plan_dict, plan_text
+from calibration_core.procedure.planning import PlanningRules, make_plan
+from calibration_core.procedure.space import SpaceRules
+from calibration_core.report.command_result import command_result, input_record
+from calibration_core.report.output import RESULT, Content, write_files
+from calibration_core.report.result import result_json
+from calibration_core.report.rounding import counted, spread
+from calibration_core.report.tables import TABLE_1, table1_csv
+
+PLAN = "plan.yaml"
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Make a plan, write it with Table 1 and report, and return a summary.
+
+    Raises:
+        InputError: The input cannot be used, or the output cannot be written.
+    """
+    cell = load_cell(arguments.cell)
+    parameters = nominal_parameters(cell) if arguments.model is None else read_model(arguments.model, cell)
+    inputs = {} if arguments.model is None else {"model": digest_of(arguments.model)}
+    rules = rules_of(arguments)
+    plan = make_plan(
+        cell,
+        configurations=arguments.configurations,
+        spares=arguments.spares,
+        rules=rules,
+        seed=arguments.seed,
+        parameters=parameters,
+    )
+    space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
+    result = result_json(plan_result(plan, cell, space, inputs, seed=arguments.seed))
+    files: dict[str, Content] = {RESULT: result, **plan_files(plan)}
+    if arguments.report:
+        from calibration_core.commands.plan_document import plan_document
+        from calibration_core.report.rendering import rendered
+
+        files |= rendered(plan_document(plan, cell, space, result, inputs, seed=arguments.seed), space)
+    write_files(arguments.out, files)
+    return f"{plan_summary(plan)}\nplan: {arguments.out / PLAN} and {arguments.out / TABLE_1}\n{report_line(arguments)}"
+
+
+def rules_of(arguments: argparse.Namespace) -> PlanningRules:
+    """Return the planning rules that the arguments ask for.
+
+    Raises:
+        InputError: Load levels, share or box make no sense.
+    """
+    levels = NINE_STEPS if arguments.load_levels is None else tuple(arguments.load_levels)
+    inside = all(math.isfinite(level) and 0.0 <= level <= 1.0 for level in levels)
+    if not inside or levels[0] != 0.0 or max(levels) != 1.0 or len(levels) > 100:
+        expected = "shares from 0 to 1 of the full pull, the first 0 and the largest 1, for example 0 0.5 1 0.5 0"
+        raise InputError("--load-levels", "", quoted(list(levels)), expected)
+    if not 0.0 < arguments.load_share <= 1.0:
+        raise InputError(
+            "--load-share", "", f"{arguments.load_share:g}", "a share of the rated load above 0, at most 1"
+        )
+    for name in ("largest_force", "largest_torque"):
+        value = getattr(arguments, name)
+        if value is not None and not 0.0 < value < math.inf:
+            raise InputError(f"--{name.replace('_', '-')}", "", f"{value:g}", "a positive number")
+    load = LoadRules(
+        levels=levels,
+        share=arguments.load_share,
+        largest_force=arguments.largest_force,
+        largest_torque=arguments.largest_torque,
+    )
+    return PlanningRules(space=SpaceRules(box=_box(arguments.box)), load=load)
+
+
+def _box(ends: list[float] | None) -> tuple[tuple[float, float], ...] | None:
+    if ends is None:
+        return None
+    box = tuple(zip(ends[::2], ends[1::2], strict=True))
+    if not all(math.isfinite(low) and math.isfinite(high) and low < high for low, high in box):
+        raise InputError("--box", "", quoted(ends), "XMIN XMAX YMIN YMAX ZMIN ZMAX in m, each lower < upper")
+    return box
+
+
+def plan_files(plan: Plan) -> dict[str, Content]:
+    """Return `plan.yaml` and `table1.csv`: file name -> content."""
+    return {PLAN: plan_text(plan).encode(), TABLE_1: table1_csv(*plan.table1())}
+
+
+def plan_result(
+    plan: Plan, cell: Cell, space: OperatingSpace, inputs: dict[str, dict[str, str]], *, seed: int
+) -> dict[str, Any]:
+    """Return the content of result.json.
+
+    Args:
+        plan: What was planned.
+        cell: The cell.
+        space: Its operating space.
+        inputs: Role -> file -> SHA-256 of input files besides the cell's.
+        seed: Seed of the search.
+    """
+    steps = sum(len(configuration.steps) for configuration in plan.primary)
+    content = plan_dict(plan)
+    return command_result(
+        "plan",
+        cell,
+        {
+            "file": PLAN,
+            "configurations": len(plan.primary),
+            "steps": steps,
+            "points": list(cell.points),
+            "loaded": space.force is not None,
+        },
+        spares=len(plan.spares),
+        expected=content["expected"],
+        joints=content["joints"],
+        largest_force=largest_force(plan),
+        reference=content["reference"],
+        startup_cycle=content["startup_cycle"],
+        singularity=float(np.min(space.singularity)),
+        seed=seed,
+        input=input_record(cell, None, inputs),
+    )
+
+
+def largest_force(plan: Plan) -> float:
+    """Return the size of the largest force of any step, N."""
+    return float(max(np.linalg.norm(c.steps[:, :3], axis=1).max() for c in plan.configurations))
+
+
+def plan_summary(plan: Plan) -> str:
+    """Return what came out, in a few lines."""
+    lines = [
+        (
+            f"{counted(len(plan.primary), 'configuration')} and {counted(len(plan.spares), 'spare')}, "
+            f"{counted(len(plan.primary[0].steps), 'load step')}, largest force {largest_force(plan):,.0f} N"
+        )
+    ]
+    expected = plan.expected
+    if expected is None:
+        return lines[0]
+    lines.append(
+        f"certified share of the best D-efficiency {100 * expected.efficiency:.1f} %, "
+        f"condition number {expected.condition:.2f}"
+    )
+    if expected.stiffness_std is not None:
+        shares = (
+            f"{joint} {spread(100 * std)} %" for joint, std in zip(plan.joints, expected.stiffness_std, strict=True)
+        )
+        lines.append(f"expected standard deviation of the stiffness: {', '.join(shares)}")
+    if expected.unclear_moves:
+        moves = counted(expected.unclear_moves, "motion comes", "motions come")
+        lines.append(f"{moves} too near to floor or arm on the straight path in joint space: lead it by hand")
+    return "\n".join(lines)
