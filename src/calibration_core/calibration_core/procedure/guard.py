@@ -34,7 +34,7 @@ class GuardRules:
             None: none.
         max_state_age: s, of the robot state.
         max_joints_age: s, of the joint states.
-        freeze_time: s, joint states repeat to the bit while the robot is in motion.
+        freeze_time: s, joint states repeat to the bit while the robot is said to be in motion.
         speed_window: s, over which the measured speed is taken (at least between two samples).
         jump_rate: rad/s, no joint is faster between two samples.
         scaling_zero_time: s, the controller may scale the speed to zero for so long.
@@ -118,7 +118,7 @@ class Guard:
         self._status_received = math.nan
         self._scaled_to_zero_since = math.nan
         self._samples: list[_Sample] = []
-        self._unchanged_since = math.nan
+        self._unchanged_since = self._moving_since = math.nan
         self._fresh_joints = math.nan
         self._bad_joints = self._jumped = self._clock_jumped = self._stopping = False
         self._permitted = False
@@ -128,6 +128,10 @@ class Guard:
     def on_status(self, status: RobotStatus, now: float) -> None:
         """Take a robot state that arrived at `now`."""
         self._status, self._status_received = status, now
+        if status.in_motion is not True:
+            self._moving_since = math.nan
+        elif math.isnan(self._moving_since):
+            self._moving_since = now
         if status.speed_scaling != 0.0:
             self._scaled_to_zero_since = math.nan
         elif math.isnan(self._scaled_to_zero_since):
@@ -245,10 +249,16 @@ class Guard:
             Reason.SAFETY_STOP: status.safety not in {Safety.UNKNOWN, Safety.NORMAL, Safety.REDUCED},
             Reason.MOTION_NOT_POSSIBLE: status.motion_possible is False,
             Reason.IN_ERROR: status.in_error is True,
-            Reason.JOINTS_FROZEN: status.in_motion is True and self._old(now, self._unchanged_since, rules.freeze_time),
+            Reason.JOINTS_FROZEN: self._old(now, self._unchanged_while_moving(), rules.freeze_time),
             Reason.SPEED_SCALING_ZERO: self._old(now, self._scaled_to_zero_since, rules.scaling_zero_time),
         }
         return {reason for reason, holds in found.items() if holds}
+
+    def _unchanged_while_moving(self) -> float:
+        """Return since when the joint states repeat although the robot is said to move; NaN where they do not."""
+        if math.isnan(self._moving_since) or math.isnan(self._unchanged_since):
+            return math.nan
+        return max(self._moving_since, self._unchanged_since)
 
     def _slow(self, status: RobotStatus, confirmed: bool) -> bool:
         """Tell whether there is evidence that the controller itself keeps the speed limit in this mode."""

@@ -94,11 +94,16 @@ class History:
                 found.add("OVER_SPEED")
         moving = bool(self.states) and self.states[-1][1].in_motion is True
         if moving and every:
-            since = every[-1][0]
+            since = begun = every[-1][0]
             for received, _, q, _ in reversed(every):
                 if not np.array_equal(q, every[-1][2]):
                     break
                 since = received
+            for received, status in reversed(self.states):
+                if status.in_motion is not True:
+                    break
+                begun = received
+            since = max(since, begun)
             if not -rules.clock_tolerance <= now - since <= rules.freeze_time:
                 found.add("JOINTS_FROZEN")
         return found
