@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -40,6 +41,7 @@ from calibration_core.procedure.speed import Monitored
 from calibration_core.timeseries import NANOSECONDS
 
 PULSE_DEADLINE = 0.1  # s, offered: two pulses of the permission are never farther apart
+LONGEST_AGE = 10.0  # s, of a source's last message
 ASK_EVERY = 1.0  # s, services of an adapter
 RULES = GuardRules()
 MODES = tuple(mode.name for mode in OperatingMode if mode is not OperatingMode.UNKNOWN)
@@ -64,9 +66,11 @@ PARAMETERS = (
     Declared("speed_window", RULES.speed_window, "s, over which speed is measured.", low=0.0, high=1.0),
     Declared("jump_rate", RULES.jump_rate, "rad/s, no joint is faster.", low=1.0, high=100.0),
     Declared("scaling_zero_time", RULES.scaling_zero_time, "s, speed scaling may be zero.", low=0.0, high=10.0),
+    Declared("max_pause", RULES.max_pause, "s, between two decisions, and between stamps of joint states.", low=0.1),
     Declared("clock_jump", 2.0, "s, the clock may advance between two decisions.", low=0.1, high=3600.0),
     Declared("robot_state.adapter", "native", "How the controller's state is understood.", choices=NAMES),
     Declared("robot_state.topics", [], "Names of topics other than the driver's defaults, as key=name."),
+    Declared("robot_state.max_ages", [], "s, that a source's last message counts, other than usual, as key=seconds."),
     Declared("robot_state.generic.topic", "", "Topic of the generic adapter."),
     Declared("robot_state.generic.type", "", "Its type, package/msg/Name."),
     Declared(
@@ -97,6 +101,7 @@ class GuardNode(CalibrationNode):
         self._confirmation: Confirmation | None = None
         self._q = np.full(self.monitored.chain.n, math.nan)
         self._last: Decision | None = None
+        self._deciding = threading.RLock()
         self._evidence_sent = -math.inf
         self._ros_time = 0
         self._speak()
@@ -117,19 +122,38 @@ class GuardNode(CalibrationNode):
         if name == GENERIC:
             place = "robot_state.generic"
             rules = {quantity: self.value(f"{place}.{quantity}") for quantity in generic.WORDS}
-            found = (self.value(f"{place}.{key}") for key in ("topic", "type", "max_age"))
-            adapter = generic.adapter(*found, rules)
+            topic, kind, age = (self.value(f"{place}.{key}") for key in ("topic", "type", "max_age"))
+            adapter = generic.adapter(topic, kind, age, rules)
         else:
             adapter = adapter_of(name)
-        given = [entry.partition("=") for entry in self.value("robot_state.topics")]
+        topics, ages = self._by_key(adapter, "robot_state.topics"), self._by_key(adapter, "robot_state.max_ages")
+        sources = []
+        for source in adapter.sources:
+            age = source.max_age
+            if source.key in ages:
+                age = self._seconds("robot_state.max_ages", ages[source.key])
+            sources.append(dataclasses.replace(source, name=topics.get(source.key, source.name), max_age=age))
+        return dataclasses.replace(adapter, sources=tuple(sources))
+
+    def _by_key(self, adapter: Adapter, name: str) -> dict[str, str]:
         known = {source.key for source in adapter.sources}
-        for key, _, topic in given:
-            if key not in known or not topic:
-                expected = f"key=name with a key of {', '.join(sorted(known)) or 'no topic at all'}"
-                raise InputError("guard", "robot_state.topics", quoted(key), expected)
-        renamed = {key: topic for key, _, topic in given}
-        sources = tuple(dataclasses.replace(s, name=renamed.get(s.key, s.name)) for s in adapter.sources)
-        return dataclasses.replace(adapter, sources=sources)
+        found = {}
+        for entry in self.value(name):
+            key, _, text = entry.partition("=")
+            if key not in known or not text:
+                expected = f"key=value with a key of {', '.join(sorted(known)) or 'no topic at all'}"
+                raise InputError("guard", name, quoted(entry), expected)
+            found[key] = text
+        return found
+
+    def _seconds(self, name: str, text: str) -> float:
+        try:
+            seconds = float(text)
+        except ValueError:
+            seconds = math.nan
+        if not 0.0 < seconds <= LONGEST_AGE:
+            raise InputError("guard", name, quoted(text), f"above 0, at most {LONGEST_AGE:g} s")
+        return seconds
 
     def _speak(self) -> None:
         pulse = PERMISSION.qos
@@ -232,7 +256,8 @@ class GuardNode(CalibrationNode):
             self.guard.on_clock_jump()
 
     def _decide(self, now: float) -> None:
-        self._publish(self.guard.decide(now), now)
+        with self._deciding:
+            self._publish(self.guard.decide(now), now)
 
     def _publish(self, decision: Decision, now: float) -> None:
         stamp = self.now_ns()
@@ -285,8 +310,9 @@ class GuardNode(CalibrationNode):
 
     def stop(self) -> None:
         """Take the permission back before the pulse ends."""
-        self.guard.stop()
-        self._decide(time.monotonic())
+        with self._deciding:  # the executor's thread still decides
+            self.guard.stop()
+            self._decide(time.monotonic())
 
 
 def main(args: Sequence[str] | None = None) -> int:

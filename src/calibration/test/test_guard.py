@@ -266,6 +266,7 @@ def test_the_last_word_is_no(spinning: Any, until: Any) -> None:
         ({"allowed_modes": ["FAST"]}, "FAST"),
         ({"robot_state.adapter": "kuka"}, "kuka"),
         ({"robot_state.topics": ["status=x"]}, "status"),
+        ({"robot_state.max_ages": ["state=soon"]}, "soon"),
         ({"robot_state.adapter": "abb"}, "abb_robot_msgs"),
         ({"robot_state.adapter": "generic"}, "operating_mode"),
         ({"speed_limit": 0.3}, "speed_limit"),

@@ -39,4 +39,6 @@ def _word(value: Any, unknown: Word) -> Word:
         return unknown
 
 
-ADAPTER = Adapter("native", (Source("state", "driver/robot_state", "calibration_interfaces/msg/RobotState", 0.5),), translate)
+ADAPTER = Adapter(
+    "native", (Source("state", "driver/robot_state", "calibration_interfaces/msg/RobotState", 0.5),), translate
+)

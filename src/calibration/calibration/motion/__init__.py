@@ -1,0 +1,1 @@
+"""Motion back ends: how a trajectory gets to the robot, one file per way."""

@@ -1,0 +1,53 @@
+"""What a back end does: take one trajectory at a time, tell how it ended, stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.timeseries import Float1D
+
+Done = Callable[[bool, str], None]
+"""Called once when a trajectory has ended: whether the driver calls it a success, and its words.
+
+Success is not arrival: whoever moves checks the joint states.
+"""
+
+
+class Backend(Protocol):
+    """A way to move the robot.  Methods return at once; `done` may be called from another thread."""
+
+    def prepare(self, timeout: float) -> str:
+        """Wait up to `timeout` (s) for the driver; return what is missing, empty if nothing is."""
+
+    def move(self, trajectory: Trajectory, done: Done) -> None:
+        """Follow a trajectory; the one before, if any, is over."""
+
+    def stop(self) -> None:
+        """Stop what is being followed, at once; nothing if nothing is.  May be called again and from any thread."""
+
+    def tick(self, now: float) -> None:
+        """Look for answers that do not come; `now` is s of the steady clock."""
+
+    @property
+    def answers(self) -> bool:
+        """Whether `done` is ever called."""
+
+    @property
+    def commands(self) -> bool:
+        """Whether the robot moves by our command, so that arrival may be awaited for a limited time only."""
+
+
+class MessageMaker(Protocol):
+    """Makes driver messages from trajectories."""
+
+    def __call__(self, trajectory: Trajectory) -> Any:
+        """Return the message."""
+
+
+class Standing(Protocol):
+    """Tells where the robot stands."""
+
+    def __call__(self) -> Float1D | None:
+        """Return the measured joint angles (n,) rad; None if they are not known."""

@@ -1,0 +1,314 @@
+"""Carries out what the procedure says: one thread, one queue of events, nothing that blocks.
+
+Answers of drivers and instruments, the guard's word and the operator's come into the queue from other threads; the
+thread hands them to the pure procedure, and does what it commands.  Arrival, standstill and the age of the guard's word
+are looked at between events.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import queue
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from calibration.clients import Measured
+from calibration.motion.arrival import Joints
+from calibration.motion.base import Backend
+from calibration.motion.ladder import StopLadder
+from calibration.permission import PermissionWatch
+from calibration.readings import ReadingError
+from calibration_core.errors import SessionError, TrajectoryError
+from calibration_core.procedure import messages as m
+from calibration_core.procedure.sequence import Sequence
+from calibration_core.procedure.speed import Monitored
+from calibration_core.procedure.trajectory import MotionLimits, Trajectory, plan_motion
+from calibration_core.timeseries import Float1D
+
+LOOK = 0.01  # s of wall time between two looks while nothing happens
+TICK = 0.1  # s of wall time between two ticks of the procedure
+CALM = 10.0  # s, a robot may take to come to rest before it is moved
+LATE = 3.0  # s, joint states may lag behind a driver's success
+SLACK = 1.5  # times a trajectory's length, and ...
+SLACK_TIME = 10.0  # s more, a motion may take
+WIND_DOWN = 1.2  # s of wall time, the robot has to come to rest at the end
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionEnded:
+    """The driver's word on the motion of a request."""
+
+    request: int
+    success: bool
+    text: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MeasuredFor:
+    """The instruments' answer to a request."""
+
+    request: int
+    measured: Measured
+
+
+@dataclasses.dataclass(frozen=True)
+class Call:
+    """Something to be done in this thread."""
+
+    work: Callable[[], None]
+
+
+class Cell(Protocol):
+    """What the cell offers; implemented by the node.  Every method returns at once."""
+
+    def seconds(self) -> float:
+        """Return the cell's time, s."""
+
+    def measure(self, answered: Callable[[Measured], None]) -> None:
+        """Average over one window."""
+
+    def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
+        """Change the load, or ask the operator to."""
+
+    def confirm(self, command: m.TakeReading, measured: Measured) -> None:
+        """Put readings on the disk and announce them; raise ReadingError or SessionError."""
+
+    def carry_out(self, command: m.Command) -> None:
+        """Announce or store what needs no answer: marks, attempts, records, questions."""
+
+    def stop_rung(self, rung: int) -> None:
+        """Take a rung of the stop ladder; 0 is the back end's own stop."""
+
+    def scaling(self) -> float:
+        """Return the share of the programmed speed at which the controller moves; NaN: not known."""
+
+    def look(self, now: float) -> None:
+        """Give up requests that are not answered; `now` is s of the steady clock."""
+
+    def progress(self) -> None:
+        """Tell how far it is."""
+
+
+@dataclasses.dataclass(eq=False)
+class _Motion:
+    """A motion that was asked for."""
+
+    request: int
+    goal: Float1D
+    asked: float  # s, cell's time
+    trajectory: Trajectory | None = None
+    ended: MotionEnded | None = None
+    ended_at: float = math.inf
+    late_at: float = math.inf
+
+
+class Runner:
+    """Runs a procedure to its end."""
+
+    def __init__(
+        self,
+        sequence: Sequence,
+        cell: Cell,
+        backend: Backend,
+        joints: Joints,
+        watch: PermissionWatch,
+        monitored: Monitored,
+        limits: MotionLimits,
+        *,
+        settle_time: float,
+        rungs: int,
+    ) -> None:
+        """Prepare; `run` begins.
+
+        Args:
+            sequence: The procedure.
+            cell: What carries out its commands.
+            backend: Moves the robot.
+            joints: The joint states.
+            watch: The guard's word.
+            monitored: Points whose speed is bounded.
+            limits: Of motions.
+            settle_time: s, that everything has to stand before a reading.
+            rungs: Of the stop ladder.
+        """
+        self.sequence, self._cell, self._backend, self._joints = sequence, cell, backend, joints
+        self._watch, self._monitored, self._limits, self._settle_time = watch, monitored, limits, settle_time
+        self._ladder = StopLadder(rungs)
+        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._motion: _Motion | None = None
+        self._settling: tuple[int, float] | None = None  # request, since
+        self._reading: dict[int, m.TakeReading] = {}
+        self._ticked = -math.inf
+        self.finish: m.Finish | None = None
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion of ours is under way, or being stopped."""
+        return (self._motion is not None and self._motion.trajectory is not None) or self._ladder.climbing
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a motion of ours is being stopped."""
+        return self._ladder.climbing
+
+    def post(self, event: m.Event | MotionEnded | MeasuredFor | Call) -> None:
+        """Put an event into the queue, from any thread."""
+        self._events.put(event)
+
+    def run(self) -> m.Finish:
+        """Run to the end; return how it ended."""
+        self._handle(m.Start(self._cell.seconds()))
+        while self.finish is None:
+            try:
+                event = self._events.get(timeout=LOOK)
+            except queue.Empty:
+                event = None
+            self._take(event)
+            self._look()
+        self._wind_down()
+        return self.finish
+
+    def _take(self, event: Any) -> None:
+        match event:
+            case None:
+                return
+            case Call():
+                event.work()
+            case MotionEnded():
+                if self._motion is not None and self._motion.request == event.request:
+                    self._motion.ended, self._motion.ended_at = event, self._cell.seconds()
+            case MeasuredFor():
+                self._on_measured(event)
+            case _:
+                self._handle(dataclasses.replace(event, now=self._cell.seconds()))
+
+    def _handle(self, event: m.Event) -> None:
+        for command in self.sequence.handle(event):
+            self._do(command)
+
+    # --- commands ----------------------------------------------------------------------------------------------------
+
+    def _do(self, command: m.Command) -> None:
+        match command:
+            case m.Move():
+                self._motion = _Motion(command.request, np.asarray(command.q), self._cell.seconds())
+            case m.StopMotion():
+                self._stop()
+            case m.RequestLoad():
+                self._cell.apply_load(command, self._load_answered(command.request))
+            case m.AwaitSettled():
+                self._settling = (command.request, self._cell.seconds())
+            case m.TakeReading():
+                self._reading[command.request] = command
+                request = command.request
+                self._cell.measure(lambda measured: self.post(MeasuredFor(request, measured)))
+            case m.Finish():
+                self.finish = command
+            case _:
+                self._cell.carry_out(command)
+
+    def _stop(self) -> None:
+        self._motion = None
+        self._cell.stop_rung(self._ladder.begin(time.monotonic()))
+
+    def _load_answered(self, request: int) -> Callable[[bool, str], None]:
+        def answered(success: bool, text: str) -> None:
+            now = self._cell.seconds()
+            self.post(m.LoadReached(now, request) if success else m.LoadFailed(now, request, text))
+
+        return answered
+
+    def _on_measured(self, event: MeasuredFor) -> None:
+        command = self._reading.pop(event.request, None)
+        if command is None:
+            return
+        now = self._cell.seconds()
+        if event.measured.fault:
+            self._handle(m.ReadingFailed(now, event.request, event.measured.fault))
+            return
+        try:
+            self._cell.confirm(command, event.measured)
+        except (ReadingError, SessionError) as error:
+            self._handle(m.ReadingFailed(now, event.request, str(error)))
+            return
+        self._handle(m.ReadingConfirmed(now, event.request))
+
+    # --- between events ----------------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        steady, now = time.monotonic(), self._cell.seconds()
+        permitted, text = self._watch.at(steady)
+        self._handle(m.PermissionChanged(now, permitted, text))  # passed over where nothing has changed
+        self._backend.tick(steady)
+        self._cell.look(steady)
+        self._climb(steady)
+        if self._motion is not None:
+            self._follow(self._motion, now)
+        if self._settling is not None and self.sequence.state is not m.State.SETTLING:
+            self._settling = None
+        if self._settling is not None:
+            request, since = self._settling
+            if now - since >= self._settle_time and self._joints.standing():
+                self._settling = None
+                self._handle(m.Settled(now, request))
+        if steady - self._ticked >= TICK:
+            self._ticked = steady
+            self._handle(m.Tick(now))
+            self._cell.progress()
+
+    def _climb(self, steady: float) -> None:
+        rung = self._ladder.climb(steady, standing=self._joints.standing())
+        if rung is not None:
+            self._cell.stop_rung(rung)
+
+    def _follow(self, motion: _Motion, now: float) -> None:
+        """Begin the motion once the robot stands, and see how it goes."""
+        if motion.trajectory is None:
+            self._begin(motion, now)
+        elif motion.ended is not None and not motion.ended.success:
+            self._blocked(motion, now, motion.ended.text or "the driver gave up")
+        elif (motion.ended is not None or not self._backend.answers) and self._joints.arrived(motion.goal):
+            self._motion = None
+            self._handle(m.Arrived(now, motion.request))
+        elif now - motion.ended_at > LATE:
+            off = np.abs(np.asarray(self._joints.latest) - motion.goal).max()
+            self._blocked(motion, now, f"the driver says that it is there, but a joint is {off:.4f} rad off")
+        elif now > motion.late_at:
+            self._stop()
+            self._handle(m.Blocked(now, motion.request, "the motion takes too long"))
+
+    def _begin(self, motion: _Motion, now: float) -> None:
+        where = self._joints.latest
+        if where is None or not self._joints.standing() or self._ladder.climbing:
+            if now - motion.asked > CALM:
+                self._blocked(motion, now, "the robot does not come to rest, or its joint states do not come")
+            return
+        try:
+            motion.trajectory = plan_motion(self._monitored, where, motion.goal, self._limits)
+        except TrajectoryError as error:
+            self._blocked(motion, now, str(error))
+            return
+        if not self._watch.at(time.monotonic())[0]:
+            motion.trajectory = None  # lost while it was planned; the procedure hears of it next
+            return
+        if self._backend.commands:
+            scaling = self._cell.scaling()
+            pace = scaling if 0.0 < scaling <= 1.0 else 1.0
+            motion.late_at = now + SLACK * motion.trajectory.duration / pace + SLACK_TIME
+        request = motion.request
+        self._backend.move(motion.trajectory, lambda success, text: self.post(MotionEnded(request, success, text)))
+
+    def _blocked(self, motion: _Motion, now: float, reason: str) -> None:
+        self._motion = None
+        self._handle(m.Blocked(now, motion.request, reason))
+
+    def _wind_down(self) -> None:
+        """Climb the stop ladder until the robot stands, for a while."""
+        end = time.monotonic() + WIND_DOWN
+        while self._ladder.climbing and time.monotonic() < end:
+            self._climb(time.monotonic())
+            time.sleep(LOOK)

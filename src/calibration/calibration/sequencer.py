@@ -1,0 +1,403 @@
+"""`sequencer`: measures a plan in the cell.
+
+The action `~/run` starts a thread that runs the pure procedure; callbacks only put what they hear into its queue.  The
+operator's services are `~/pause`, `~/resume`, `~/stop` and `~/load_applied`.  The robot is moved only while the guard
+says yes; whatever takes that away stops the motion at once, and nothing moves again before the operator resumes.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Sequence as Arguments
+from pathlib import Path
+from typing import Any
+
+from calibration_interfaces.action import RunPlan
+from calibration_interfaces.msg import MeasurementStep, Outcome, Permission, RobotState
+from calibration_interfaces.srv import LoadApplied
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, Temperature
+from std_srvs.srv import Trigger
+
+from calibration.background import Background
+from calibration.cell_port import CellPort, call_and_wait, latest_temperature
+from calibration.clients import Instruments, LoadDevice
+from calibration.conversions import joint_positions, stamp_ns, to_outcome
+from calibration.guard import PULSE_DEADLINE
+from calibration.motion.arrival import Joints
+from calibration.motion.calls import parse_call, succeeded
+from calibration.motion.catalogue import make_backend
+from calibration.node import CalibrationNode, run
+from calibration.permission import SILENT, PermissionWatch
+from calibration.provenance import provenance
+from calibration.robot_state.catalogue import load_type
+from calibration.runner import Call, Runner
+from calibration.sequencer_parameters import DEVICE, PARAMETERS, arrival_rules, motion_limits, sequence_rules
+from calibration.stopper import RUNGS, Stopper
+from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, READING, ROBOT_STATE, Quality, profile
+from calibration_core.cell import load_cell
+from calibration_core.errors import InputError, SessionError
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.procedure import messages as m
+from calibration_core.procedure.plan import Plan
+from calibration_core.procedure.plan_file import read_plan
+from calibration_core.procedure.sequence import Sequence
+from calibration_core.procedure.session import DATABASE, Session
+from calibration_core.procedure.session_values import Decision
+from calibration_core.procedure.speed import Monitored
+from calibration_core.timeseries import NANOSECONDS, Phase
+
+PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way
+FEEDBACK = 0.5  # s of wall time
+END_TIME = 1.6  # s of wall time, a run has to end when the process does
+CALL_TIME = 5.0  # s of wall time, services have to answer
+OUTCOMES = {
+    m.Outcome.COMPLETED: Outcome.OK,
+    m.Outcome.INCOMPLETE: Outcome.BLOCKED,
+    m.Outcome.STOPPED: Outcome.STOPPED,
+    m.Outcome.FAULT: Outcome.FAULT,
+}
+
+
+class SequencerNode(CalibrationNode):
+    """The node around the pure procedure.
+
+    Attributes:
+        cell: The cell.
+        steps: Publisher of step markers; likewise `events` and `readings`.
+        stopper: Stops the robot.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Connect to the cell.
+
+        Raises:
+            InputError: A parameter or the cell file cannot be used, or a message package is not installed.
+        """
+        super().__init__("sequencer", PARAMETERS, **kwargs)
+        self.cell = load_cell(self.value("cell"))
+        self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
+        self._rules, self._limits = sequence_rules(self), motion_limits(self)
+        self._joints = Joints(arrival_rules(self))
+        self._watch = PermissionWatch(self.value("permission_age"))
+        self._runner: Runner | None = None
+        self._port: CellPort | None = None
+        self._goal: Any = None
+        self._ended = threading.Event()
+        self._ended.set()
+        self._told = -math.inf
+        self._temperature: Any = None
+        self._scaling = math.nan
+        self._decided: tuple[Any, ...] = ()
+        self._backend = make_backend(
+            self.value("motion.backend"),
+            self,
+            self.cell.robot.joints,
+            interface=self.value("motion.interface"),
+            rules=arrival_rules(self),
+            where=lambda: self._joints.latest,
+            ask=lambda text: self.diagnostics.report("operator", 1, text),
+        )
+        self._prepare = self._callers("motion.prepare_services")
+        self.stopper = Stopper(
+            self,
+            self._backend,
+            self.cell.robot.joints,
+            lambda: self._joints.latest,
+            hold_topic=self.value("motion.hold_topic"),
+            calls=self._callers("motion.stop_services"),
+            trace=self.value("trace"),
+        )
+        by_device = self.value("load.by") == DEVICE
+        self._load_device = LoadDevice(self, self.value("load.interface")) if by_device else None
+        self._instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
+        self._speak()
+        self._listen()
+
+    def _callers(self, name: str) -> list[tuple[Any, Any]]:
+        calls = [parse_call(text) for text in self.value(name)]
+        return [(self.create_client(load_type(call.type), call.name), call.request()) for call in calls]
+
+    def _speak(self) -> None:
+        step = self.cell.topics.step.lstrip("/")
+        self.steps = self.create_publisher(MeasurementStep, step, profile(Quality.EVENTS))
+        self.events = self.create_publisher(EVENT.message, EVENT.relative, EVENT.qos)
+        self.readings = self.create_publisher(READING.message, READING.relative, READING.qos)
+        self._pulse = self.create_publisher(MOTION_PULSE.message, MOTION_PULSE.relative, MOTION_PULSE.qos)
+        group = ReentrantCallbackGroup()
+        self.create_service(Trigger, "~/pause", self._on_pause)
+        self.create_service(Trigger, "~/resume", self._on_resume)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(LoadApplied, "~/load_applied", self._on_load_applied)
+        self._action = ActionServer(
+            self, RunPlan, "~/run", self._on_run, callback_group=group, cancel_callback=self._on_cancel
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0 / PULSE, self._send_pulse, clock=steady)
+        recorder = self.value("recorder")
+        self._recorder = {}
+        if recorder:
+            self._recorder = {what: self.create_client(Trigger, f"{recorder}/{what}") for what in ("open", "close")}
+
+    def _listen(self) -> None:
+        newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(JointState, self.cell.topics.joint_states.lstrip("/"), self._on_joints, newest)
+        self.create_subscription(Temperature, self.cell.topics.temperature.lstrip("/"), self._on_temperature, newest)
+        kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_subscription(RobotState, ROBOT_STATE.relative, self._on_state, kept)
+        pulse = PERMISSION.qos
+        pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
+        silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
+        self.create_subscription(Permission, PERMISSION.relative, self._on_permission, pulse, event_callbacks=silence)
+
+    # --- what arrives ------------------------------------------------------------------------------------------------
+
+    def _on_joints(self, message: JointState) -> None:
+        q = joint_positions(message, self.cell.robot.joints)
+        if q is not None:
+            self._joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
+
+    def _on_temperature(self, message: Temperature) -> None:
+        self._temperature = message
+
+    def _on_state(self, message: RobotState) -> None:
+        self._scaling = float(message.speed_scaling)
+
+    def _on_permission(self, message: Permission) -> None:
+        self._watch.hear(message, time.monotonic())
+        if not message.permitted:
+            self._halt(str(message.text))
+        decided = (bool(message.permitted), bool(message.latched), tuple(message.reasons))
+        if decided != self._decided:
+            self._decided = decided
+            self._store(message)
+
+    def _on_silence(self) -> None:
+        if not self._watch.at(time.monotonic())[0]:
+            self._halt(SILENT)
+
+    def _halt(self, why: str) -> None:
+        """Stop a motion without waiting for anybody's turn; the procedure hears of it at its next look."""
+        runner = self._runner
+        if runner is not None and runner.moving and not runner.stopping:
+            self.stopper.take(0)
+            runner.post(m.PermissionChanged(0.0, False, why))
+
+    def _store(self, message: Permission) -> None:
+        runner, port = self._runner, self._port
+        if runner is None or port is None:
+            return
+        reasons = tuple(filter(None, str(message.text).split("; "))) if not message.permitted else ()
+        decision = Decision(stamp_ns(message.header.stamp), message.permitted, message.latched, reasons)
+        runner.post(Call(lambda: port.decided(decision)))
+
+    def _send_pulse(self) -> None:
+        runner = self._runner
+        if runner is not None:
+            self._pulse.publish(MOTION_PULSE.message(data=runner.moving))
+
+    # --- what the operator says --------------------------------------------------------------------------------------
+
+    def _post(self, event: m.Event, response: Any) -> Any:
+        runner = self._runner
+        response.success = runner is not None
+        response.message = "" if runner is not None else "no plan is being measured"
+        if runner is not None:
+            runner.post(event)
+        return response
+
+    def _on_pause(self, _request: Any, response: Any) -> Any:
+        return self._post(m.Pause(0.0), response)
+
+    def _on_resume(self, _request: Any, response: Any) -> Any:
+        return self._post(m.Resume(0.0), response)
+
+    def _on_stop(self, _request: Any, response: Any) -> Any:
+        return self._post(m.Stop(0.0), response)
+
+    def _on_load_applied(self, request: Any, response: Any) -> Any:
+        port = self._port
+        if not request.operator_name.strip():
+            fault = "the name of who confirms is missing"
+        else:
+            fault = (
+                "no plan is being measured" if port is None else port.load_applied(request.configuration, request.step)
+            )
+        response.outcome = to_outcome(Outcome.INPUT_UNUSABLE if fault else Outcome.OK, fault)
+        return response
+
+    def _on_cancel(self, _goal: Any) -> CancelResponse:
+        runner = self._runner
+        if runner is not None:
+            runner.post(m.Stop(0.0))
+        return CancelResponse.ACCEPT
+
+    # --- a run -------------------------------------------------------------------------------------------------------
+
+    async def _on_run(self, goal: Any) -> Any:
+        result = RunPlan.Result()
+        if not self._ended.is_set():
+            goal.abort()
+            result.outcome = to_outcome(Outcome.BUSY, "a plan is being measured")
+            return result
+        self._ended.clear()
+        self._goal = goal
+        try:
+            result = await Background(self, lambda: self._measure(goal.request))
+        except InputError as error:
+            result.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
+        except Exception as error:  # noqa: BLE001  # a defect of ours: it must reach whoever asked
+            self.get_logger().error(f"{type(error).__name__}: {error}")
+            self._backend.stop()
+            result.outcome = to_outcome(Outcome.INTERNAL, f"{type(error).__name__}: {error}")
+        finally:
+            self._runner = self._port = self._goal = None
+            self._ended.set()
+        if goal.is_cancel_requested:
+            result.outcome.code = Outcome.CANCELLED
+            goal.canceled()
+        elif result.outcome.code == Outcome.OK:
+            goal.succeed()
+        else:
+            goal.abort()
+        return result
+
+    def _measure(self, request: Any) -> Any:
+        """Measure a plan from beginning to end; runs in a thread of its own."""
+        plan = read_plan(request.plan, self.cell)
+        directory = Path(request.session)
+        text = Path(request.plan).read_text(encoding="utf-8")
+        if not request.resume and (directory / DATABASE).exists():
+            raise SessionError(directory, "", "a session", "a new directory, or resume to continue this one")
+        open_session = Session.resume if request.resume else Session.create
+        with open_session(directory, text, self.cell) as session:
+            parameters = {name: self.value(name) for name in sorted(self._table)}
+            session.begin_run(self.now_ns(), provenance(self.cell, text, parameters))
+            missing = self._missing()
+            if missing:
+                return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, missing), session=str(directory))
+            self._record("open")
+            runner = self._start(plan, session)
+            finish = runner.run()
+            done, skipped = len(runner.sequence.completed), len(runner.sequence.given_up)
+            readings = self._port.confirmed if self._port is not None else 0
+        self._record("close")
+        recording = Path(self.value("recording") or directory / "bag")
+        return RunPlan.Result(
+            outcome=to_outcome(OUTCOMES[finish.outcome], finish.text),
+            session=str(directory),
+            recording=str(recording) if recording.exists() else "",
+            configurations_done=done,
+            configurations_skipped=skipped,
+            readings=readings,
+        )
+
+    def _start(self, plan: Plan, session: Session) -> Runner:
+        given_up = given_up_in(session, self._rules.attempts)
+        sequence = Sequence(
+            plan,
+            self._rules,
+            completed=frozenset(session.completed),
+            given_up=given_up,
+            visits=session.reference_visits,
+        )
+        self._port = CellPort(
+            self,
+            session,
+            self._joints,
+            self._instruments,
+            self._load_device,
+            temperature=lambda: latest_temperature(self._temperature),
+            progress=self._progress,
+            scaling=lambda: self._scaling,
+        )
+        self._decided = ()
+        self._runner = Runner(
+            sequence,
+            self._port,
+            self._backend,
+            self._joints,
+            self._watch,
+            self.monitored,
+            self._limits,
+            settle_time=self.value("settle_time"),
+            rungs=RUNGS,
+        )
+        return self._runner
+
+    def _missing(self) -> str:
+        """Look for everything that a run needs, before anything moves; return what is not there."""
+        wait = self.value("server_wait")
+        for client, request in self._prepare:
+            answer = call_and_wait(self, client, request, wait)
+            if answer is None or not succeeded(answer)[0]:
+                return f"{client.srv_name}: {'no answer' if answer is None else succeeded(answer)[1] or 'refused'}"
+        missing = self._backend.prepare(wait)
+        ports = [*self._instruments.ports.values(), *([self._load_device.port] if self._load_device else [])]
+        missing = missing or "; ".join(f"no action server {port.name}" for port in ports if not port.ready(wait))
+        end = time.monotonic() + wait
+        while not missing and self._joints.latest is None:
+            if time.monotonic() > end:
+                missing = f"no joint states on {self.cell.topics.joint_states}"
+            time.sleep(0.02)
+        return missing
+
+    def _record(self, what: str) -> None:
+        client = self._recorder.get(what)
+        if client is None or not client.service_is_ready():
+            return
+        answer = call_and_wait(self, client, Trigger.Request(), CALL_TIME)
+        if answer is None:
+            self.get_logger().error(f"the recorder does not answer to {what}")
+
+    def _progress(self) -> None:
+        runner, goal = self._runner, self._goal
+        if runner is None or goal is None or time.monotonic() - self._told < FEEDBACK:
+            return
+        self._told = time.monotonic()
+        sequence = runner.sequence
+        configuration, step, phase = sequence.position or (0, 0, Phase.MOVING)
+        goal.publish_feedback(
+            RunPlan.Feedback(
+                configuration=configuration,
+                step=step,
+                phase=int(phase),
+                share_done=float(sequence.share_done),
+                seconds_left=float(sequence.seconds_left),
+                text=f"waits for {sequence.state.value}",
+            )
+        )
+
+    def stop(self) -> None:
+        """End the run: the motion is stopped, the session closed."""
+        runner = self._runner
+        if runner is not None:
+            runner.post(m.Stop(0.0))
+        self._ended.wait(END_TIME)
+
+
+def given_up_in(session: Session, attempts: int) -> frozenset[int]:
+    """Return the configurations that an earlier run of the session tried as often as allowed, without success."""
+    tried: dict[int, int] = {}
+    for _, configuration, outcome, _ in session.attempts:
+        if outcome == "given up":
+            tried[configuration] = tried.get(configuration, 0) + 1
+    return frozenset(number for number, count in tried.items() if count >= attempts) - frozenset(session.completed)
+
+
+def main(args: Arguments[str] | None = None) -> int:
+    """Run the node."""
+    return run(SequencerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
