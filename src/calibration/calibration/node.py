@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -187,7 +187,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", qos)
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def report(self, what: str, level: int, text: str, values: dict[str, object] | None = None) -> None:
+    def report(self, what: str, level: int, text: str, values: Mapping[str, object] | None = None) -> None:
         """Say how one thing stands.
 
         Args:
