@@ -88,7 +88,7 @@ def _facts(simulated: Simulated, cell: Cell, day: dt.date) -> Facts:
     rows = (
         ("Industrial robot", cell.robot.name),
         ("Cell", cell.name),
-        ("Date of the simulation", f"{day:%Y-%m-%d}"),
+        ("Simulated on", f"{day:%Y-%m-%d}"),
         (
             "Extent",
             (

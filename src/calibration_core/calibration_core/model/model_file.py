@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from calibration_core.cell import Cell
+from calibration_core.cell import Cell, too_deep
 from calibration_core.errors import ModelFileError, quoted
 from calibration_core.model.chain import pose_matrix, rpy_of
 from calibration_core.model.parameters import ModelParameters
@@ -71,9 +71,9 @@ def read_model(path: str | Path, cell: Cell) -> ModelParameters:
     """
     path = Path(path)
     data = _parse(path)
-    joints = tuple(data.get("joints") or ())
-    if joints != cell.robot.joints:
-        raise ModelFileError(path, "joints", quoted(list(joints)), f"the cell's joints {list(cell.robot.joints)}")
+    joints = cell.robot.joints
+    if data.get("joints") != list(joints):
+        raise ModelFileError(path, "joints", quoted(data.get("joints")), f"the cell's joints {list(joints)}")
     n = len(joints)
     points = data.get("measurement_points")
     if not isinstance(points, dict) or not points:
@@ -103,7 +103,10 @@ def _parse(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ModelFileError(path, "", f"{path.stat().st_size} bytes", f"at most {MAX_BYTES} bytes")
-        data = yaml.safe_load(path.read_bytes())
+        text = path.read_bytes().decode("utf-8")
+        if too_deep(text):
+            raise ModelFileError(path, "", "YAML nested too deeply", "a model file")
+        data = yaml.safe_load(text)
     except OSError as error:
         raise ModelFileError(path, "", error.strerror or str(error), "a readable model file (YAML)") from None
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:

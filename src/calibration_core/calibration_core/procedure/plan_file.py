@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from calibration_core.cell import Cell
+from calibration_core.cell import Cell, too_deep
 from calibration_core.errors import PlanError, quoted
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.plan import Expected, Plan, PlannedConfiguration, Reference
@@ -102,6 +102,8 @@ def _parse(path: Path) -> dict[str, Any]:
         if path.stat().st_size > MAX_BYTES:
             raise PlanError(path, "", f"{path.stat().st_size} bytes", f"a plan of at most {MAX_BYTES} bytes")
         text = path.read_text(encoding="utf-8")
+        if too_deep(text):
+            raise PlanError(path, "", "YAML nested too deeply", "a plan")
         if sum(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=_Loader)) > MAX_ALIASES:
             raise PlanError(path, "", "YAML aliases", f"at most {MAX_ALIASES}")
         data = yaml.load(text, Loader=_Loader)

@@ -1,0 +1,119 @@
+"""`calibration plan` through the program: what it writes, what it promises, what it refuses."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from program import names, result_of, run
+
+from calibration_core.cell import load_cell
+from calibration_core.procedure.plan_file import read_plan
+
+
+def test_the_set_is_complete(planned: Path) -> None:
+    assert names(planned) == {"result.json", "report.html", "report.pdf", "table1.csv", "plan.yaml"}
+    assert (planned / "report.pdf").read_bytes().startswith(b"%PDF-")
+
+
+def test_the_result_tells_what_was_planned(planned: Path, cell_path: Path) -> None:
+    content = result_of(planned)
+    assert content["command"] == "plan"
+    assert content["recording"] == {
+        "file": "plan.yaml", "configurations": 12, "steps": 108, "points": ["mp1", "mp2", "mp3"], "loaded": True,
+    }  # fmt: skip
+    assert (content["stiffness"], content["findings"], content["verdict"]) == ([], [], "consistent")
+    assert content["spares"] == 6
+    assert content["expected"]["efficiency"] > 0.9
+    assert content["largest_force"] == pytest.approx(10 * 9.80665)
+    assert {item["role"] for item in content["input"]["sha256"]} == {"cell"}
+
+
+def test_plan_and_table_1_agree(planned: Path, cell_path: Path) -> None:
+    plan = read_plan(planned / "plan.yaml", load_cell(cell_path))
+    with (planned / "table1.csv").open(newline="") as stream:
+        rows = list(csv.reader(stream))
+    assert rows[0] == ["No", *(f"theta_{i}" for i in range(1, 7))]
+    numbers, q = plan.table1()
+    assert [int(row[0]) for row in rows[1:]] == numbers == list(range(1, 19))
+    np.testing.assert_allclose(np.array(rows[1:], dtype=float)[:, 1:], np.degrees(q), atol=6e-7)
+
+
+def test_the_report_shows_certificate_spares_and_cycle(planned: Path) -> None:
+    page = (planned / "report.html").read_text(encoding="utf-8")
+    for text in (
+        "12 configurations and 6 spares planned",
+        "D-efficiency",
+        "No 13 to 18 are spares",
+        "Reference configuration",
+        "Start-up cycle",
+        "7 of 7 met" if "cannot be told" not in page else "1 cannot be told from the plan",
+        "plan.yaml" if "plan.yaml" in page else "Full pull of every configuration",
+    ):
+        assert text in page
+
+
+def test_the_same_seed_gives_the_same_plan_and_options_reach_the_planner(
+    planned: Path, cell_path: Path, tmp_path: Path
+) -> None:
+    options = ("--cell", cell_path, "--configurations", 12, "--seed", 4, "--no-report")
+    assert run("plan", *options, "--out", tmp_path / "same") == 0
+    assert (tmp_path / "same" / "plan.yaml").read_bytes() == (planned / "plan.yaml").read_bytes()
+    assert names(tmp_path / "same") == {"result.json", "table1.csv", "plan.yaml"}
+    further = (
+        "--spares",
+        0,
+        "--load-levels",
+        0,
+        1,
+        0,
+        "--load-share",
+        0.5,
+        "--largest-force",
+        40,
+        "--out",
+        tmp_path / "b",
+    )
+    assert run("plan", *options, *further) == 0
+    plan = yaml.safe_load((tmp_path / "b" / "plan.yaml").read_text())
+    assert len(plan["configurations"]) == 12
+    force = np.linalg.norm(np.array(plan["configurations"][0]["steps"])[:, :3], axis=1)
+    np.testing.assert_allclose(force, [0.0, 40.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--configurations", 11), "12 to 200"),
+        (("--spares", "nan"), "a share"),
+        (("--load-levels", 0.5, 1), "the first 0"),
+        (("--load-levels", 0, "nan"), "shares from 0 to 1"),
+        (("--load-share", 1.2), "at most 1"),
+        (("--largest-force", -1), "a positive number"),
+        (("--largest-torque", "inf"), "a positive number"),
+        (("--box", 1, 0, 0, 1, 0, 1), "lower < upper"),
+        (("--box", 50, 51, 50, 51, 50, 51), "postures"),
+        (("--model", "nowhere.yaml"), "a readable model file"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused_in_one_line(
+    arguments: tuple[object, ...], words: str, cell_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("plan", "--cell", cell_path, "--out", tmp_path / "out", *arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert words in printed.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_identified_model_plans_too(planned: Path, identified: Path, cell_path: Path, tmp_path: Path) -> None:
+    model = identified / "model.yaml"
+    options = ("--configurations", 12, "--seed", 4, "--no-report", "--out", tmp_path / "out")
+    assert run("plan", "--cell", cell_path, "--model", model, *options) == 0
+    content = result_of(tmp_path / "out")
+    assert [item["role"] for item in content["input"]["sha256"]] == ["cell", "model"]
+    assert content["expected"]["stiffness_std"] != result_of(planned)["expected"]["stiffness_std"]

@@ -1,0 +1,124 @@
+"""`calibration predict` and `calibration identify` through the program."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from program import names, result_of, run
+
+
+@pytest.fixture(scope="module")
+def predicted(simulated: Path, identified: Path, cell_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("predict") / "out"
+    model = identified / "model.yaml"
+    assert run("predict", simulated / "recording", "--cell", cell_path, "--model", model, "--out", out) == 0
+    return out
+
+
+def test_identify_without_report(identified: Path) -> None:
+    assert names(identified) == {"result.json", "table1.csv", "table2.csv", "residuals.csv", "model.yaml"}
+    assert [entry["joint"] for entry in result_of(identified)["stiffness"]] == [f"joint_{i}" for i in range(1, 7)]
+
+
+def test_the_set_is_complete(predicted: Path) -> None:
+    assert names(predicted) == {"result.json", "report.html", "report.pdf", "predictions.csv"}
+
+
+def test_table_and_result_agree(predicted: Path) -> None:
+    with (predicted / "predictions.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == ["configuration", "step", "point", "x", "y", "z", "px", "py", "pz"]
+    error = np.array([[float(row[a]) - float(row[f"p{a}"]) for a in "xyz"] for row in rows])
+    content = result_of(predicted)
+    assert content["command"] == "predict"
+    assert content["recording"]["readings"] == len(rows)
+    assert content["recording"]["loaded"] is True
+    assert content["fit"]["rms_after"] == pytest.approx(float(np.sqrt(np.mean(error**2))))
+    assert content["fit"]["max_after"] == pytest.approx(float(np.linalg.norm(error, axis=1).max()))
+    assert content["fit"]["held_out_rms_after"] is None
+    assert content["fit"]["rms_after"] < 1.2 * content["fit"]["noise"]
+    assert content["deflection"]["after"]["mean"] < 5e-5
+    assert [item["role"] for item in content["input"]["sha256"]] == ["recording", "recording", "cell", "model"]
+
+
+def test_the_report_says_that_nothing_was_fitted(predicted: Path) -> None:
+    page = (predicted / "report.html").read_text(encoding="utf-8")
+    for text in ("Nothing was fitted to the recording", "Positions predicted to", "model.yaml", "Residuals per load"):
+        assert text in page
+    assert "left out" not in page
+
+
+def test_a_cell_without_tracker_pose_has_no_error_before(
+    simulated: Path, identified: Path, cell_path: Path, tmp_path: Path
+) -> None:
+    cell = tmp_path / "cell.yaml"
+    lines = [line for line in cell_path.read_text().splitlines() if not line.startswith("  tracker: {xyz")]
+    cell.write_text("\n".join(lines))
+    table, model = simulated / "measurements.csv", identified / "model.yaml"
+    assert run("predict", table, "--cell", cell, "--model", model, "--out", tmp_path / "out") == 0
+    content = result_of(tmp_path / "out")
+    assert content["fit"]["rms_before"] is None
+    assert content["deflection"] is None
+    assert "the cell file states no tracker pose" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+MODELS = {
+    "missing": (None, "a readable model file"),
+    "empty": ("", "a mapping with the keys"),
+    "no YAML": ("schema: [", "YAML"),
+    "bytes": ("\x00", "YAML"),
+    "other schema": ("schema: 7", "expected 1"),
+    "unknown key": ("schema: 1\nsprings: 3", "an unknown key"),
+    "other joints": ("schema: 1\njoints: [a]", "the cell's joints"),
+    "joints of no kind": ("schema: 1\njoints: 7", "the cell's joints"),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("command", ["predict", "simulate"])
+def test_hostile_models_are_refused_in_one_line(
+    command: str,
+    name: str,
+    simulated: Path,
+    planned: Path,
+    cell_path: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text, words = MODELS[name]
+    model = tmp_path / "model.yaml"
+    if text is not None:
+        model.write_text(text)
+    extra = (simulated / "measurements.csv",) if command == "predict" else ("--plan", planned / "plan.yaml")
+    assert run(command, *extra, "--cell", cell_path, "--model", model, "--out", tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert error.startswith(str(model))
+    assert error.count("\n") == 1
+    assert words in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("compliance:", "stiffness_of:"), ("mp1:", "mp9:"), ("- 8.", "- -8."), ("xyz:", "xy:"), ("x: 0.0", "x: .nan")],
+)
+def test_damaged_models_are_refused_in_one_line(
+    old: str,
+    new: str,
+    simulated: Path,
+    identified: Path,
+    cell_path: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    model = tmp_path / "model.yaml"
+    text = (identified / "model.yaml").read_text()
+    assert old in text
+    model.write_text(text.replace(old, new, 1))
+    table = simulated / "measurements.csv"
+    assert run("predict", table, "--cell", cell_path, "--model", model, "--out", tmp_path / "out") == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
