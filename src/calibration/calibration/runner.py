@@ -35,6 +35,7 @@ CALM = 10.0  # s, a robot may take to come to rest before it is moved
 LATE = 3.0  # s, joint states may lag behind a driver's success
 SLACK = 1.5  # times a trajectory's length, and ...
 SLACK_TIME = 10.0  # s more, a motion may take
+PATIENCE = 2.0  # s of wall time, joint states may come after the averages of the same window
 WIND_DOWN = 1.2  # s of wall time, the robot has to come to rest at the end
 
 
@@ -53,6 +54,7 @@ class MeasuredFor:
 
     request: int
     measured: Measured
+    since: float = dataclasses.field(default_factory=time.monotonic)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,6 +144,7 @@ class Runner:
         self._motion: _Motion | None = None
         self._settling: tuple[int, float] | None = None  # request, since
         self._reading: dict[int, m.TakeReading] = {}
+        self._behind: MeasuredFor | None = None
         self._ticked = -math.inf
         self.finish: m.Finish | None = None
 
@@ -223,13 +226,19 @@ class Runner:
         return answered
 
     def _on_measured(self, event: MeasuredFor) -> None:
-        command = self._reading.pop(event.request, None)
+        command = self._reading.get(event.request)
         if command is None:
             return
         now = self._cell.seconds()
         if event.measured.fault:
+            del self._reading[event.request]
             self._handle(m.ReadingFailed(now, event.request, event.measured.fault))
             return
+        behind = max(mean.end for mean in event.measured.points) > self._joints.until
+        if behind and time.monotonic() - event.since < PATIENCE:
+            self._behind = event  # joint states of the same window are still on their way
+            return
+        del self._reading[event.request]
         try:
             self._cell.confirm(command, event.measured)
         except (ReadingError, SessionError) as error:
@@ -246,6 +255,9 @@ class Runner:
         self._backend.tick(steady)
         self._cell.look(steady)
         self._climb(steady)
+        behind, self._behind = self._behind, None
+        if behind is not None:
+            self._on_measured(behind)
         if self._motion is not None:
             self._follow(self._motion, now)
         if self._settling is not None and self.sequence.state is not m.State.SETTLING:

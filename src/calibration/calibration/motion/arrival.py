@@ -51,6 +51,11 @@ class Joints:
         """The last sample, (n,) rad."""
         return self._samples[-1][1] if self._samples else None
 
+    @property
+    def until(self) -> int:
+        """Stamp of the last sample, ns; 0 before the first."""
+        return self._samples[-1][0] if self._samples else 0
+
     def standing(self) -> bool:
         """Whether every joint has kept still for the dwell."""
         samples = list(self._samples)
@@ -76,4 +81,5 @@ class Joints:
         """Return the stamps (k,) ns and angles (k, n) rad of a stretch of time, both ends included."""
         rows = [(t, q) for t, q in list(self._samples) if begin <= t <= end]
         stamps = np.array([t for t, _ in rows], dtype=np.int64)
-        return stamps, np.array([q for _, q in rows], dtype=np.float64).reshape(len(rows), -1)
+        width = len(self._samples[-1][1]) if self._samples else 0
+        return stamps, np.array([q for _, q in rows], dtype=np.float64).reshape(len(rows), width)

@@ -38,15 +38,14 @@ class Call:
         Raises:
             InputError: The package is not installed, or the type has no such field.
         """
-        request = load_type(self.type).Request()
-        for name, value in self.fields.items():
-            try:
-                setattr(request, name, value)
-            except (AttributeError, AssertionError, TypeError):
-                raise InputError(
-                    "parameters", f"{self.name}, {name}", quoted(value), f"a field of {self.type}"
-                ) from None
-        return request
+        kind = load_type(self.type).Request
+        try:
+            return kind(check_fields=True, **self.fields)
+        except (AssertionError, TypeError):
+            known = ", ".join(f"{name} ({of})" for name, of in kind.get_fields_and_field_types().items())
+            raise InputError(
+                "parameters", self.name, quoted(dict(self.fields)), f"fields of {known or 'none'}"
+            ) from None
 
 
 def parse_call(text: str) -> Call:

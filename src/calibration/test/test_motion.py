@@ -1,0 +1,393 @@
+"""Back ends, arrival, the stop ladder: against drivers that accept, refuse, fail, are silent, or lie."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("calibration_interfaces")
+
+from calibration_interfaces.action import MoveTo
+from calibration_interfaces.msg import Outcome
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from calibration.motion import action_motion, follow_joint_trajectory
+from calibration.motion.arrival import ArrivalRules, Joints
+from calibration.motion.calls import Call, parse_call, succeeded
+from calibration.motion.catalogue import NAMES, make_backend
+from calibration.motion.external import ExternalMotion
+from calibration.motion.follow_joint_trajectory import decoded
+from calibration.motion.joint_trajectory_topic import TopicMotion
+from calibration.motion.ladder import StopLadder
+from calibration.motion.messages import hold, to_duration, to_joint_trajectory
+from calibration.motion.simulated import simulated
+from calibration.permission import SILENT, PermissionWatch
+from calibration_core.errors import InputError
+from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.timeseries import NANOSECONDS
+
+JOINTS = ("joint_1", "joint_2", "joint_3")
+TRAJECTORY = Trajectory(
+    JOINTS,
+    np.array([0.0, 0.6, 1.5]),
+    np.array([[0.0, 0.1, 0.2], [0.1, 0.1, 0.1], [0.3, 0.1, -0.1]]),
+    np.array([[0.0, 0.0, 0.0], [0.2, 0.0, -0.2], [0.0, 0.0, 0.0]]),
+    0.2,
+)
+
+
+# --- messages --------------------------------------------------------------------------------------------------------
+
+
+def test_the_goal_that_every_driver_accepts() -> None:
+    message = to_joint_trajectory(TRAJECTORY)
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)
+    assert tuple(message.joint_names) == JOINTS
+    times = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in message.points]
+    assert times == pytest.approx([0.0, 0.6, 1.5])
+    for point, q, rate in zip(message.points, TRAJECTORY.position, TRAJECTORY.velocity, strict=True):
+        assert point.positions.tolist() == q.tolist()
+        assert point.velocities.tolist() == rate.tolist()
+    assert list(message.points[-1].velocities) == [0.0] * 3
+
+
+def test_hold_is_one_point_where_the_robot_is() -> None:
+    message = hold(JOINTS, np.array([0.1, 0.2, 0.3]))
+    assert len(message.points) == 1
+    assert list(message.points[0].positions) == [0.1, 0.2, 0.3]
+    assert to_duration(1.25).nanosec == 250_000_000
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [(0, ""), (-1, "invalid goal"), (-5, "goal tolerance"), (-100101, "invalid goal, driver's code 101"), (-9, "-9")],
+)
+def test_error_codes_of_drivers(code: int, found: str) -> None:
+    assert found in decoded(code)
+    assert (decoded(code) == "") == (code == 0)
+
+
+def test_success_needs_both_status_and_code() -> None:
+    def answer(status: int, code: int) -> Any:
+        return SimpleNamespace(status=status, result=SimpleNamespace(error_code=code, error_string="because"))
+
+    assert follow_joint_trajectory.verdict(answer(4, 0))[0]
+    assert not follow_joint_trajectory.verdict(answer(6, 0))[0]
+    success, text = follow_joint_trajectory.verdict(answer(4, -4))
+    assert not success
+    assert "path tolerance" in text
+    assert "because" in text
+
+
+def test_follow_joint_trajectory_goal() -> None:
+    action = SimpleNamespace(Goal=lambda trajectory: SimpleNamespace(trajectory=trajectory))
+    goal = follow_joint_trajectory.to_goal(action, SimpleNamespace, TRAJECTORY, 0.002, 10.0)
+    assert [t.name for t in goal.goal_tolerance] == list(JOINTS)
+    assert {t.position for t in goal.goal_tolerance} == {0.002}
+    assert goal.goal_time_tolerance.sec == 10
+
+
+# --- standing and arriving -------------------------------------------------------------------------------------------
+
+
+def standing(values: list[float], rate: float = 50.0) -> Joints:
+    joints = Joints(ArrivalRules(tolerance=1e-3, speed=1e-3, dwell=0.3))
+    for i, value in enumerate(values):
+        joints.add(round(i / rate * NANOSECONDS), np.array([0.0, value]))
+    return joints
+
+
+def test_arrival_is_nearness_and_standstill() -> None:
+    goal = np.array([0.0, 0.5])
+    assert standing([0.4] * 5 + [0.5] * 20).arrived(goal)
+    assert not standing([0.4] * 5 + [0.5] * 10).arrived(goal)  # not for long enough
+    assert not standing([0.5] * 10).standing()  # not known for so long
+    assert not standing([0.4] * 20 + [0.4 + 1e-4 * i for i in range(20)]).standing()  # creeps at 5 mrad/s
+    assert standing([0.4] * 25).standing()
+    assert not standing([0.4] * 25).arrived(goal)
+    assert standing([0.5] * 25).arrived(goal + 9e-4)
+    assert not Joints(ArrivalRules()).arrived(goal)
+    assert Joints(ArrivalRules()).latest is None
+
+
+def test_slow_joint_states_are_judged_by_what_there_is() -> None:
+    assert standing([0.5, 0.5, 0.5], rate=1.0).standing()
+    assert not standing([0.5, 0.5, 0.6], rate=1.0).standing()
+
+
+def test_samples_that_are_bad_or_old_are_passed_over() -> None:
+    joints = standing([0.5] * 25)
+    joints.add(10**12, np.array([math.nan, 0.0]))
+    joints.add(0, np.array([1.0, 1.0]))
+    assert joints.latest is not None
+    assert joints.latest.tolist() == [0.0, 0.5]
+    joints.add(-5 * NANOSECONDS, np.array([1.0, 1.0]))  # the clock was set back
+    assert joints.latest.tolist() == [1.0, 1.0]
+    assert joints.until == -5 * NANOSECONDS
+
+
+def test_samples_of_a_stretch_of_time() -> None:
+    joints = standing([0.1, 0.2, 0.3, 0.4], rate=10.0)
+    stamps, q = joints.between(10**8, 2 * 10**8)
+    assert stamps.tolist() == [10**8, 2 * 10**8]
+    assert q[:, 1].tolist() == [0.2, 0.3]
+    assert joints.between(10**12, 10**13)[1].shape == (0, 2)
+
+
+# --- the stop ladder -------------------------------------------------------------------------------------------------
+
+
+def test_the_ladder_is_climbed_until_the_robot_stands() -> None:
+    ladder = StopLadder(4, patience=0.5)
+    assert not ladder.climbing
+    assert ladder.climb(0.0, standing=False) is None
+    assert ladder.begin(10.0) == 0
+    assert ladder.climb(10.4, standing=False) is None
+    assert ladder.climb(10.5, standing=False) == 1
+    assert ladder.begin(10.6) == 0  # told again: cancelled again, and no step back
+    assert ladder.climb(11.0, standing=False) == 2
+    assert ladder.climb(11.5, standing=False) == 3
+    assert ladder.climb(20.0, standing=False) is None
+    assert ladder.climbing
+    assert ladder.climb(20.1, standing=True) is None
+    assert not ladder.climbing
+
+
+def test_the_guards_silence_is_no() -> None:
+    watch = PermissionWatch(0.1)
+    assert watch.at(0.0) == (False, SILENT)
+    watch.hear(SimpleNamespace(permitted=True, text="yes"), 1.0)
+    assert watch.at(1.09) == (True, "yes")
+    assert watch.at(1.11) == (False, SILENT)
+    watch.hear(SimpleNamespace(permitted=False, text="drives off"), 2.0)
+    assert watch.at(2.0) == (False, "drives off")
+
+
+# --- services --------------------------------------------------------------------------------------------------------
+
+
+def test_service_calls_are_read_and_made() -> None:
+    call = parse_call("/switch = std_srvs/srv/SetBool{data: true}".replace(" = ", "="))
+    assert call == Call("/switch", "std_srvs/srv/SetBool", {"data": True})
+    assert call.request() == SetBool.Request(data=True)
+    assert parse_call("/go=std_srvs/srv/Trigger").request() == Trigger.Request()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "/go", "/go=std_srvs/msg/X", "=std_srvs/srv/Trigger", "/go=a/srv/B{x: [}", "/go=a/srv/B{1}{"]
+)
+def test_service_calls_that_cannot_be_read(text: str) -> None:
+    with pytest.raises(InputError, match="name=package/srv/Type"):
+        parse_call(text)
+
+
+def test_service_calls_with_wrong_fields() -> None:
+    with pytest.raises(InputError, match="fields of"):
+        parse_call("/go=std_srvs/srv/Trigger{speed: 1}").request()
+    with pytest.raises(InputError, match="fields of"):
+        parse_call("/go=std_srvs/srv/SetBool{data: fast}").request()
+
+
+@pytest.mark.parametrize(
+    ("answer", "good"),
+    [
+        (SimpleNamespace(success=True, message="on"), True),
+        (SimpleNamespace(success=False, message="off"), False),
+        (SimpleNamespace(result_code=SimpleNamespace(value=1), message="ready"), True),
+        (SimpleNamespace(result_code=SimpleNamespace(value=105), message="not remote"), False),
+        (SimpleNamespace(), True),
+    ],
+)
+def test_answers_of_drivers(answer: Any, good: bool) -> None:
+    assert succeeded(answer)[0] is good
+
+
+# --- back ends -------------------------------------------------------------------------------------------------------
+
+
+class Driver:
+    """A driver that does with a goal what the test wants."""
+
+    def __init__(self, node: Any, *, accept: bool = True, success: bool = True, delay: float = 0.0) -> None:
+        self.goals: list[Any] = []
+        self.cancelled = threading.Event()
+        self.finish = threading.Event()
+        self.accept, self.success, self.delay = accept, success, delay
+        self.server = ActionServer(
+            node, MoveTo, "driver/move_to", self._run, callback_group=ReentrantCallbackGroup(),
+            goal_callback=self._judge, cancel_callback=self._cancel,
+        )  # fmt: skip
+
+    def _judge(self, goal: Any) -> GoalResponse:
+        self.goals.append(goal)
+        time.sleep(self.delay)
+        return GoalResponse.ACCEPT if self.accept else GoalResponse.REJECT
+
+    def _cancel(self, _goal: Any) -> CancelResponse:
+        self.cancelled.set()
+        return CancelResponse.ACCEPT
+
+    async def _run(self, goal: Any) -> Any:
+        while not self.finish.is_set() and not goal.is_cancel_requested:
+            await Soon()
+        code = Outcome.OK if self.success else Outcome.BLOCKED
+        if goal.is_cancel_requested:
+            goal.canceled()
+            code = Outcome.CANCELLED
+        elif self.success:
+            goal.succeed()
+        else:
+            goal.abort()
+        return MoveTo.Result(outcome=Outcome(code=code, text="so it ended"))
+
+
+class Soon:
+    def __await__(self) -> Any:
+        yield
+
+
+class Ends:
+    """What a back end said."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[bool, str]] = []
+
+    def __call__(self, success: bool, text: str) -> None:
+        self.said.append((success, text))
+
+
+@pytest.fixture
+def awake(spinning: Any) -> Any:
+    """An executor that looks at its tasks often, as the drivers here wait by looking."""
+    node = spinning.plain("driver")
+    node.create_timer(0.01, lambda: None)
+    return node
+
+
+def test_a_motion_that_succeeds(spinning: Any, awake: Any, until: Any) -> None:
+    driver, ends = Driver(awake), Ends()
+    backend = simulated(spinning.plain())
+    assert backend.prepare(10.0) == ""
+    assert backend.commands
+    assert backend.answers
+    backend.move(TRAJECTORY, ends)
+    until(lambda: driver.goals)
+    driver.finish.set()
+    until(lambda: ends.said)
+    assert ends.said == [(True, "so it ended")]
+    assert len(driver.goals[0].trajectory.points) == 3
+    backend.stop()  # nothing is under way
+    assert not driver.cancelled.wait(0.2)
+
+
+def test_a_motion_that_fails(spinning: Any, awake: Any, until: Any) -> None:
+    driver, ends = Driver(awake, success=False), Ends()
+    driver.finish.set()
+    backend = simulated(spinning.plain())
+    assert backend.prepare(10.0) == ""
+    backend.move(TRAJECTORY, ends)
+    until(lambda: ends.said)
+    assert ends.said == [(False, "so it ended")]
+
+
+def test_a_motion_that_is_stopped(spinning: Any, awake: Any, until: Any) -> None:
+    driver, ends = Driver(awake), Ends()
+    backend = simulated(spinning.plain())
+    assert backend.prepare(10.0) == ""
+    backend.move(TRAJECTORY, ends)
+    until(lambda: driver.goals)
+    time.sleep(0.1)
+    backend.stop()
+    assert driver.cancelled.wait(5.0)
+    until(lambda: ends.said)
+    assert ends.said[0][0] is False
+
+
+def test_a_motion_that_is_stopped_before_it_is_accepted(spinning: Any, awake: Any, until: Any) -> None:
+    driver, ends = Driver(awake, delay=0.3), Ends()
+    backend = simulated(spinning.plain())
+    assert backend.prepare(10.0) == ""
+    backend.move(TRAJECTORY, ends)
+    backend.stop()
+    assert driver.cancelled.wait(5.0)
+    until(lambda: ends.said)
+
+
+def test_a_driver_that_rejects(spinning: Any, awake: Any, until: Any) -> None:
+    Driver(awake, accept=False)
+    ends = Ends()
+    backend = simulated(spinning.plain())
+    assert backend.prepare(10.0) == ""
+    backend.move(TRAJECTORY, ends)
+    until(lambda: ends.said)
+    assert "rejects" in ends.said[0][1]
+
+
+def test_a_driver_that_does_not_answer(spinning: Any) -> None:
+    ends = Ends()
+    backend = simulated(spinning.plain(), "nobody/move_to")
+    assert "no action server nobody/move_to" in backend.prepare(0.1)
+    backend.move(TRAJECTORY, ends)
+    backend.tick(time.monotonic())
+    assert ends.said == []
+    backend.tick(time.monotonic() + action_motion.ACCEPT_TIME + 0.1)
+    backend.tick(time.monotonic() + action_motion.ACCEPT_TIME + 0.2)
+    assert ends.said == [(False, "nobody/move_to does not answer")]
+
+
+def test_motion_by_topic(spinning: Any, until: Any) -> None:
+    node = spinning.plain()
+    where: list[Any] = [np.array([0.1, 0.2, 0.3])]
+    backend = TopicMotion(node, JOINTS, lambda: where[0], "controller/joint_trajectory")
+    assert "nobody listens" in backend.prepare(0.1)
+    heard: list[JointTrajectory] = []
+    spinning.plain("controller").create_subscription(JointTrajectory, "controller/joint_trajectory", heard.append, 10)
+    assert backend.prepare(10.0) == ""
+    assert not backend.answers
+    backend.stop()  # nothing is under way
+    backend.move(TRAJECTORY, Ends())
+    backend.stop()
+    backend.stop()
+    until(lambda: len(heard) == 2)
+    assert [len(message.points) for message in heard] == [3, 1]
+    assert list(heard[1].points[0].positions) == [0.1, 0.2, 0.3]
+
+
+def test_motion_by_the_operator() -> None:
+    asked: list[str] = []
+    backend = ExternalMotion(asked.append)
+    assert backend.prepare(0.0) == ""
+    assert not backend.commands
+    backend.move(TRAJECTORY, Ends())
+    assert asked == ["move the robot to 17.189, 5.730, -5.730 degrees"]
+    backend.stop()
+    assert asked[-1] == "stop the robot"
+
+
+def options(**changes: Any) -> dict[str, Any]:
+    return {"interface": "", "rules": ArrivalRules(), "where": lambda: None, "ask": lambda _: None} | changes
+
+
+def test_back_ends_by_name(spinning: Any) -> None:
+    node = spinning.plain()
+    for name in set(NAMES) - {"follow_joint_trajectory"}:
+        assert make_backend(name, node, JOINTS, **options()).commands == (name != "external")
+    with pytest.raises(InputError, match="simulated"):
+        make_backend("telepathy", node, JOINTS, **options())
+
+
+def test_a_back_end_without_its_messages_says_what_to_install(spinning: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "control_msgs", None)
+    with pytest.raises(InputError, match="apt install ros-jazzy-control-msgs"):
+        make_backend("follow_joint_trajectory", spinning.plain(), JOINTS, **options())
