@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import datetime as dt
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,11 @@ from calibration_core.identification.estimate import (
     Unidentified,
 )
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.report.content import build
+from calibration_core.report.document import Document
 from calibration_core.timeseries import Note, Provenance, Readings
 
+DAY = dt.date(2026, 3, 5)
 SIX = (
     (0.35, -np.pi / 2, 0.675),
     (1.35, 0.0, 0.0),
@@ -380,9 +384,26 @@ def hostile() -> tuple[Identification, Cell]:
 
 
 @pytest.fixture(scope="session")
-def make_large() -> Callable[[], tuple[Identification, Cell]]:
-    def large() -> tuple[Identification, Cell]:
-        cell = make_cell("UR10 class", tuple(f"j{i}" for i in range(1, 8)), ("target",), False)
-        return make_absolute(cell, configurations=11_911), cell
+def documents(
+    loaded: Identification,
+    cell: Cell,
+    absolute: Identification,
+    absolute_cell: Cell,
+    hostile: tuple[Identification, Cell],
+) -> dict[str, Document]:
+    """Reports with all their drawings, made once: drawing takes most of the time.  A warning is an error here."""
+    cases = {"loaded": (loaded, cell), "absolute": (absolute, absolute_cell), "hostile": hostile}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return {name: build(*case, DAY) for name, case in cases.items()}
 
-    return large
+
+@pytest.fixture(scope="session")
+def large() -> tuple[Identification, Cell]:
+    cell = make_cell("UR10 class", tuple(f"j{i}" for i in range(1, 8)), ("target",), False)
+    return make_absolute(cell, configurations=11_911), cell
+
+
+@pytest.fixture(scope="session")
+def large_document(large: tuple[Identification, Cell]) -> Document:
+    return build(*large, DAY)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import warnings
-from collections.abc import Callable
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -13,16 +11,14 @@ import pytest
 
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification
+from calibration_core.report.document import Document
 from calibration_core.report.figures import (
-    correlation_figure,
     grouped,
     grouped_rms,
     normality_figure,
     prediction_figure,
     residual_figure,
-    stiffness_figure,
 )
-from calibration_core.report.result import correlation
 from calibration_core.report.sections.residuals import reach_of_rows
 from calibration_core.report.space import plotly_script, space_scene
 from calibration_core.report.space_figure import (
@@ -31,47 +27,25 @@ from calibration_core.report.space_figure import (
     force_scale,
     hull_outline,
     reach,
-    space_figure,
 )
 from calibration_core.report.style import drawable, thinned
 
 Case = tuple[Identification, Cell]
 
 
-def drawings(answer: Identification, cell: Cell) -> dict[str, bytes]:
-    out = {
-        "residuals": residual_figure(answer.readings, answer.residuals, reach_of_rows(answer)),
-        "prediction": prediction_figure(answer.residuals, answer.kind == "loaded"),
-        "normality": normality_figure(answer.residuals),
-        "correlation": correlation_figure(answer.names, correlation(answer)),
-        "space": space_figure(answer.space),
-    }
-    if answer.stiffness:
-        out["stiffness"] = stiffness_figure(answer.stiffness, cell.robot.stiffness)
-    return out
-
-
 @pytest.mark.parametrize("name", ["loaded", "absolute", "hostile"])
-def test_well_formed_without_scripts_dates_or_outside_references(
-    name: str, loaded: Identification, cell: Cell, absolute: Identification, absolute_cell: Cell, hostile: Case
-) -> None:
-    answer, its_cell = {"loaded": (loaded, cell), "absolute": (absolute, absolute_cell), "hostile": hostile}[name]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        figures = drawings(answer, its_cell)
-    for svg in figures.values():
+def test_well_formed_without_scripts_dates_or_outside_references(name: str, documents: dict[str, Document]) -> None:
+    figures = documents[name].figures()
+    assert {figure.key for figure in figures} >= {"residuals", "prediction", "normality", "correlation", "space"}
+    for svg in (figure.svg for figure in figures):
         root = ET.fromstring(svg)
         assert root.tag == "{http://www.w3.org/2000/svg}svg"
         assert not [element for element in root.iter() if element.tag.endswith(("script", "image", "foreignObject"))]
         assert b"dc:date" not in svg
 
 
-def test_the_same_data_give_the_same_bytes(loaded: Identification, cell: Cell) -> None:
-    assert drawings(loaded, cell) == drawings(loaded, cell)
-
-
-def test_large_recordings_give_small_figures(make_large: Callable[[], Case]) -> None:
-    sizes = {name: len(svg) for name, svg in drawings(*make_large()).items() if name != "correlation"}
+def test_large_recordings_give_small_figures(large_document: Document) -> None:
+    sizes = {figure.key: len(figure.svg) for figure in large_document.figures()}
     assert max(sizes.values()) < 1_000_000, sizes
 
 

@@ -71,3 +71,35 @@ def test_a_file_in_the_place_of_the_directory_is_an_input_error(tmp_path: Path) 
 def test_one_file(tmp_path: Path) -> None:
     write_atomically(tmp_path / "new" / "model.yaml", b"a: 1\n")
     assert contents(tmp_path / "new") == {"model.yaml": b"a: 1\n"}
+
+
+def test_what_is_made_in_place_appears_whole_under_its_own_name(tmp_path: Path) -> None:
+    def bag(path: Path) -> None:
+        path.mkdir()
+        (path / f"{path.name}.mcap").write_bytes(b"1")
+
+    for _ in range(2):  # the second one replaces the first
+        write_files(tmp_path, {"recording": bag, "table.csv": lambda path: path.write_bytes(b"2") and None, "x": b"3"})
+        assert contents(tmp_path) == {"table.csv": b"2", "x": b"3"}
+        assert contents(tmp_path / "recording") == {"recording.mcap": b"1"}
+        assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_maker_that_fails_leaves_everything_as_it_was(tmp_path: Path) -> None:
+    def broken(path: Path) -> None:
+        path.mkdir()
+        raise OSError(28, "No space left on device", str(path))
+
+    (tmp_path / "recording").mkdir()
+    (tmp_path / "recording" / "a.mcap").write_bytes(b"old")
+    with pytest.raises(OutputError, match="No space left on device"):
+        write_files(tmp_path, {"x": b"new", "recording": broken})
+    assert contents(tmp_path / "recording") == {"a.mcap": b"old"}
+    assert [path.name for path in tmp_path.iterdir()] == ["recording"]
+
+
+def test_a_directory_never_replaces_a_file(tmp_path: Path) -> None:
+    (tmp_path / "recording").write_bytes(b"mine")
+    with pytest.raises(OutputError):
+        write_files(tmp_path, {"recording": Path.mkdir})
+    assert contents(tmp_path) == {"recording": b"mine"}
