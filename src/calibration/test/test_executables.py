@@ -1,0 +1,77 @@
+"""The installed executables: they start with the parameter file, answer, and end as they should."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+ROOT = Path(__file__).resolve().parents[3]
+BIN = ROOT / "install" / "calibration" / "lib" / "calibration"
+PARAMETERS = ROOT / "config" / "ros.yaml"
+CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
+
+
+def command(name: str, *more: str) -> list[str]:
+    return [str(BIN / name), "--ros-args", "--params-file", str(PARAMETERS), *more]
+
+
+@pytest.mark.parametrize("name", ["tracker", "force_torque", "identification"])
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_start_and_end(
+    spinning: Any, until: Callable[..., None], source_environment: dict[str, str], name: str, end: signal.Signals
+) -> None:
+    client = spinning.plain()
+    process = subprocess.Popen(command(name, "-p", f"cell:={CELL}"), env=source_environment, start_new_session=True)
+    try:
+        until(lambda: name in client.get_node_names(), timeout=30.0)
+        began = time.monotonic()
+        os.kill(process.pid, end)
+        assert process.wait(10.0) == 0
+        assert time.monotonic() - began < 8.0  # 2 s are the bar where nothing else runs
+        with pytest.raises(ProcessLookupError):
+            os.killpg(process.pid, 0)  # nor does a child stay behind
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "words"),
+    [
+        ("tracker", ("-p", f"cell:={CELL}", "-p", "unit:=mm"), "unit: found an unknown parameter, expected one of"),
+        ("tracker", ("-p", f"cell:={CELL}", "-p", "units:=km"), "units: found 'km', expected one of m, mm, inch"),
+        ("force_torque", (), "cell: found nothing"),
+        ("recorder", ("-p", f"cell:={CELL}"), "out: found nothing"),
+        ("recorder", ("-p", "cell:=/no/such.yaml", "-p", "out:=/no/such"), "/no/such.yaml"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_and_2(
+    source_environment: dict[str, str], name: str, more: tuple[str, ...], words: str
+) -> None:
+    answer = subprocess.run(
+        command(name, *more), env=source_environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert answer.returncode == 2, answer.stderr
+    assert words in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+def test_an_unknown_node_in_the_parameter_file(source_environment: dict[str, str], tmp_path: Path) -> None:
+    file = tmp_path / "ros.yaml"
+    file.write_text("traker: {ros__parameters: {cell: x}}\n", "utf-8")
+    answer = subprocess.run(
+        [str(BIN / "tracker"), "--ros-args", "--params-file", str(file)],
+        env=source_environment, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert answer.returncode == 2
+    assert "traker: found an unknown node" in answer.stderr

@@ -1,0 +1,166 @@
+"""Launch files and the parameter file name only what there is; checked without `launch`, which may be absent."""
+
+from __future__ import annotations
+
+import ast
+import re
+import runpy
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from calibration import force_torque, guard, identification, recorder, sequencer_parameters, tracker
+from calibration.acquisition import COMMON
+from calibration.node import NODE_NAMES, Declared
+
+ROOT = Path(__file__).resolve().parents[3]
+PACKAGE = Path(__file__).resolve().parents[1]
+LAUNCH_FILES = sorted((PACKAGE / "launch").glob("*.launch.py"))
+TABLES: dict[str, tuple[Declared, ...]] = {
+    "tracker": (*COMMON, *tracker.PARAMETERS),
+    "force_torque": (*COMMON, *force_torque.PARAMETERS),
+    "guard": guard.PARAMETERS,
+    "sequencer": sequencer_parameters.PARAMETERS,
+    "recorder": recorder.PARAMETERS,
+    "identification": identification.PARAMETERS,
+}
+
+
+class Made:
+    """Stands for any class of launch: remembers what it was made with."""
+
+    def __init__(self, *positional: Any, **named: Any) -> None:
+        self.positional, self.named = positional, named
+
+
+STAND_INS = {
+    "launch": ("LaunchDescription",),
+    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "Shutdown"),
+    "launch.substitutions": ("LaunchConfiguration", "PathJoinSubstitution"),
+    "launch_ros": (),
+    "launch_ros.actions": ("Node",),
+    "launch_ros.parameter_descriptions": ("ParameterValue",),
+    "launch_ros.substitutions": ("FindPackageShare",),
+}
+
+
+@pytest.fixture(params=LAUNCH_FILES, ids=lambda path: path.name.partition(".")[0])
+def description(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> list[Made]:
+    """The entities that a launch file declares."""
+    for name, classes in STAND_INS.items():
+        module = ModuleType(name)
+        for one in classes:
+            setattr(module, one, type(one, (Made,), {}))
+        monkeypatch.setitem(sys.modules, name, module)
+    made = runpy.run_path(str(request.param))["generate_launch_description"]()
+    return list(made.positional[0])
+
+
+def of(kind: str, entities: list[Made]) -> list[Made]:
+    return [one for one in entities if type(one).__name__ == kind]
+
+
+def everything(value: Any) -> Iterator[Made]:
+    """Everything that was made, wherever it stands."""
+    if isinstance(value, Made):
+        yield value
+        yield from everything(value.positional)
+        yield from everything(list(value.named.values()))
+    elif isinstance(value, dict):
+        yield from everything(list(value.values()))
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from everything(one)
+
+
+def executables(package: str) -> set[str]:
+    """Names of the executables that a package's setup.py declares."""
+    code = (ROOT / "src" / package / "setup.py").read_text("utf-8")
+    if package == "calibration":
+        (names,) = [node.value for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Assign)]
+        return set(ast.literal_eval(names))
+    return set(re.findall(r'"(\w+) = [\w.]+:main"', code))
+
+
+def simulated_cell() -> set[str]:
+    from calibration_sim.node_messages import PARAMETERS
+
+    return set(PARAMETERS)
+
+
+def known(node: str) -> set[str]:
+    names = simulated_cell() if node == "simulated_cell" else {one.name for one in TABLES[node]}
+    return names | {"use_sim_time"}
+
+
+def test_every_executable_exists(description: list[Made]) -> None:
+    nodes = of("Node", description)
+    assert nodes
+    for node in nodes:
+        assert node.named["executable"] in executables(node.named["package"])
+
+
+def test_every_parameter_exists_and_has_its_type(description: list[Made]) -> None:
+    for node in of("Node", description):
+        name = node.named["executable"]
+        file, given = node.named["parameters"]
+        assert file.positional == ("params_file",)
+        assert given.keys() <= known(name)
+        for one in TABLES.get(name, ()):
+            value = given.get(one.name)
+            assert value is None or isinstance(value, Made) or one.fault(value) == ""
+            assert value is None or isinstance(value, Made) or type(value) is type(one.default)
+            assert not one.required or one.name in given
+
+
+def test_every_argument_is_declared_described_and_used(description: list[Made]) -> None:
+    declared = {one.positional[0] for one in of("DeclareLaunchArgument", description)}
+    used = {one.positional[0] for one in everything(description) if type(one).__name__ == "LaunchConfiguration"}
+    assert used == declared
+    assert all(one.named["description"].endswith(".") for one in of("DeclareLaunchArgument", description))
+    for node in of("Node", description):
+        assert type(node.named["on_exit"]).__name__ == "Shutdown"
+
+
+def test_the_default_parameter_file_is_installed(description: list[Made]) -> None:
+    (argument,) = [one for one in of("DeclareLaunchArgument", description) if one.positional[0] == "params_file"]
+    share, *rest = argument.named["default_value"].positional[0]
+    assert share.positional == ("calibration",)
+    setup = (PACKAGE / "setup.py").read_text("utf-8")
+    assert rest == ["config", "ros.yaml"]
+    assert '("share/calibration/config", ["../../config/ros.yaml"])' in setup
+
+
+def test_launch_files_compute_nothing() -> None:
+    assert len(LAUNCH_FILES) == 3
+    for path in LAUNCH_FILES:
+        tree = ast.parse(path.read_text("utf-8"))
+        doing = (ast.If, ast.For, ast.While, ast.Try, ast.Lambda, ast.BinOp, ast.ListComp)
+        assert not [node for node in ast.walk(tree) if isinstance(node, doing)]
+
+
+def test_the_parameter_file_holds_every_parameter_with_its_default() -> None:
+    text = (ROOT / "config" / "ros.yaml").read_text("utf-8")
+    file = yaml.safe_load(text)
+    assert set(file) == set(NODE_NAMES)
+    for node, table in TABLES.items():
+        given = file[node]["ros__parameters"]
+        section = text.partition(f"\n{node}:\n")[2]
+        for one in table:
+            if one.default == []:
+                assert f"# {one.name}: []" in section
+            else:
+                assert given.pop(one.name) == one.default, f"{node}: {one.name}"
+        assert given == {}, node
+    assert set(file["simulated_cell"]["ros__parameters"]) == simulated_cell()
+
+
+def test_nodes_are_all_known() -> None:
+    assert executables("calibration") | executables("calibration_sim") == set(NODE_NAMES)
