@@ -24,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_stamp
+from calibration.emergency import Emergency
 from calibration.guard_messages import mode_names, to_evidence, to_permission, to_robot_state
 from calibration.node import CalibrationNode, Declared, run
 from calibration.robot_state import generic
@@ -67,6 +68,9 @@ PARAMETERS = (
     Declared("jump_rate", RULES.jump_rate, "rad/s, no joint is faster.", low=1.0, high=100.0),
     Declared("scaling_zero_time", RULES.scaling_zero_time, "s, speed scaling may be zero.", low=0.0, high=10.0),
     Declared("max_pause", RULES.max_pause, "s, between two decisions, and between stamps of joint states.", low=0.1),
+    Declared("stop_action", "", "Driver's action whose goals are cancelled if the sequencer cannot; empty: none."),
+    Declared("sequencer_age", 0.1, "s, of the sequencer's sign of life while it moves the robot.", low=0.05, high=5.0),
+    Declared("trace", "", "File for the monotonic clock's ns of what it cancels; empty: none."),
     Declared("clock_jump", 2.0, "s, the clock may advance between two decisions.", low=0.1, high=3600.0),
     Declared("robot_state.adapter", "native", "How the controller's state is understood.", choices=NAMES),
     Declared("robot_state.topics", [], "Names of topics other than the driver's defaults, as key=name."),
@@ -104,6 +108,7 @@ class GuardNode(CalibrationNode):
         self._deciding = threading.RLock()
         self._evidence_sent = -math.inf
         self._ros_time = 0
+        self._emergency = Emergency(self, *(self.value(name) for name in ("stop_action", "sequencer_age", "trace")))
         self._speak()
         self._listen()
 
@@ -248,6 +253,10 @@ class GuardNode(CalibrationNode):
         elif not self.adapter.sources and self._confirmation is not None:
             self.guard.on_status(report.status, now)
         self._decide(now)
+        cancelled = self._emergency.look(now, permitted=self._last is not None and self._last.permitted)
+        if cancelled:
+            self.diagnostics.report("motion", 2, cancelled)
+            self.get_logger().error(cancelled)
 
     def _watch_clock(self) -> None:
         before, self._ros_time = self._ros_time, self.now_ns()

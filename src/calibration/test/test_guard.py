@@ -14,17 +14,18 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("calibration_interfaces")
 
+from action_msgs.srv import CancelGoal
 from builtin_interfaces.msg import Time
 from calibration_interfaces.msg import GuardEvidence, Outcome, Permission, RobotState
 from calibration_interfaces.srv import ConfirmMode, ResetGuard
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
+from std_msgs.msg import Bool, Header
 from std_msgs.msg import String as Text
 
 from calibration.guard import GuardNode
-from calibration.topics import GUARD_EVIDENCE, PERMISSION
+from calibration.topics import GUARD_EVIDENCE, MOTION_PULSE, PERMISSION
 from calibration_core.errors import InputError
 
 CELL = str(Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml")
@@ -277,3 +278,45 @@ def test_parameters_that_cannot_be_used(context: Any, parameters: dict[str, Any]
     overrides = [Parameter(name, value=value) for name, value in ({"cell": CELL} | parameters).items()]
     with pytest.raises(InputError, match=found):
         GuardNode(context=context, parameter_overrides=overrides)
+
+
+class Sequencer:
+    """Tells that a motion of its own is under way, and a driver that can be told to cancel."""
+
+    def __init__(self, spinning: Any) -> None:
+        self.node = spinning.plain("sequencer")
+        self.pulse = self.node.create_publisher(Bool, MOTION_PULSE.relative, MOTION_PULSE.qos)
+        self.cancelled: list[Any] = []
+        spinning.plain("driver").create_service(CancelGoal, "driver/move_to/_action/cancel_goal", self._cancel)
+        self.timer = self.node.create_timer(0.02, lambda: self.pulse.publish(Bool(data=self.moving)))
+        self.moving = False
+
+    def _cancel(self, request: Any, response: Any) -> Any:
+        self.cancelled.append(request)
+        return response
+
+
+def test_a_motion_that_nobody_watches_is_cancelled(spinning: Any, until: Any) -> None:
+    sequencer = Sequencer(spinning)
+    cell = Cell(spinning, stop_action="driver/move_to", sequencer_age=0.4)
+    until(cell.permitted)
+    sequencer.timer.cancel()
+    time.sleep(0.8)
+    assert sequencer.cancelled == []  # it was not moving
+    sequencer.moving = True
+    sequencer.timer.reset()
+    time.sleep(0.8)
+    assert sequencer.cancelled == []  # it is there
+    sequencer.timer.cancel()
+    until(lambda: sequencer.cancelled)
+    assert list(sequencer.cancelled[0].goal_info.goal_id.uuid) == [0] * 16
+
+
+def test_a_motion_that_is_not_permitted_is_cancelled(spinning: Any, until: Any) -> None:
+    sequencer = Sequencer(spinning)
+    cell = Cell(spinning, stop_action="driver/move_to", sequencer_age=1.0)
+    until(cell.permitted)
+    sequencer.moving = True
+    time.sleep(0.2)
+    cell.robot.state = GOOD | {"drives": RobotState.DRIVES_OFF}
+    until(lambda: sequencer.cancelled)

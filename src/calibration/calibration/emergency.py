@@ -1,0 +1,59 @@
+"""The guard's own hand on the motion: it cancels every goal of the driver's action when nobody else may be able to.
+
+The sequencer stops its motions itself.  This is for the case that it cannot any more: it was killed, hangs, or does not
+hear.  Its sign of life tells whether a motion of its own is under way.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from action_msgs.srv import CancelGoal
+from rclpy.node import Node
+
+from calibration.topics import MOTION_PULSE
+
+
+class Emergency:
+    """Cancels all goals of one action; times are s of the steady clock."""
+
+    def __init__(self, node: Node, action: str, max_age: float, trace: str) -> None:
+        """Listen to the sequencer's sign of life.
+
+        Args:
+            node: The guard.
+            action: Name of the driver's action; empty: nothing is ever cancelled.
+            max_age: s, of the sign of life.
+            trace: File for the monotonic clock's ns of every cancellation; empty: none.
+        """
+        self._node, self._max_age = node, max_age
+        self._client = node.create_client(CancelGoal, f"{action}/_action/cancel_goal") if action else None
+        self._trace = Path(trace) if trace else None
+        self._moving, self._heard = False, -math.inf
+        node.create_subscription(MOTION_PULSE.message, MOTION_PULSE.relative, self._on_pulse, MOTION_PULSE.qos)
+
+    def _on_pulse(self, message: Any) -> None:
+        self._moving = bool(message.data)
+        self._heard = time.monotonic()
+
+    def look(self, now: float, *, permitted: bool) -> str:
+        """Cancel if a motion is under way that is not permitted, or that nobody watches; return why, or nothing."""
+        if not self._moving:
+            return ""
+        if now - self._heard > self._max_age:
+            why = "the sequencer is silent while its motion is under way"
+        elif not permitted:
+            why = "a motion is under way that is not permitted"
+        else:
+            return ""
+        self._moving = False  # until the sequencer says so again
+        if self._client is None:
+            return why
+        self._client.call_async(CancelGoal.Request())  # no goal's name and no time: all goals
+        if self._trace is not None:
+            with self._trace.open("a", encoding="utf-8") as file:
+                file.write(f"{round(now * 1e9)},cancel all: {why}\n")
+        return why
