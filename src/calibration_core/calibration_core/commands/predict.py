@@ -26,6 +26,7 @@ from calibration_core.report.command_result import command_result, input_record
 from calibration_core.report.output import RESULT, Content, write_files
 from calibration_core.report.result import result_json
 from calibration_core.report.rounding import counted
+from calibration_core.report.shown import references
 from calibration_core.report.tables import PREDICTIONS, predictions_csv
 from calibration_core.timeseries import Float2D, Readings
 
@@ -62,7 +63,7 @@ class Prediction:
         predicted: (m, 3) m, tracker frame.
         residuals: The same in base axes; nothing was fitted, so nothing was left out.
         space: The operating space.
-        error: Of the positions.
+        error: Of the positions; where they are differences, reference steps, zero by definition, are not counted.
         before: The same with the cell file's model; None where it states no tracker pose.
         deflection: Error of the differences to step 0, with the model and with the cell file's; None for single steps.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
@@ -78,6 +79,19 @@ class Prediction:
     before: ErrorSize | None
     deflection: tuple[ErrorSize, ErrorSize] | None
     inputs: dict[str, dict[str, str]]
+
+    def shown(self) -> Prediction:
+        """Return the same without the reference steps of a recording of differences: their error says nothing."""
+        if self.kind == "absolute":
+            return self
+        keep = ~references(self.readings)
+        rows = {field.name: getattr(self.residuals, field.name)[keep] for field in dataclasses.fields(Residuals)}
+        return dataclasses.replace(
+            self,
+            readings=self.readings.select(keep),
+            predicted=self.predicted[keep],
+            residuals=dataclasses.replace(self.residuals, **rows),
+        )
 
 
 def run(arguments: argparse.Namespace) -> str:
@@ -111,13 +125,14 @@ def predict(cell: Cell, model: Path, readings: Readings) -> Prediction:
     predicted = predict_readings(readings, cell, parameters)
     error = readings.position - predicted
     displacement = cell.measurements.points == "displacement"
+    counted_rows = ~references(readings) if displacement else np.ones(len(readings), dtype=bool)
     nominal = None
     if displacement or cell.frames.tracker is not None:
         nominal = readings.position - predict_readings(readings, cell, nominal_parameters(cell))
     load = None if readings.wrench is None else load_of(readings, cell, parameters)
     deflection = None
     if is_loaded(readings) and nominal is not None:
-        later = readings.step > 0
+        later = ~references(readings)
         after, before = (from_step_zero(readings, one)[later] for one in (error, nominal))
         deflection = ErrorSize.of(after), ErrorSize.of(before)
     return Prediction(
@@ -127,8 +142,8 @@ def predict(cell: Cell, model: Path, readings: Readings) -> Prediction:
         predicted=predicted,
         residuals=_residuals(readings, cell, parameters, predicted),
         space=operating_space(chain_of(cell).corrected(parameters.geometry), parameters, readings, load),
-        error=ErrorSize.of(error),
-        before=None if nominal is None else ErrorSize.of(nominal),
+        error=ErrorSize.of(error[counted_rows]),
+        before=None if nominal is None else ErrorSize.of(nominal[counted_rows]),
         deflection=deflection,
         inputs={"model": digest_of(model)},
     )
@@ -188,7 +203,7 @@ def prediction_summary(found: Prediction) -> str:
             f"largest {1e3 * error.maximum:.3f} mm{cell_file}"
         )
     ]
-    if found.deflection is not None:
+    if found.deflection is not None and found.kind == "absolute":
         after, nominal = found.deflection
         lines.append(
             f"deflection: error mean {1e3 * after.mean:.3f} mm, largest {1e3 * after.maximum:.3f} mm "

@@ -56,7 +56,7 @@ def prediction_document(found: Prediction, cell: Cell, result: bytes, day: dt.da
     day = day or dt.datetime.now(dt.UTC).date()
     space = found.space
     sections = (
-        Section("Residuals", "", residual_section(found)),
+        Section("Residuals", "", residual_section(found.shown())),
         Section("Identified model", "8 f)", _model(found, cell)),
         Section("Measuring equipment", "8 e)", equipment(cell)),
         Section("Operating space", "8 g)", operating_space(space)),

@@ -122,3 +122,25 @@ def test_damaged_models_are_refused_in_one_line(
     assert run("predict", table, "--cell", cell_path, "--model", model, "--out", tmp_path / "out") == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_reference_steps_of_differences_are_not_counted(planned: Path, cell_path: Path, tmp_path: Path) -> None:
+    cell, out = tmp_path / "cell.yaml", tmp_path / "out"
+    spherical = "{sigma_range: 8.0e-6, sigma_range_per_m: 4.0e-7, sigma_angle: 3.0e-6,"
+    text = cell_path.read_text().replace(spherical, "{sigma: 1.5e-5,")
+    cell.write_text(text + "measurements: {points: displacement}\n")
+    assert (
+        run("simulate", "--cell", cell, "--plan", planned / "plan.yaml", "--seed", 2, "--out", out, "--no-report") == 0
+    )
+    table = out / "measurements.csv"
+    assert run("identify", table, "--cell", cell, "--out", tmp_path / "id", "--no-report") == 0
+    model = tmp_path / "id" / "model.yaml"
+    assert run("predict", table, "--cell", cell, "--model", model, "--out", tmp_path / "p") == 0
+    with (tmp_path / "p" / "predictions.csv").open(newline="") as stream:
+        rows = [row for row in csv.DictReader(stream) if row["step"] != "0"]
+    error = np.array([[float(row[a]) - float(row[f"p{a}"]) for a in "xyz"] for row in rows])
+    fit = result_of(tmp_path / "p")["fit"]
+    assert fit["rms_after"] == pytest.approx(float(np.sqrt(np.mean(error**2))))
+    page = (tmp_path / "p" / "report.html").read_text(encoding="utf-8")
+    assert "Deflections predicted to" in page
+    assert "288" in page  # readings in the tables of residuals: 12 configurations, 8 steps, 3 points
