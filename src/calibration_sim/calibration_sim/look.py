@@ -11,13 +11,12 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell, Tracker
-from calibration_core.timeseries import Float2D, Provenance, Readings
+from calibration_core.timeseries import Float2D, Float3D, Provenance, Readings
 from calibration_sim.laws.effect import Label
 from calibration_sim.laws.load_chain import SensorHysteresis
 from calibration_sim.protocol import rated_force
 from calibration_sim.sensors import quantise, tracker_error
 from calibration_sim.table import wrench_sigma
-from calibration_sim.transforms import placement
 from calibration_sim.world import Played, World
 
 SLOW_SHARE = 0.5  # of the variance, where the noise is correlated
@@ -48,13 +47,13 @@ class Noise:
     spherical_claim: bool = False
 
 
-def spherical_tracker(cell: Cell) -> Tracker:
-    """Return a tracker that errs in spherical coordinates, at the robot's distance as much as the cell's claim."""
+def spherical_tracker(cell: Cell, points: Float3D) -> Tracker:
+    """Return a tracker that errs in spherical coordinates, over points (s, p, 3) as much as the cell's claim."""
     sigma = float(cell.instruments.tracker.sigma or 0.0)
-    distance = float(np.linalg.norm(placement(cell.frames.tracker).translation))
+    distance = float(np.sqrt(np.mean(np.sum(points**2, axis=-1))))
     along = 0.5 * sigma
     across = np.sqrt((3.0 * sigma**2 - along**2) / 2.0)
-    return Tracker(sigma_range=along, sigma_angle=float(across) / distance)
+    return Tracker(sigma_range=along, sigma_angle=float(f"{across / distance:.3g}"))
 
 
 def lagging_sensor(cell: Cell) -> SensorHysteresis:
@@ -81,7 +80,7 @@ def look(world: World, played: Played, points: tuple[str, ...], noise: Noise, se
     steps, count = true.shape[:2]
     normal = _normal(rng, steps, count, noise)
     flat = true.reshape(-1, 3)
-    error = noise.factor * faults.noise_factor * tracker_error(flat, spherical_tracker(cell), normal)
+    error = noise.factor * faults.noise_factor * tracker_error(flat, spherical_tracker(cell, true), normal)
     for rate, size in ((noise.outlier_rate, noise.outlier_size), (faults.outlier_rate, faults.outlier_size)):
         wild = rng.random(len(flat)) < rate
         error += np.where(wild[:, None], size * rng.standard_normal(flat.shape), 0.0)

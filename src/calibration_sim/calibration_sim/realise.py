@@ -18,7 +18,7 @@ from calibration_sim.protocols import LOADED, make_protocol, points_of
 from calibration_sim.robots import MAGNITUDES, robot_cell
 from calibration_sim.scenarios import CLUTTER, NEEDS_SINGLE_STEPS, SINGLES, Planned, Scenario
 from calibration_sim.truth import Spread, draw_truth, generator
-from calibration_sim.world import World, play
+from calibration_sim.world import Played, World, play
 
 # What every recording differs by from its cell file: stiffness by 15 percent, geometry by 0.3 mm per joint, and frames
 # and points by what registration leaves.
@@ -75,7 +75,8 @@ def realise(scenario: Scenario) -> Realised:
     small = [] if known is None else _clutter(scenario, known)
     full = world.with_effects(*effects, *small)
     seed = int(generator(scenario.seed, LOOK_STREAM).integers(2**31))
-    readings = look(full, play(full, protocol), points_of(cell, scenario.protocol), scenario.noise, seed)
+    played = play(full, protocol)
+    readings = look(full, played, points_of(cell, scenario.protocol), scenario.noise, seed)
     label = {
         "group": scenario.group,
         "robot": scenario.robot,
@@ -89,7 +90,7 @@ def realise(scenario: Scenario) -> Realised:
         "stiffness": full.actual.stiffness.tolist(),
         "true_anyway": list(TRUE_ANYWAY) if scenario.protocol.endswith("A") else [],
     }
-    return Realised(readings, _file(full, scenario), label)
+    return Realised(readings, _file(full, scenario, played), label)
 
 
 def _draw(scenario: Scenario, stream: tuple[int, int], planned: Planned, amplitude: float) -> Effect:
@@ -131,12 +132,12 @@ def _clutter(scenario: Scenario, known: Background) -> list[Effect]:
     return result
 
 
-def _file(world: World, scenario: Scenario) -> dict[str, Any]:
+def _file(world: World, scenario: Scenario, played: Played) -> dict[str, Any]:
     """Return the cell file that the diagnosis reads."""
     cell: dict[str, Any] = yaml.safe_load(world.cell.path.read_text(encoding="utf-8"))
     noise: Noise = scenario.noise
     if noise.spherical_claim:
-        claim = spherical_tracker(world.cell)
+        claim = spherical_tracker(world.cell, played.points)
         cell["instruments"]["tracker"] = {"sigma_range": claim.sigma_range, "sigma_angle": claim.sigma_angle}
     if scenario.protocol == "A":
         for section, key in (("frames", "force_torque"), ("frames", "wrench_point"), ("instruments", "force_torque")):

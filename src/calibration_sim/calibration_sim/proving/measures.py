@@ -67,6 +67,8 @@ def measures(cases: Sequence[Case]) -> list[Measure]:
         _least("place right, given the effect is right, typical", cases, typical, _placed, 0.95),
         _least("effect right, typical, with unloading", cases, loads["L"], _first, 0.85),
         _least("effect right, typical, with reversed load", cases, loads["R"], _first, 0.90),
+        _least("effect right, typical, with unloading, 240 kg", cases, _both(loads["L"], _heavy), _first, None),
+        _least("effect right, typical, with reversed load, 240 kg", cases, _both(loads["R"], _heavy), _first, None),
         _most("a false second finding beside a single effect", cases, _group("single"), _false, None),
         _least("effect right, absolute and hardly visible ones besides", cases, _group("besides"), _first, None),
         _least("pairs: both found", cases, several, lambda _, o: [all(o.effect_right)], 0.85),
@@ -123,6 +125,10 @@ def _group(name: str) -> Chosen:
 
 def _protocol(first: str) -> Chosen:
     return lambda case: str(case.label["protocol"]).startswith(first)
+
+
+def _heavy(case: Case) -> bool:
+    return bool(case.label["robot"] == "heavy")
 
 
 def _both(one: Chosen, other: Chosen) -> Chosen:
@@ -203,7 +209,7 @@ def _costs(cases: Sequence[Case]) -> list[Measure]:
     seconds = np.array([run.seconds for run in runs])
     memory = np.array([run.megabytes for run in runs])
     count, some = len(runs), len(runs) > 0
-    failed = [case.run.exit != 0 for case in cases if case.run is not None]
+    failed = [case.outcome is None for case in cases]
     slow = float(np.quantile(seconds, 0.95)) if some else None
     large = float(memory.max()) if some else None
     middle = float(np.median(seconds)) if some else None
