@@ -27,6 +27,7 @@ def _find_messages() -> None:
     """
     python = f"python{sys.version_info.major}.{sys.version_info.minor}"
     sys.path[:0] = [str(INTERFACES / "lib" / python / "site-packages"), str(ROOT / "src" / "calibration")]
+    sys.path.insert(0, str(Path(__file__).parent))  # stand_ins
     os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(
         [str(INTERFACES), *filter(None, [os.environ.get("AMENT_PREFIX_PATH")])]
     )
@@ -117,6 +118,15 @@ def spinning(context: Any) -> Iterator[Spinning]:
     one.start()
     yield one
     one.stop()
+
+
+@pytest.fixture
+def feeds() -> Iterator[list[Any]]:
+    """Publishers of a test that are stopped at its end."""
+    running: list[Any] = []
+    yield running
+    for one in running:
+        one.stop()
 
 
 @pytest.fixture

@@ -92,7 +92,7 @@ def soak(
     recorder = subprocess.Popen([str(BIN / "recorder"), *common, "-p", f"out:={tmp_path / 'bag'}"], env=environment)
     sensor = subprocess.Popen(
         [str(BIN / "force_torque"), *common, "-r", "force_torque/wrench:=unused/wrench",
-         "-p", "publish_raw:=false", "-p", "gap:=1.5"], env=environment,
+         "-p", "publish_raw:=false", "-p", "largest_force:=1.0e9"], env=environment,
     )  # fmt: skip
     names = ",".join(cell.robot.joints)
     arguments = [sys.executable, "-c", PUBLISH, str(seconds), names, ",".join(map(str, skipped))]

@@ -1,0 +1,209 @@
+"""The node `tracker`: what goes in comes out in metres, checked and averaged."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from calibration_interfaces.action import Measure
+from calibration_interfaces.msg import Outcome, SampleCheck
+from geometry_msgs.msg import (
+    PointStamped,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    TransformStamped,
+)
+from rclpy.action import ActionClient
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from stand_ins import Feed, finish, measure, overrides
+
+from calibration.conversions import stamp_ns, to_header, transforms
+from calibration.node import ParameterError
+from calibration.tracker import TrackerNode
+from calibration_core.errors import InputError
+
+HERE = np.array([1.25, -2.5, 0.75])
+
+
+def incoming(kind: str, values: np.ndarray, time_ns: int) -> Any:
+    header = to_header(time_ns, "lasertracker")
+    x, y, z = (float(one) for one in values)
+    if kind == "PointStamped":
+        message = PointStamped(header=header)
+        message.point.x, message.point.y, message.point.z = x, y, z
+        return message
+    if kind == "TransformStamped":
+        message = TransformStamped(header=header, child_frame_id="smr_1")
+        moved = message.transform.translation
+    elif kind == "PoseStamped":
+        message = PoseStamped(header=header)
+        moved = message.pose.position
+    else:
+        message = PoseWithCovarianceStamped(header=header)
+        moved = message.pose.pose.position
+    moved.x, moved.y, moved.z = x, y, z
+    return message
+
+
+CLASSES = {
+    "PointStamped": PointStamped,
+    "PoseStamped": PoseStamped,
+    "PoseWithCovarianceStamped": PoseWithCovarianceStamped,
+    "TransformStamped": TransformStamped,
+}
+
+
+@pytest.mark.parametrize("kind", [*CLASSES, "tf"])
+@pytest.mark.parametrize("reliability", [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE])
+def test_every_kind_of_point_comes_out_in_metres(
+    spinning: Any, feeds: list[Feed], until: Callable[..., None], kind: str, reliability: ReliabilityPolicy
+) -> None:
+    if kind == "tf":
+        sent = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs is not installed").TFMessage
+    else:
+        sent = CLASSES[kind]
+    topics = ["smr_1"] if kind == "tf" else ["leica/point"]
+    node = spinning.add(
+        TrackerNode(context=spinning.context, parameter_overrides=overrides(
+            points=["mp2"], topics=topics, input_type=kind, units="mm", output_frame="tracker", tf_topic="tf"))
+    )  # fmt: skip
+    client = spinning.plain()
+    heard: list[PointStamped] = []
+    client.create_subscription(PointStamped, "/tracker/mp2", heard.append, 100)
+    qos = QoSProfile(depth=10, reliability=reliability)
+    start = node.now_ns()
+
+    def make(k: int) -> Any:
+        one = incoming("TransformStamped" if kind == "tf" else kind, 1e3 * HERE + 1e-3 * k, start + k * 5_000_000)
+        return sent(transforms=[one]) if kind == "tf" else one
+
+    publisher = client.create_publisher(sent, "tf" if kind == "tf" else topics[0], qos)
+    feeds.append(Feed(publisher, make))
+    until(lambda: len(heard) >= 5)
+    first = heard[0]
+    k = round((stamp_ns(first.header.stamp) - start) / 5_000_000)
+    np.testing.assert_allclose([first.point.x, first.point.y, first.point.z], HERE + 1e-6 * k, rtol=1e-12)
+    assert first.header.frame_id == "tracker"
+
+
+def test_a_package_that_is_missing_is_named(context: Any) -> None:
+    if importlib.util.find_spec("tf2_msgs"):
+        pytest.skip("tf2_msgs is installed here")
+    with pytest.raises(InputError, match="found no package tf2_msgs, expected the package ros-jazzy-tf2-msgs"):
+        TrackerNode(context=context, parameter_overrides=overrides(input_type="tf"))
+
+
+def test_transforms_are_told_apart_by_their_child_frame() -> None:
+    message = SimpleNamespace(transforms=[incoming("TransformStamped", 1e3 * HERE, 5)])
+    message.transforms.append(TransformStamped(child_frame_id="tool0"))
+    found = transforms(message, {"smr_1": "mp2"}, 1e-3)
+    assert list(found) == ["mp2"]
+    np.testing.assert_allclose(found["mp2"].values, HERE)
+    assert (found["mp2"].stamp, found["mp2"].frame) == (5, "lasertracker")
+
+
+def test_measure_averages_every_point(spinning: Any, feeds: list[Feed], until: Callable[..., None]) -> None:
+    node = spinning.add(TrackerNode(context=spinning.context, parameter_overrides=overrides()))
+    client = spinning.plain()
+    rng = np.random.default_rng(1)
+    for name, shift in (("mp1", 0.0), ("mp2", 1.0), ("mp3", 2.0)):
+        publisher = client.create_publisher(PointStamped, f"input/{name}", 100)
+
+        def make(_k: int, shift: float = shift) -> Any:
+            return incoming("PointStamped", HERE + shift + 1e-5 * rng.standard_normal(3), node.now_ns())
+
+        feeds.append(Feed(publisher, make, 0.004))
+    result = measure(client, "/tracker/measure", Measure.Goal())
+    assert result.outcome.code == Outcome.OK, result.outcome.text
+    assert [one.name for one in result.averages] == ["mp1", "mp2", "mp3"]
+    for one, shift in zip(result.averages, (0.0, 1.0, 2.0), strict=True):
+        np.testing.assert_allclose(one.mean, HERE + shift, atol=2e-5)
+        assert one.samples >= 10
+        assert 0 < np.sqrt(one.covariance[0]) < 1e-5
+        assert stamp_ns(one.end) - stamp_ns(one.begin) >= 200_000_000
+    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp3"], window=0.1))
+    assert [one.name for one in result.averages] == ["mp3"]
+
+
+def test_measure_says_why_it_cannot(spinning: Any, feeds: list[Feed]) -> None:
+    node = spinning.add(TrackerNode(context=spinning.context, parameter_overrides=overrides(frozen=5, timeout=0.6)))
+    client = spinning.plain()
+    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp9"]))
+    assert result.outcome.code == Outcome.INPUT_UNUSABLE
+    assert "expected one of mp1, mp2, mp3" in result.outcome.text
+    result = measure(client, "/tracker/measure", Measure.Goal(window=-1.0))
+    assert result.outcome.code == Outcome.INPUT_UNUSABLE
+    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp1"]))
+    assert result.outcome.code == Outcome.NO_DATA
+    publisher = client.create_publisher(PointStamped, "input/mp1", 100)
+    feeds.append(Feed(publisher, lambda k: incoming("PointStamped", HERE + 1e-4 * k, node.now_ns())))
+    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp1"]))
+    assert result.outcome.code == Outcome.NOT_SETTLED, result.outcome.text
+    feeds.pop().stop()
+    feeds.append(Feed(publisher, lambda _k: incoming("PointStamped", HERE, node.now_ns())))
+    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp1"]))
+    assert result.outcome.code == Outcome.TIMED_OUT
+    assert "frozen" in result.outcome.text
+
+
+def test_measure_can_be_cancelled(spinning: Any) -> None:
+    spinning.add(TrackerNode(context=spinning.context, parameter_overrides=overrides(timeout=60.0)))
+    client = ActionClient(spinning.plain(), Measure, "/tracker/measure")
+    assert client.wait_for_server(15.0)
+    handle = finish(client.send_goal_async(Measure.Goal()))
+    assert finish(handle.cancel_goal_async()).goals_canceling
+    assert finish(handle.get_result_async()).result.outcome.code == Outcome.CANCELLED
+
+
+def test_the_health_of_a_stream_is_told(spinning: Any, feeds: list[Feed], until: Callable[..., None]) -> None:
+    node = spinning.add(TrackerNode(context=spinning.context, parameter_overrides=overrides(frame="lasertracker")))
+    client = spinning.plain()
+    heard: list[SampleCheck] = []
+    passed: list[PointStamped] = []
+    client.create_subscription(SampleCheck, "/calibration/sample_check", heard.append, 100)
+    client.create_subscription(PointStamped, "/tracker/mp1", passed.append, 100)
+    until(lambda: any(one.problem == SampleCheck.SILENT and one.name == "mp1" for one in heard))
+    publisher = client.create_publisher(PointStamped, "input/mp1", 100)
+    rng = np.random.default_rng(2)
+
+    def make(k: int) -> Any:
+        wild = {20: np.full(3, np.nan), 40: HERE + 1.0}.get(k, HERE + 1e-5 * rng.standard_normal(3))
+        message = incoming("PointStamped", wild, node.now_ns())
+        message.header.frame_id = "base" if k == 60 else "lasertracker"
+        return message
+
+    feeds.append(Feed(publisher, make))
+    until(lambda: any(one.not_finite and one.jumps and one.wrong_frame for one in heard))
+    until(lambda: heard[-1].problem == SampleCheck.FINE or heard[-1].name != "mp1", timeout=5.0)
+    last = [one for one in heard if one.name == "mp1"][-1]
+    assert (last.not_finite, last.jumps, last.wrong_frame) == (1, 1, 1)
+    assert last.accepted == last.received - 3
+    assert np.isfinite([[one.point.x, one.point.y] for one in passed]).all()
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"points": ["mp9"]}, "points: found 'mp9'"),
+        ({"points": ["mp1", "mp1"]}, "points: found a point twice"),
+        ({"topics": ["a"]}, "topics: found 1 topics, expected 3"),
+        ({"units": "km"}, "units: found 'km', expected one of m, mm, inch"),
+    ],
+)
+def test_tracker_refuses_parameters_without_sense(context: Any, values: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        TrackerNode(context=context, parameter_overrides=overrides(**values))
+
+
+def test_the_contracts_own_topic_is_only_checked(spinning: Any) -> None:
+    node = spinning.add(
+        TrackerNode(context=spinning.context, parameter_overrides=overrides(points=["mp1"], topics=["tracker/mp1"]))
+    )
+    assert [one.topic for one in node.publishers if "/tracker" in one.topic] == []
