@@ -104,7 +104,7 @@ def _facts(found: Prediction, cell: Cell, day: dt.date) -> Facts:
 
 
 def _verdict(found: Prediction) -> Verdict:
-    unit = length_unit(found.error.mean)
+    unit = length_unit(found.error.maximum)
     what = "Positions" if found.kind == "absolute" else "Deflections"
     mean, largest = (_size(value, unit) for value in (found.error.mean, found.error.maximum))
     headline = f"{what} predicted to {mean} on average, {largest} at worst"
