@@ -16,20 +16,23 @@ FLAT = 1e3  # prior standard deviation of the null model's parameters, in units 
 GATE = 3.0  # nats
 
 
-def log_predictive_density(f: Field, candidates: tuple[int, ...]) -> Float1D:
+def log_predictive_density(f: Field, more: tuple[int, ...] = ()) -> Float1D:
     """Return, per configuration, the log density of its readings given all others, (k,) nats.
 
     Args:
-        f: The field; its discrepancy is part of the covariance.
-        candidates: Hypotheses that the model contains, with their priors.
+        f: The field; its discrepancy, nuisances and accepted effects are part of the covariance.
+        more: Further hypotheses that the model contains, with their priors.
     """
     design = f.design
     norms = np.linalg.norm(design.null, axis=0)
-    parts = [design.null / np.where(norms > 0, norms, 1.0) * FLAT]
-    active = f.weights > 0
-    parts.append(design.columns[:, active] * f.weights[active])
-    parts += [design.columns[:, design.blocks[index]] for index in candidates]
-    wide = np.concatenate(parts, axis=1)
+    weights = f.weights.copy()
+    for index in more:
+        block = design.blocks[index]
+        weights[block] = np.hypot(weights[block], 1.0)
+    active = weights > 0
+    wide = np.concatenate(
+        [design.null / np.where(norms > 0, norms, 1.0) * FLAT, design.columns[:, active] * weights[active]], axis=1
+    )
     inner = np.linalg.inv(np.eye(wide.shape[1]) + wide.T @ wide)
     scored = design.residual - wide @ (inner @ (wide.T @ design.residual))
     numbers = np.unique(design.configuration)

@@ -1,7 +1,8 @@
 """The recording and all hypotheses about it as one whitened linear model.
 
 Rows are in units of the noise, offsets eliminated; columns are the null model's parameters, then those of every
-candidate in units of its prior's standard deviation (three times the typical size).
+candidate in units of its prior's standard deviation (three times the typical size), then nuisances: what instruments
+and geometry are known to do and nobody would call a finding, in units of how large it is expected to be.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from calibration_core.identification.offsets import Rows, whitened
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
 PRIOR_WIDTH = 3.0  # standard deviations of the prior per typical size
 
@@ -25,11 +26,13 @@ class Design:
     Attributes:
         residual: (r,) measured - null model.
         null: (r, n) columns of the null model's parameters.
-        columns: (r, p) columns of all candidates, per standard deviation of the prior.
+        columns: (r, p) columns of all candidates, per standard deviation of the prior, and of the nuisances.
         configuration: (r,) index of the configuration of every row.
         candidates: The hypotheses.
         blocks: Their columns.
         prior: (p,) standard deviation of every parameter, in its unit.
+        positive: (p,) whether physics allows no negative value.
+        nuisances: Columns of the nuisances.
     """
 
     residual: Float1D
@@ -39,6 +42,8 @@ class Design:
     candidates: tuple[Candidate, ...]
     blocks: tuple[slice, ...]
     prior: Float1D
+    positive: Bool1D
+    nuisances: slice
 
     @property
     def n(self) -> int:
@@ -52,29 +57,39 @@ class Design:
 
 
 def build_design(
-    state: State, rows: Rows, residual: Float2D, null: Float3D, candidates: tuple[Candidate, ...], noise_scale: float
+    state: State,
+    rows: Rows,
+    residual: Float2D,
+    null: Float3D,
+    candidates: tuple[Candidate, ...],
+    nuisances: Float3D | None = None,
+    used: Int1D | None = None,
 ) -> Design:
-    """Evaluate every candidate's columns and whiten the lot.
+    """Evaluate every candidate's columns on all m readings (history needs them all), and whiten those used.
 
     Args:
         state: The null model.
-        rows: Grouping and claimed noise.
+        rows: Grouping and noise of the readings used.
         residual: (m, 3) m, measured - predicted.
         null: (m, 3, n) derivatives of the prediction by the null model's parameters.
         candidates: The hypotheses.
-        noise_scale: Factor on the claimed standard deviations.
+        nuisances: (m, 3, k) m per expected size; None where there are none.
+        used: Indices of the readings used; None: all.
     """
-    blocks, prior, columns, start = [], [], [], 0
+    blocks, prior, positive, columns, start = [], [], [], [], 0
     for candidate in candidates:
         k = len(candidate.parameters)
         scale = PRIOR_WIDTH * np.array([parameter.typical for parameter in candidate.parameters])
         columns.append(candidate.columns(state) * scale)
         prior.append(scale)
+        positive.append(np.array([parameter.positive for parameter in candidate.parameters]))
         blocks.append(slice(start, start + k))
         start += k
-    data = np.concatenate([null, *columns, residual[:, :, None]], axis=2)
-    white, configuration = whitened(rows, data)
-    white = white / noise_scale
+    extra = np.zeros((len(residual), 3, 0)) if nuisances is None else nuisances
+    prior.append(np.ones(extra.shape[2]))
+    positive.append(np.zeros(extra.shape[2], dtype=bool))
+    data = np.concatenate([null, *columns, extra, residual[:, :, None]], axis=2)
+    white, configuration = whitened(rows, data if used is None else data[used])
     n = null.shape[2]
     return Design(
         residual=white[:, -1],
@@ -83,5 +98,7 @@ def build_design(
         configuration=configuration,
         candidates=candidates,
         blocks=tuple(blocks),
-        prior=np.concatenate(prior) if prior else np.empty(0),
+        prior=np.concatenate(prior),
+        positive=np.concatenate(positive).astype(bool),
+        nuisances=slice(start, start + extra.shape[2]),
     )

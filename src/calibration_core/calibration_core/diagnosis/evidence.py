@@ -4,8 +4,11 @@ Everything small is present a little.  The whole catalogue therefore enters the 
 
     V = I + sum_l w_l^2 G_l G_l^T,
 
-each place with the same signal-to-noise ratio c, and a finding must stand out from it.  c is found by restricted
-maximum likelihood.  All quantities come from one Gram matrix, so that a thousand bootstrap samples cost nothing.
+each place with the same signal-to-noise ratio c, and a finding must stand out from it.  c is not fixed beforehand: a
+hypothesis is judged at the level that suits it best, against the null model at the level that suits that one best, so
+that neither can a crowd of small effects pass for a large one, nor a large one raise the level and hide in the crowd.
+The law of an accepted effect is known to some share only; its kin enter the covariance with that share of its size.
+All quantities come from Gram matrices, so that a thousand bootstrap samples cost nothing.
 Source: Kass and Raftery 1995 (Bayes factors); Kennedy and O'Hagan 2001 with a physical kernel; Westfall and Young 1993
 (distribution of the maximum).
 """
@@ -15,92 +18,192 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from calibration_core.diagnosis.design import PRIOR_WIDTH, Design
+from calibration_core.diagnosis.kin import are_kin
 from calibration_core.timeseries import Float1D, Float2D
 
-LEVELS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
-SAMPLES = 1000
+LEVELS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5)
+SAMPLES = 500
 FALSE_ALARM = 0.01
 MOST = 1.0  # in typical sizes: how large the structured discrepancy may make any effect
+LAW = 0.15  # share to which the law of an effect is known
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Base:
+    """What all levels share.
+
+    Attributes:
+        design: The whitened model.
+        gram: Gram matrix of [null, columns, residual].
+        unit: (p,) amplitude of the discrepancy per unit of signal-to-noise ratio, in prior standard deviations.
+    """
+
+    design: Design
+    gram: Float2D
+    unit: Float1D
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Field:
-    """The Gram matrix in the metric of V at one level, and what was accepted so far.
+    """Everything in the metric of V at one level, with what was accepted so far.
 
     Attributes:
-        design: The whitened model.
-        weights: (p,) w of every column: amplitude of the discrepancy in prior standard deviations.
+        base: What all levels share.
         level: c, signal-to-noise ratio of every place in the discrepancy.
-        gram: Gram matrix of [null, columns, residual] in the metric of V^-1.
-        accepted: Indices of accepted candidates; their columns are part of the null model.
+        accepted: Indices of accepted candidates; their columns are in V with their priors.
+        weights: (p,) w of every column.
+        schur: (p + 1, p + 1) Gram matrix of [columns, residual] in the metric of V^-1, null model projected out.
+        likelihood: Log marginal likelihood of the recording, nats, up to a constant.
     """
 
-    design: Design
-    weights: Float1D
+    base: Base
     level: float
-    gram: Float2D
     accepted: tuple[int, ...]
+    weights: Float1D
+    schur: Float2D
+    likelihood: float
+
+    @property
+    def design(self) -> Design:
+        """The whitened model."""
+        return self.base.design
 
 
-def field(design: Design, accepted: tuple[int, ...] = (), level: float | None = None) -> Field:
-    """Set up the field; the level is found by restricted maximum likelihood unless given."""
+def base_of(design: Design) -> Base:
+    """Prepare a design."""
     gram = design.gram()
-    unit = _unit_weights(design, gram)
-    if level is None:
-        level = max(LEVELS, key=lambda c: (_likelihood(design, gram, unit, accepted, c), -c))
-    weights = _weights(unit, level)
-    return Field(design, weights, level, _metric(design, gram, weights)[0], accepted)
+    return Base(design, gram, _unit_weights(design, gram))
+
+
+def field(base: Base, accepted: tuple[int, ...], level: float, kin: Float1D | None = None) -> Field:
+    """Set up the field at one level.
+
+    Args:
+        base: The prepared design.
+        accepted: Candidates in the model.
+        level: c.
+        kin: (p,) signal-to-noise ratio that each column's place has from the law of its accepted kin; None: none.
+    """
+    design = base.design
+    each = np.full(len(base.unit), level) if kin is None else np.maximum(level, kin)
+    weights = np.minimum(each * base.unit, MOST / PRIOR_WIDTH)
+    for index in accepted:
+        weights[design.blocks[index]] = 1.0
+    weights[design.nuisances] = 1.0
+    metric, log_det = _metric(design, base.gram, weights)
+    n = design.n
+    schur = _schur(metric, list(range(n)))[n:, n:] if n else metric
+    _, log_null = np.linalg.slogdet(metric[:n, :n])
+    likelihood = -0.5 * (float(schur[-1, -1]) + log_det + float(log_null))
+    return Field(base, level, accepted, weights, schur, likelihood)
+
+
+def without_kin(f: Field, candidate: int) -> Field:
+    """Return the field whose discrepancy knows nothing of a candidate and its kin."""
+    design = f.design
+    weights = f.weights.copy()
+    for index, other in enumerate(design.candidates):
+        if index not in f.accepted and are_kin(design.candidates[candidate], other):
+            weights[design.blocks[index]] = 0.0
+    return dataclasses.replace(f, weights=weights)
+
+
+def fields(base: Base, accepted: tuple[int, ...], kin: Float1D | None = None) -> tuple[Field, ...]:
+    """Set up the fields at all levels."""
+    return tuple(field(base, accepted, level, kin) for level in LEVELS)
+
+
+def best_field(several: tuple[Field, ...]) -> Field:
+    """Return the field at the level that the recording likes best."""
+    return max(several, key=lambda f: (f.likelihood, -f.level))
+
+
+def profile(several: tuple[Field, ...]) -> tuple[Float1D, Float1D]:
+    """Judge every candidate at the level that suits it best against the null model at the level that suits that best.
+
+    Returns:
+        scores: (l,) log Bayes factors, nats.
+        levels: (l,) index of the level that suits each.
+    """
+    totals = np.stack([f.likelihood + log_bayes_factors(f) for f in several])
+    return totals.max(axis=0) - best_field(several).likelihood, totals.argmax(axis=0)
 
 
 def log_bayes_factors(f: Field) -> Float1D:
-    """Return the log Bayes factor of every candidate against the null model with what was accepted, (l,) nats."""
-    schur = _without_null(f)
-    return _scores(f.design, schur[:-1, :-1], schur[:-1, -1:])[:, 0]
+    """Return the log Bayes factor of every candidate beside what was accepted, at the field's level, (l,) nats."""
+    return _scores(f.design, f.schur[:-1, :-1], f.schur[:-1, -1:])[:, 0]
 
 
 def threshold(f: Field, seed: int = 0) -> float:
     """Return what the largest log Bayes factor exceeds in 1 % of recordings in which nothing more is missing."""
-    schur = _without_null(f)[:-1, :-1]
-    values, vectors = np.linalg.eigh(schur)
+    gram = f.schur[:-1, :-1]
+    values, vectors = np.linalg.eigh(gram)
     root = vectors * np.sqrt(np.clip(values, 0.0, None))
-    noise = np.random.default_rng(seed).standard_normal((len(schur), SAMPLES))
-    scores = _scores(f.design, schur, root @ noise)
+    noise = np.random.default_rng(seed).standard_normal((len(gram), SAMPLES))
+    scores = _scores(f.design, gram, root @ noise)
     return float(np.quantile(scores.max(axis=0, initial=-np.inf), 1 - FALSE_ALARM)) if len(scores) else 0.0
-
-
-def estimates(f: Field) -> tuple[Float1D, Float2D]:
-    """Return values and covariance of null corrections and accepted parameters (their units), by GLS in V."""
-    columns = _columns(f)
-    matrix, vector = f.gram[np.ix_(columns, columns)], f.gram[columns, -1]
-    n = f.design.n
-    matrix = matrix + np.diag(np.concatenate([np.zeros(n), np.full(len(columns) - n, 1e-9)]))
-    inverse = np.linalg.inv(matrix)
-    unit = np.concatenate([np.ones(n), f.design.prior[[c - n for c in columns[n:]]]])
-    return (inverse @ vector) * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
 
 
 def posterior(f: Field, candidate: int) -> tuple[Float1D, Float2D]:
     """Return mean and covariance of one candidate's parameters (its units), beside the null and what was accepted."""
-    schur = _without_null(f)
     block = f.design.blocks[candidate]
-    matrix = schur[block, block] + np.eye(block.stop - block.start)
-    inverse = np.linalg.inv(matrix)
+    inverse = np.linalg.inv(f.schur[block, block] + np.eye(block.stop - block.start))
     unit = f.design.prior[block]
-    return (inverse @ schur[block, -1]) * unit, inverse * np.outer(unit, unit)
+    return (inverse @ f.schur[block, -1]) * unit, inverse * np.outer(unit, unit)
+
+
+def visible_size(f: Field, candidate: int) -> float:
+    """Return the signal-to-noise ratio of a candidate's fitted effect that the null model cannot take over."""
+    block = f.design.blocks[candidate]
+    mean = posterior(f, candidate)[0] / f.design.prior[block]
+    return float(np.sqrt(max(float(mean @ f.schur[block, block] @ mean), 0.0)))
+
+
+def law_share(base: Base, accepted: tuple[int, ...]) -> Float1D:
+    """Return the (p,) signal-to-noise ratio that accepted effects lend to the places of their kin."""
+    design = base.design
+    share = np.zeros(len(base.unit))
+    for position, index in enumerate(accepted):
+        others = accepted[:position] + accepted[position + 1 :]
+        size = LAW * visible_size(field(base, others, 0.0), index)
+        for other, candidate in enumerate(design.candidates):
+            if are_kin(design.candidates[index], candidate):
+                block = design.blocks[other]
+                share[block] = np.maximum(share[block], size)
+    return share
+
+
+def estimates(f: Field) -> tuple[Float1D, Float2D]:
+    """Return values and covariance of null corrections and accepted parameters (their units), by GLS in V.
+
+    Accepted parameters keep their (wide) priors.
+    """
+    design = f.design
+    n = design.n
+    own = [c for index in f.accepted for c in range(design.blocks[index].start, design.blocks[index].stop)]
+    weights = f.weights.copy()
+    weights[own] = 0.0
+    metric, _ = _metric(design, f.base.gram, weights)
+    columns = [*range(n), *(n + c for c in own)]
+    matrix = metric[np.ix_(columns, columns)] + np.diag(np.concatenate([np.zeros(n), np.ones(len(own))]))
+    scale = np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
+    inverse = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
+    unit = np.concatenate([np.ones(n), design.prior[own]])
+    return (inverse @ metric[columns, -1]) * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
 
 
 def signal_to_noise(design: Design) -> Float1D:
     """Return, per candidate, how visible its typical size is after the null model is refitted (dimensionless)."""
-    gram = design.gram()
-    schur = _schur(gram, list(range(design.n)))[:-1, :-1]
+    schur = _schur(design.gram(), list(range(design.n)))[design.n : -1, design.n : -1]
     return np.array([np.sqrt(max(float(np.trace(schur[b, b])), 0.0)) for b in design.blocks]) / PRIOR_WIDTH
 
 
 def _unit_weights(design: Design, gram: Float2D) -> Float1D:
     """Return w per unit level: every place gets the same total signal-to-noise ratio, shared by its variants."""
-    schur = _schur(gram, list(range(design.n)))
+    schur = _schur(gram, list(range(design.n)))[design.n : -1, design.n : -1]
     places: dict[object, list[int]] = {}
     for index, candidate in enumerate(design.candidates):
         places.setdefault(candidate.place, []).append(index)
@@ -113,49 +216,23 @@ def _unit_weights(design: Design, gram: Float2D) -> Float1D:
     return weights
 
 
-def _weights(unit: Float1D, level: float) -> Float1D:
-    return np.minimum(level * unit, MOST / PRIOR_WIDTH)
-
-
 def _metric(design: Design, gram: Float2D, weights: Float1D) -> tuple[Float2D, float]:
     """Return the Gram matrix in the metric of V^-1, and log det V (Woodbury)."""
     n = design.n
-    inner = slice(n, n + len(weights))
-    active = weights > 0
-    if not active.any():
+    active = np.flatnonzero(weights > 0)
+    if not len(active):
         return gram, 0.0
-    scaled = gram[:, inner][:, active] * weights[active]
-    core = np.eye(int(active.sum())) + scaled[inner][active] * weights[active][:, None]
+    scaled = gram[:, n + active] * weights[active]
+    core = np.eye(len(active)) + scaled[n + active] * weights[active][:, None]
     lower = np.linalg.cholesky(core)
     half = np.linalg.solve(lower, scaled.T)
     return gram - half.T @ half, 2 * float(np.log(np.diag(lower)).sum())
 
 
-def _likelihood(design: Design, gram: Float2D, unit: Float1D, accepted: tuple[int, ...], level: float) -> float:
-    metric, log_det = _metric(design, gram, _weights(unit, level))
-    columns = _null_columns(design, accepted)
-    matrix = metric[np.ix_(columns, columns)]
-    rest = _schur(metric, columns)[-1, -1]
-    return -0.5 * (float(rest) + log_det + float(np.linalg.slogdet(matrix)[1]))
-
-
-def _null_columns(design: Design, accepted: tuple[int, ...]) -> list[int]:
-    n = design.n
-    extra = [n + c for index in accepted for c in range(design.blocks[index].start, design.blocks[index].stop)]
-    return [*range(n), *extra]
-
-
-def _columns(f: Field) -> list[int]:
-    return _null_columns(f.design, f.accepted)
-
-
-def _without_null(f: Field) -> Float2D:
-    """Return the Gram matrix of [columns, residual] after the null model and what was accepted are projected out."""
-    return _schur(f.gram, _columns(f))[f.design.n :, f.design.n :] if f.design.n else f.gram
-
-
 def _schur(gram: Float2D, columns: list[int]) -> Float2D:
     """Project `columns` out of a Gram matrix; its shape stays, their rows become zero."""
+    if not columns:
+        return gram
     scale = np.sqrt(np.clip(np.diag(gram), 1e-300, None))[columns]
     cross = gram[columns] / scale[:, None]
     inner = gram[np.ix_(columns, columns)] / np.outer(scale, scale)
@@ -166,11 +243,22 @@ def _schur(gram: Float2D, columns: list[int]) -> Float2D:
 
 
 def _scores(design: Design, schur: Float2D, vectors: Float2D) -> Float2D:
-    """Return log Bayes factors (l, s) of all candidates for s right-hand sides."""
+    """Return log Bayes factors (l, s) of all candidates for s right-hand sides.
+
+    Where physics allows positive values only the prior is one half of the normal; by what share of the two-sided
+    posterior is positive the factor changes (the parameters taken one by one).
+    """
     result = np.empty((len(design.blocks), vectors.shape[1]))
     for index, block in enumerate(design.blocks):
         matrix = np.eye(block.stop - block.start) + schur[block, block]
         lower = np.linalg.cholesky(matrix)
         half = np.linalg.solve(lower, vectors[block])
         result[index] = 0.5 * (half**2).sum(axis=0) - np.log(np.diag(lower)).sum()
+        positive = design.positive[block]
+        if positive.any():
+            inverse = np.linalg.inv(lower)
+            covariance = inverse.T @ inverse
+            mean = (inverse.T @ half)[positive]
+            std = np.sqrt(np.diag(covariance))[positive]
+            result[index] += (np.log(2) + log_ndtr(mean / std[:, None])).sum(axis=0)
     return result

@@ -8,51 +8,36 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.anomalies import find_anomalies
-from calibration_core.diagnosis.design import Design, build_design
-from calibration_core.diagnosis.evidence import estimates, field
-from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
+from calibration_core.diagnosis.design import Design
+from calibration_core.diagnosis.extended import Extended, design_at, extend, loaded_state
+from calibration_core.diagnosis.finding import Diagnosis, Verdict
 from calibration_core.diagnosis.naming import findings_of
+from calibration_core.diagnosis.noise import Scatter, claimed, directions, scatter, with_noise
+from calibration_core.diagnosis.rest import held_out_error, weighted_rest, what_remains
+from calibration_core.diagnosis.screening import readings_to_use
 from calibration_core.diagnosis.selection import Selection, select
-from calibration_core.identification.distributions import f_tail
-from calibration_core.identification.estimate import Identification
 from calibration_core.identification.loaded import Options, PreparedLoaded, identify_prepared, prepare_loaded
-from calibration_core.identification.offsets import without_offsets
+from calibration_core.identification.offsets import Rows, without_offsets
 from calibration_core.identification.problem import LoadedProblem
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.state import State, state_of
-from calibration_core.timeseries import Float1D, Float2D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
 ROUNDS = 3
-SETTLED = 0.9  # the noise is taken as found once the rest falls by less than a tenth
-SIGNIFICANT = 0.001
-SMALLEST_EXCESS = 1.05  # of the noise: a smaller rest does not matter, however certain
-TRUSTED_FREEDOM = 60  # degrees of freedom from which on the rigid triangle sets the noise
+SETTLED = 0.05  # relative change of the noise below which it is taken as found
+MOVED = 0.05  # relative change of a compliance below which the operating point is taken as found
+FITTED_WITH_FRAMES = ("tracker_frame_misalignment", "measurement_point_offset")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Extended:
-    """The extended model at its own compliances.
+class Attempt:
+    """One pass: noise, what was selected at that noise, the model extended by it, and the null model's rms, m."""
 
-    Attributes:
-        state: Null model at the final compliances.
-        design: Whitened there.
-        compliance: (n,) rad/(N*m).
-        compliance_std: (n,).
-        value: (p,) parameters of the accepted candidates.
-        std: (p,) their standard deviations.
-        shift: (m, 3) m, what the accepted candidates move.
-        residual: (m, 3) m, measured - extended model, offsets removed.
-    """
-
-    state: State
+    seen: Scatter
     design: Design
-    compliance: Float1D
-    compliance_std: Float1D
-    value: Float1D
-    std: Float1D
-    shift: Float2D
-    residual: Float2D
+    selection: Selection
+    extended: Extended
+    rms_before: float
 
 
 def diagnose_loaded(readings: Readings, cell: Cell, options: Options | None = None) -> Diagnosis:
@@ -69,24 +54,15 @@ def diagnose_loaded(readings: Readings, cell: Cell, options: Options | None = No
     options = options or Options()
     prepared = prepare_loaded(readings, cell, options)
     identification = identify_prepared(prepared, cell, options)
-    used = prepared.problem.select(np.flatnonzero(prepared.screened.used))
     anomalies = find_anomalies(identification)
-    state = loaded_state(used, cell, prepared.fit.compliance)
-    hypotheses = candidates(state)
-    seen = seen_noise(identification)
-    noise_scale = seen or max(1.0, float(np.sqrt(prepared.fit.chi2 / max(prepared.fit.freedom, 1))))
-    design, selection, extended = _attempt(used, cell, prepared, state, hypotheses, noise_scale)
-    while (
-        seen is None and (left := noise_scale * _whitened_rest(extended, selection)[1] ** 0.5) < SETTLED * noise_scale
-    ):
-        noise_scale = max(1.0, left)
-        design, selection, extended = _attempt(used, cell, prepared, state, hypotheses, noise_scale)
-    rest = what_remains(extended, selection, identification, noise_scale, prepared)
+    attempt = _search(prepared, cell, options)
+    extended, selection, seen = attempt.extended, attempt.selection, attempt.seen
+    rest = what_remains(extended, seen, identification.noise.claimed, prepared.problem.readings)
     findings = findings_of(extended, selection, identification, readings)
-    before, after = held_out_error(design, ()), held_out_error(extended.design, selection.accepted)
-    scale = identification.noise.claimed * noise_scale
+    noise = identification.noise.claimed * seen.total
+    joints = prepared.problem.chain.joints
     return Diagnosis(
-        verdict=_verdict(bool(findings), rest),
+        verdict=_verdict(bool(findings), rest.significant),
         findings=findings,
         anomalies=anomalies,
         rest=rest,
@@ -94,13 +70,13 @@ def diagnose_loaded(readings: Readings, cell: Cell, options: Options | None = No
         identification=identification,
         stiffness={
             joint: (1 / c, s / c**2) if c > 0 else (np.inf, np.inf)
-            for joint, c, s in zip(state.chain.joints, extended.compliance, extended.compliance_std, strict=True)
+            for joint, c, s in zip(joints, extended.compliance, extended.compliance_std, strict=True)
         },
-        rms_before=identification.fit.rms_used,
+        rms_before=attempt.rms_before,
         rms_after=float(np.sqrt(np.mean(extended.residual**2))),
-        held_out_before=before * scale,
-        held_out_after=after * scale,
-        noise=scale,
+        held_out_before=held_out_error(attempt.design, ()) * noise,
+        held_out_after=held_out_error(extended.design, selection.accepted) * noise,
+        noise=noise,
         level=selection.level,
         located=(),
         residual=extended.residual,
@@ -109,155 +85,78 @@ def diagnose_loaded(readings: Readings, cell: Cell, options: Options | None = No
     )
 
 
-def _attempt(
-    problem: LoadedProblem,
-    cell: Cell,
-    prepared: PreparedLoaded,
-    state: State,
-    hypotheses: tuple[Candidate, ...],
-    noise_scale: float,
-) -> tuple[Design, Selection, Extended]:
-    linear = problem.linearise(prepared.fit.compliance)
-    design = build_design(state, linear.rows, linear.residual, linear.columns, hypotheses, noise_scale)
-    selection = select(design)
-    return design, selection, extend(problem, cell, prepared, hypotheses, selection, noise_scale)
+def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
+    """Return what could be missing; frames that absolute positions fix are nuisances, no hypotheses."""
+    found = candidates(loaded_state(prepared.problem, cell, prepared.fit.compliance))
+    if prepared.frames is None:
+        return found
+    return tuple(candidate for candidate in found if candidate.effect not in FITTED_WITH_FRAMES)
 
 
-def seen_noise(identification: Identification) -> float | None:
-    """Return the factor on the claimed noise that the rigid triangle shows; None where no model-free check can.
+def _search(prepared: PreparedLoaded, cell: Cell, options: Options) -> Attempt:
+    """Select and extend until operating point, readings used and noise stand still.
 
-    Without it the noise starts at what the null model leaves and shrinks with what the findings explain.
+    A strong missing effect spoils all three: the null model's compliances are wrong, good readings look bad under it,
+    and the noise looks larger.  So each is taken again from the extended model.
     """
-    audit = identification.noise
-    for check in audit.checks:
-        if check.source == "rigid triangle" and check.degrees_of_freedom >= TRUSTED_FREEDOM:
-            return float(np.clip(check.seen / audit.claimed, 0.3, 10.0))
-    return None
+    problem, compliance = prepared.problem, prepared.fit.compliance
+    hypotheses = _hypotheses(prepared, cell)
+    axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
+    used = np.flatnonzero(prepared.screened.used)
+    linear = problem.linearise(compliance)
+    seen = _seen(linear.rows, linear.residual, problem, axes, used)
+    told = seen.freedom > 0
+    if not told:
+        seen = claimed(max(1.0, float(np.sqrt(prepared.fit.chi2 / max(prepared.fit.freedom, 1)))))
+    for remaining in reversed(range(ROUNDS)):
+        attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
+        extended = attempt.extended
+        rows = with_noise(linear.rows, problem.readings, seen, axes)
+        kept = readings_to_use(rows, extended.raw) if options.robust else used
+        again = _seen(linear.rows, extended.raw, problem, axes, kept) if told else _left(attempt)
+        moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
+        still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
+        if still or not remaining or not attempt.selection.accepted:
+            return attempt
+        seen, used, compliance = again, kept, np.clip(extended.compliance, 0.2 * compliance, 3 * compliance)
+    raise AssertionError  # the last round returns
 
 
-def loaded_state(problem: LoadedProblem, cell: Cell, compliance: Float1D) -> State:
-    """Return the null model's state at the given compliances, for the readings of the problem."""
-    readings = problem.readings
-    points = np.stack([problem.parameters.points[name] for name in readings.points])[readings.point].T
-    return state_of(
-        problem.chain,
-        readings.q,
-        compliance,
-        problem.load,
-        points,
-        point_index=readings.point,
-        wrench=readings.wrench,
-        configuration=problem.configuration,
-        step=readings.step,
-        time=readings.time,
-        temperature=readings.temperature,
-        tracker=problem.parameters.tracker,
-        rated_load=cell.robot.rated_load,
-    )
-
-
-def extend(
-    problem: LoadedProblem,
+def _attempt(
+    prepared: PreparedLoaded,
     cell: Cell,
-    prepared: PreparedLoaded,
     hypotheses: tuple[Candidate, ...],
-    selection: Selection,
-    noise_scale: float,
-) -> Extended:
-    """Refit the compliances together with what was accepted, re-linearising until they stand still."""
-    compliance, rounds = prepared.fit.compliance, 0
-    while True:
-        rounds += 1
-        state = loaded_state(problem, cell, compliance)
-        linear = problem.linearise(compliance)
-        design = build_design(state, linear.rows, linear.residual, linear.columns, hypotheses, noise_scale)
-        value, covariance = estimates(field(design, selection.accepted, selection.level))
-        change = value[: len(compliance)]
-        if rounds == ROUNDS or np.abs(change).max() < 1e-6 * np.abs(compliance).max():
-            break
-        compliance = np.clip(compliance + change, 0.2 * compliance, 3.0 * compliance)  # step control
-    n = len(compliance)
-    shift = np.zeros_like(linear.residual)
-    start = n
-    for index in selection.accepted:
-        k = len(hypotheses[index].parameters)
-        shift = shift + hypotheses[index].columns(state) @ value[start : start + k]
-        start += k
-    rest = linear.residual - shift - np.einsum("mij,j->mi", linear.columns, value[:n])
-    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    return Extended(
-        state,
-        design,
-        compliance,
-        std[:n],
-        value[n:],
-        std[n:],
-        state.since_step_zero(shift),
-        without_offsets(linear.rows, rest),
-    )
+    seen: Scatter,
+    axes: Float3D,
+    used: Int1D,
+    compliance: Float1D,
+) -> Attempt:
+    problem = prepared.problem
+    rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
+    _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
+    selection = select(design)
+    extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
+    return Attempt(seen, design, selection, extended, _rms(used, prepared))
 
 
-def what_remains(
-    extended: Extended,
-    selection: Selection,
-    identification: Identification,
-    noise_scale: float,
-    prepared: PreparedLoaded,
-) -> Rest:
-    """Test the rest of the extended model against the noise (F test), and say where it is largest."""
-    design = extended.design
-    rest, ratio, freedom = _whitened_rest(extended, selection)
-    noise_freedom = next(
-        (c.degrees_of_freedom for c in identification.noise.checks if c.source == "rigid triangle"), 10**6
-    )
-    beyond = f_tail(ratio, freedom, noise_freedom) < SIGNIFICANT
-    significant = bool(beyond and np.sqrt(ratio) > SMALLEST_EXCESS)
-    sigma = identification.noise.claimed * noise_scale
-    excess = sigma * float(np.sqrt(max(ratio - 1, 0.0)))
-    if not significant:
-        return Rest(excess, False, {}, "The rest agrees with the noise.")
-    per = {int(k): float(np.mean(rest[design.configuration == k] ** 2)) for k in np.unique(design.configuration)}
-    numbers = np.unique(prepared.problem.readings.configuration)
-    worst = sorted(per, key=lambda k: -per[k])[:5]
-    where = {
-        "configurations": [int(numbers[k]) for k in worst],
-        "times_noise": [round(per[k] ** 0.5, 2) for k in worst],
-    }
-    text = (
-        f"A rest of {1e6 * excess:.1f} µm per coordinate beyond the noise is not explained by the catalogue; largest in "
-        f"configurations {', '.join(str(int(numbers[k])) for k in worst)}."
-    )
-    return Rest(excess, True, where, text)
+def _seen(rows: Rows, residual: Float2D, problem: LoadedProblem, axes: Float3D, used: Int1D) -> Scatter:
+    return scatter(rows.select(used), residual[used], problem.readings.select(used), axes[used])
 
 
-def _whitened_rest(extended: Extended, selection: Selection) -> tuple[Float1D, float, int]:
-    """Return what null model and findings leave, (r,), its mean square and degrees of freedom."""
-    design = extended.design
-    columns = np.column_stack([design.null, *(design.columns[:, design.blocks[i]] for i in selection.accepted)])
-    norms = np.linalg.norm(columns, axis=0)
-    columns = columns[:, norms > 0] / norms[norms > 0]
-    basis, _ = np.linalg.qr(columns)
-    rest = design.residual - basis @ (basis.T @ design.residual)
-    freedom = max(len(rest) - columns.shape[1], 1)
-    return rest, float(rest @ rest) / freedom, freedom
+def _rms(used: Int1D, prepared: PreparedLoaded) -> float:
+    """Return the rms of the refitted null model over the readings used, m."""
+    before = prepared.problem.linearise(prepared.fit.compliance)
+    rest = without_offsets(before.rows.select(used), before.residual[used])
+    return float(np.sqrt(np.mean(rest**2)))
 
 
-def held_out_error(design: Design, accepted: tuple[int, ...]) -> float:
-    """Return the rms of the whitened prediction error of configurations left out (1 is the noise)."""
-    columns = np.column_stack([design.null, *(design.columns[:, design.blocks[i]] for i in accepted)])
-    scale = np.linalg.norm(columns, axis=0)
-    columns = columns / np.where(scale > 0, scale, 1.0)
-    matrix, vector = columns.T @ columns + 1e-9 * np.eye(columns.shape[1]), columns.T @ design.residual
-    squares = 0.0
-    for number in np.unique(design.configuration):
-        rows = design.configuration == number
-        own, target = columns[rows], design.residual[rows]
-        without = np.linalg.solve(matrix - own.T @ own, vector - own.T @ target)
-        squares += float(((target - own @ without) ** 2).sum())
-    return float(np.sqrt(squares / len(design.residual)))
+def _left(attempt: Attempt) -> Scatter:
+    """Take what the extended model leaves as the noise, where the steps are too few to see it."""
+    _, ratio, _ = weighted_rest(attempt.extended)
+    return claimed(max(1.0, attempt.seen.total * float(np.sqrt(ratio))))
 
 
-def _verdict(found: bool, rest: Rest) -> Verdict:
+def _verdict(found: bool, significant: bool) -> Verdict:
     if found:
-        return "partly_explained" if rest.significant else "missing_physics"
-    return "unexplained" if rest.significant else "consistent"
+        return "partly_explained" if significant else "missing_physics"
+    return "unexplained" if significant else "consistent"

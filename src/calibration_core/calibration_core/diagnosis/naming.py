@@ -14,7 +14,7 @@ from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Float2D, Readings
 
 if TYPE_CHECKING:
-    from calibration_core.diagnosis.loaded import Extended
+    from calibration_core.diagnosis.extended import Extended
 
 LISTED = 5
 
@@ -83,7 +83,7 @@ def _location(location: Location, readings: Readings) -> Location:
 
 
 def _gain(extended: Extended, selection: Selection, choice: Choice) -> float:
-    from calibration_core.diagnosis.loaded import held_out_error
+    from calibration_core.diagnosis.rest import held_out_error
 
     mine = {choice.candidate, *choice.refinements}
     others = tuple(index for index in selection.accepted if index not in mine)

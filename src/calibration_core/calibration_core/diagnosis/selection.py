@@ -1,7 +1,8 @@
 """Which effects does the recording ask for?  One at a time, over a threshold and proven on left-out configurations.
 
 After each acceptance the chosen ones are refined: every one may be swapped for another hypothesis, given the others,
-before a further cause is added.  Candidates that come close are kept as an equivalence set.
+before a further cause is added, and what the others made superfluous is dropped.  Candidates that come close are kept
+as an equivalence set.
 """
 
 from __future__ import annotations
@@ -12,15 +13,31 @@ import numpy as np
 
 from calibration_core.diagnosis.cross_validation import log_predictive_density, passes
 from calibration_core.diagnosis.design import PRIOR_WIDTH, Design
-from calibration_core.diagnosis.evidence import Field, field, log_bayes_factors, posterior, threshold
+from calibration_core.diagnosis.evidence import (
+    Base,
+    Field,
+    base_of,
+    best_field,
+    field,
+    fields,
+    law_share,
+    log_bayes_factors,
+    posterior,
+    profile,
+    threshold,
+    without_kin,
+)
+from calibration_core.diagnosis.kin import are_kin
+from calibration_core.timeseries import Float1D
 
-MOST = 5  # effects
+MOST = 4  # effects
 TRIED = 5  # candidates per round that may try the gate
 WITHIN = 8.0  # nats of the best, to be tried
+LEAST = 6.0  # nats: the threshold is never lower
 EQUIVALENT = 5.0  # nats of the best, to be called indistinguishable
 PLAUSIBLE = 6.0  # typical sizes: an equivalent must not need more
 SWAP = 0.5  # nats by which a swap must be better
-KIN_SHARE = 0.15  # a later effect of the same family next door, this much weaker, is the same cause under another law
+KIN_SHARE = 0.15  # a later effect of the same kin, this much weaker, is the same cause under another law
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,64 +78,80 @@ class Selection:
 
 def select(design: Design) -> Selection:
     """Search greedily, with refinement, threshold and gate."""
+    base = base_of(design)
     accepted: tuple[int, ...] = ()
     rejected, limit = "nothing came near the threshold", 0.0
-    while len(accepted) < MOST:
-        f = field(design, accepted)
-        scores = _open_scores(f)
-        limit = threshold(f)
-        found, rejected = _first_that_passes(f, scores, limit)
-        if found is None:
+    while True:
+        several = fields(base, accepted, law_share(base, accepted))
+        now = best_field(several)
+        scores, at = profile(several)
+        _close_taken(design, scores, accepted)
+        limit = max(threshold(now), LEAST)
+        found, rejected = _first_that_passes(several, now, scores, at, limit)
+        if found is None or len(accepted) == MOST:
             break
-        accepted = _refined(design, (*accepted, found))
-    level = field(design, accepted).level
-    return Selection(_choices(design, accepted, level), accepted, level, limit, rejected)
+        refined = _refined(base, (*accepted, found), limit)
+        if set(refined) == set(accepted):
+            break
+        accepted = refined
+    return Selection(_choices(base, accepted, now.level), accepted, now.level, limit, rejected)
 
 
-def _open_scores(f: Field) -> np.ndarray:
-    scores = log_bayes_factors(f)
-    places = {f.design.candidates[index].place for index in f.accepted}
-    taken = [index for index, candidate in enumerate(f.design.candidates) if candidate.place in places]
+def _close_taken(design: Design, scores: Float1D, accepted: tuple[int, ...]) -> None:
+    """Exclude places that are taken."""
+    places = {design.candidates[index].place for index in accepted}
+    taken = [index for index, candidate in enumerate(design.candidates) if candidate.place in places]
     scores[taken] = -np.inf
-    return scores
 
 
-def _first_that_passes(f: Field, scores: np.ndarray, limit: float) -> tuple[int | None, str]:
+def _first_that_passes(
+    several: tuple[Field, ...], now: Field, scores: Float1D, at: Float1D, limit: float
+) -> tuple[int | None, str]:
     order = np.argsort(-scores, kind="stable")[:TRIED]
     best = float(scores[order[0]]) if len(order) else -np.inf
     if best <= limit:
         return None, f"best log Bayes factor {best:.1f}, threshold {limit:.1f}"
-    before = log_predictive_density(f, f.accepted)
     for index in order:
         if scores[index] <= limit or scores[index] < best - WITHIN:
             break
-        if passes(before, log_predictive_density(f, (*f.accepted, int(index)))):
+        other = without_kin(several[int(at[index])], int(index))
+        if passes(log_predictive_density(other), log_predictive_density(other, (int(index),))):
             return int(index), ""
-    name = f.design.candidates[int(order[0])].effect
+    name = now.design.candidates[int(order[0])].effect
     return None, f"{name}: log Bayes factor {best:.1f}, but no gain on configurations left out"
 
 
-def _refined(design: Design, accepted: tuple[int, ...]) -> tuple[int, ...]:
+def _refined(base: Base, accepted: tuple[int, ...], limit: float) -> tuple[int, ...]:
+    """Swap each accepted candidate for a better one, given the others; drop what falls below the threshold."""
     for _ in range(3):
-        level = field(design, accepted).level
         changed = False
-        for position, current in enumerate(accepted):
+        position = 0
+        while position < len(accepted):
+            current = accepted[position]
             others = accepted[:position] + accepted[position + 1 :]
-            scores = _open_scores(field(design, others, level))
+            several = fields(base, others, law_share(base, others))
+            scores, _ = profile(several)
+            kept = scores[current]
+            _close_taken(base.design, scores, others)
             best = int(np.argmax(scores))
-            if best != current and scores[best] > scores[current] + SWAP:
+            if len(accepted) > 1 and max(scores[best], kept) <= limit:
+                accepted, changed = others, True
+                continue
+            if best != current and scores[best] > kept + SWAP:
                 accepted = (*accepted[:position], best, *accepted[position + 1 :])
                 changed = True
-        if not changed:
+            position += 1
+        if not changed or len(accepted) == 1:
             break
     return accepted
 
 
-def _choices(design: Design, accepted: tuple[int, ...], level: float) -> tuple[Choice, ...]:
+def _choices(base: Base, accepted: tuple[int, ...], level: float) -> tuple[Choice, ...]:
+    design = base.design
     alone = {}
     for position, index in enumerate(accepted):
         others = accepted[:position] + accepted[position + 1 :]
-        f = field(design, others, level)
+        f = field(base, others, level, law_share(base, others))
         scores = log_bayes_factors(f)
         alone[index] = (float(scores[index]), _equivalents(f, scores, index, others))
     order = sorted(accepted, key=lambda index: -alone[index][0])
@@ -126,7 +159,8 @@ def _choices(design: Design, accepted: tuple[int, ...], level: float) -> tuple[C
     for index in order:
         evidence = alone[index][0]
         for k, choice in enumerate(choices):
-            if evidence < KIN_SHARE * choice.log_bayes_factor and kin(design, choice.candidate, index):
+            weaker = evidence < KIN_SHARE * choice.log_bayes_factor
+            if weaker and are_kin(design.candidates[choice.candidate], design.candidates[index]):
                 choices[k] = dataclasses.replace(choice, refinements=(*choice.refinements, index))
                 break
         else:
@@ -134,56 +168,38 @@ def _choices(design: Design, accepted: tuple[int, ...], level: float) -> tuple[C
     return tuple(choices)
 
 
-def _equivalents(f: Field, scores: np.ndarray, chosen: int, others: tuple[int, ...]) -> tuple[tuple[int, float], ...]:
+def _equivalents(f: Field, scores: Float1D, chosen: int, others: tuple[int, ...]) -> tuple[tuple[int, float], ...]:
+    """Return other places that do as well, or that would do as well had the fitted effect been the truth.
+
+    The second catches exact aliases between which the prior alone decides.
+    """
     candidates = f.design.candidates
     taken = {candidates[index].place for index in (*others, chosen)}
+    near = scores >= scores[chosen] - EQUIVALENT
+    near |= _lost(f, chosen) < EQUIVALENT
     best: dict[object, tuple[int, float]] = {}
     for index in np.argsort(-scores, kind="stable"):
         score, place = float(scores[index]), candidates[index].place
-        if score < scores[chosen] - EQUIVALENT or score <= 0:
-            break
-        if place not in taken and place not in best and _plausible(f, int(index)):
+        if near[index] and score > 0 and place not in taken and place not in best and _plausible(f, int(index)):
             best[place] = (int(index), score)
     return tuple(best.values())
+
+
+def _lost(f: Field, chosen: int) -> Float1D:
+    """Return by how many nats every candidate falls short of describing the chosen one's fitted effect, (l,)."""
+    design = f.design
+    block = design.blocks[chosen]
+    mean = posterior(f, chosen)[0] / design.prior[block]
+    image = f.schur[:-1, block] @ mean
+    power = float(mean @ image[block])
+    result = np.empty(len(design.blocks))
+    for index, other in enumerate(design.blocks):
+        matrix = f.schur[other, other] + np.eye(other.stop - other.start)
+        result[index] = 0.5 * (power - float(image[other] @ np.linalg.solve(matrix, image[other])))
+    return result
 
 
 def _plausible(f: Field, index: int) -> bool:
     mean, _ = posterior(f, index)
     prior = f.design.prior[f.design.blocks[index]] / PRIOR_WIDTH
     return bool(np.sqrt(np.mean((mean / prior) ** 2)) <= PLAUSIBLE)
-
-
-def kin(design: Design, first: int, second: int) -> bool:
-    """Say whether two candidates belong to one family at one joint or at neighbouring parts of the structure."""
-    a, b = design.candidates[first], design.candidates[second]
-    if a.family != b.family:
-        return False
-    if a.family in {"load chain", "point chain"}:
-        return True
-    return any(
-        abs(i - j) <= (0 if a.family == "joint law" else 1) for i in parts(design, first) for j in parts(design, second)
-    )
-
-
-def parts(design: Design, index: int) -> tuple[int, ...]:
-    """Return the joints (0 is the base) that a candidate touches, for neighbourhood."""
-    place = design.candidates[index].location
-    last = max((_number(name) for c in design.candidates for name in _names(c.location)), default=0)
-    if "base" in place:
-        return (0, 1)
-    if "tool" in place:
-        return (last, last + 1)
-    return tuple(_number(name) for name in _names(place))
-
-
-def _names(place: object) -> tuple[str, ...]:
-    names: list[str] = []
-    for key, value in dict(place).items():  # type: ignore[call-overload]
-        if key in {"joint", "link", "joints"}:
-            names += [value] if isinstance(value, str) else list(value)
-    return tuple(names)
-
-
-def _number(name: str) -> int:
-    digits = "".join(character for character in name if character.isdigit())
-    return int(digits) if digits else 0

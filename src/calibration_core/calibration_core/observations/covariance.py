@@ -43,6 +43,17 @@ def spherical_covariance(position: Float2D, tracker: Tracker) -> Float3D:
 
     dp = e_r dr + e_az r cos(el) d_az + e_el r d_el.
     """
+    axes = sight_axes(position)
+    reach = np.maximum(np.linalg.norm(position, axis=1), 1e-9)
+    level = np.hypot(axes[:, 0, 0], axes[:, 0, 1])
+    radial = float(tracker.sigma_range or 0.0) + tracker.sigma_range_per_m * reach
+    angle = float(tracker.sigma_angle or 0.0)
+    sigma = np.column_stack([radial, angle * reach * np.maximum(level, STEEPEST), angle * reach])
+    return np.asarray(np.einsum("mki,mk,mkj->mij", axes, sigma**2, axes))
+
+
+def sight_axes(position: Float2D) -> Float3D:
+    """Return (m, 3, 3) rows: the line of sight from the tracker to positions (m, 3), and azimuth and elevation."""
     reach = np.maximum(np.linalg.norm(position, axis=1), 1e-9)
     sight = np.where(np.linalg.norm(position, axis=1)[:, None] > 1e-9, position / reach[:, None], [1.0, 0.0, 0.0])
     level = np.hypot(sight[:, 0], sight[:, 1])
@@ -51,12 +62,7 @@ def spherical_covariance(position: Float2D, tracker: Tracker) -> Float3D:
     east = np.column_stack([
         np.where(flat, -sight[:, 1] / safe, 0.0), np.where(flat, sight[:, 0] / safe, 1.0), np.zeros(len(level))
     ])  # fmt: skip
-    up = np.cross(sight, east)
-    radial = float(tracker.sigma_range or 0.0) + tracker.sigma_range_per_m * reach
-    angle = float(tracker.sigma_angle or 0.0)
-    directions = np.stack([sight, east, up], axis=1)
-    sigma = np.column_stack([radial, angle * reach * np.maximum(level, STEEPEST), angle * reach])
-    return np.asarray(np.einsum("mki,mk,mkj->mij", directions, sigma**2, directions))
+    return np.stack([sight, east, np.cross(sight, east)], axis=1)
 
 
 def wrench_covariance(readings: Readings, cell: Cell) -> Float3D:

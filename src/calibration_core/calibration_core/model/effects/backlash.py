@@ -28,7 +28,7 @@ def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    parameter = Parameter("clearance", "rad", typical("backlash", state.rated_load))
+    parameter = Parameter("clearance", "rad", typical("backlash", state.rated_load), positive=True)
     for joint, name in enumerate(state.chain.joints):
         for of in torques(state, joint):
             for width in WIDTHS:

@@ -1,39 +1,58 @@
 """Pedestal, anchors and floor give way: springs at the origin of the base frame.
 
-theta = C tau about the base axes, u = c f along them; it does not turn with joint 1.
+theta = C tau about the base axes, u = c f along them; it does not turn with joint 1.  Rocking about x and y is exactly
+what an off-axis compliance of joint 1 does: loaded data cannot tell the two apart.
 Source: six springs in series with the chain.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import stacked
+from calibration_core.model.effects.springs import stacked, tilting
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Float3D
+from calibration_core.timeseries import Float2D, Float3D
+
+TURN = "rad/(N*m)"
+TURNED = 0.3  # typical size of the compliance between x and y over that about them
 
 
-def _columns(state: State, rotations: int, translations: int) -> Float3D:
-    zero = np.zeros((3, state.m))
-    axes = [np.broadcast_to(np.eye(3)[:, [k]], (3, state.m)) for k in range(3)]
-    turns = [state.spring_column(axis, zero) for axis in axes[:rotations]]
-    return stacked(*turns, *(state.slide_column(axis) for axis in axes[:translations]))
+def _rocking(state: State) -> Float3D:
+    x, y, _ = _axes(state)
+    return tilting(state, (x, y), np.zeros((3, state.m)))
+
+
+def _rotation(state: State) -> Float3D:
+    turn = state.spring_column(_axes(state)[2], np.zeros((3, state.m)))
+    return np.concatenate([_rocking(state), stacked(turn)], axis=2)
+
+
+def _six(state: State) -> Float3D:
+    return np.concatenate([_rotation(state), stacked(*(state.slide_column(axis) for axis in _axes(state)))], axis=2)
+
+
+def _axes(state: State) -> tuple[Float2D, Float2D, Float2D]:
+    x, y, z = (np.broadcast_to(np.eye(3)[:, [k]], (3, state.m)) for k in range(3))
+    return x, y, z
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
     turn, slide = typical("base_rotation", state.rated_load), typical("base_translation", state.rated_load)
-    turns = tuple(Parameter(f"rotation_{axis}", "rad/(N*m)", turn) for axis in "xyz")
-    slides = tuple(Parameter(f"translation_{axis}", "m/N", slide) for axis in "xyz")
+    rocking = (
+        Parameter("rotation_x", TURN, turn, positive=True),
+        Parameter("rotation_y", TURN, turn, positive=True),
+        Parameter("rotation_xy", TURN, TURNED * turn),
+    )
+    about_z = Parameter("rotation_z", TURN, turn, positive=True)
+    slides = tuple(Parameter(f"translation_{axis}", "m/N", slide, positive=True) for axis in "xyz")
     place = {"base": "base"}
-    for name, rotations, translations in (("rocking", 2, 0), ("rotation", 3, 0), ("six springs", 3, 3)):
-        parameters = turns[:rotations] + slides[:translations]
-        columns = partial(_columns, rotations=rotations, translations=translations)
-        yield Candidate(EFFECT.name, EFFECT.family, place, name, parameters, columns)
+    yield Candidate(EFFECT.name, EFFECT.family, place, "rocking", rocking, _rocking)
+    yield Candidate(EFFECT.name, EFFECT.family, place, "rotation", (*rocking, about_z), _rotation)
+    yield Candidate(EFFECT.name, EFFECT.family, place, "six springs", (*rocking, about_z, *slides), _six)
 
 
 EFFECT = Effect(

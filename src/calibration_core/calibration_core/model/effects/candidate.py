@@ -19,12 +19,14 @@ class Parameter:
         unit: Its unit.
         typical: Size that is typical for a robot of this class; the prior is normal about zero with three times this.
         sign: Factor from the fitted coefficient to the reported parameter (most are the coefficient itself).
+        positive: Whether physics allows no negative value; the prior is then the positive half of the normal.
     """
 
     name: str
     unit: str
     typical: float
     sign: float = 1.0
+    positive: bool = False
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

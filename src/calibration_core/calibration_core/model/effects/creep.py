@@ -41,7 +41,7 @@ def _columns(state: State, joint: int, constant: float) -> Float3D:
 def _candidates(state: State) -> Iterator[Candidate]:
     if not np.isfinite(state.time).all():
         return
-    parameter = Parameter("creep_share", "1", typical("creep", state.rated_load))
+    parameter = Parameter("creep_share", "1", typical("creep", state.rated_load), positive=True)
     for joint, name in enumerate(state.chain.joints):
         if state.compliance[joint] > 0:
             for constant in TIMES:

@@ -55,7 +55,7 @@ def _columns(state: State, joint: int, start: float) -> Float3D:
 
 def _candidates(state: State) -> Iterator[Candidate]:
     size = typical("hysteresis", state.rated_load)
-    parameters = tuple(Parameter(f"half_width_{100 * r:g}_percent", "rad", size) for r in RADII)
+    parameters = tuple(Parameter(f"half_width_{100 * r:g}_percent", "rad", size, positive=True) for r in RADII)
     for joint, name in enumerate(state.chain.joints):
         for variant, start in (("virgin start", 0.0), ("centred start", 1.0)):
             columns = partial(_columns, joint=joint, start=start)

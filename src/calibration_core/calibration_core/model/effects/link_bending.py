@@ -13,13 +13,14 @@ import numpy as np
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import along_link, stacked
+from calibration_core.model.effects.springs import along_link, stacked, tilting
 from calibration_core.model.effects.state import State
 from calibration_core.model.kinematics import cross
 from calibration_core.timeseries import Float2D, Float3D
 
 SHORTEST = 0.05  # m: shorter links do not bend
 UNIT = "1/(N*m^2)"
+TURNED = 0.3  # typical size of the compliance between the two planes over that in them
 
 
 def _ends(state: State, link: int) -> tuple[Float2D, Float2D]:
@@ -41,31 +42,37 @@ def _axes(state: State, link: int) -> tuple[Float2D, Float2D, Float2D]:
 def _bending(state: State, link: int) -> Float3D:
     _, tip = _ends(state, link)
     first, second, _ = _axes(state, link)
-    return stacked(along_link(state, link, first, tip), along_link(state, link, second, tip))
+    return along_link(state, link, tip, lambda at: tilting(state, (first, second), at))
 
 
 def _whole(state: State, link: int) -> Float3D:
     _, tip = _ends(state, link)
-    return stacked(*(along_link(state, link, axis, tip) for axis in _axes(state, link)))
+    along = _axes(state, link)[2]
+    torsion = along_link(state, link, tip, lambda at: stacked(state.spring_column(along, at)))
+    return np.concatenate([_bending(state, link), torsion], axis=2)
 
 
 def _round(state: State, link: int) -> Float3D:
     """One bending stiffness for both directions, as of a tube."""
-    return stacked(_bending(state, link).sum(axis=-1))
+    return stacked(_bending(state, link)[:, :, :2].sum(axis=-1))
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
     size = typical("link_bending", state.rated_load)
-    two = (Parameter("bending_1", UNIT, size), Parameter("bending_2", UNIT, size))
+    two = (
+        Parameter("bending_1", UNIT, size, positive=True),
+        Parameter("bending_2", UNIT, size, positive=True),
+        Parameter("bending_12", UNIT, TURNED * size),
+    )
     for link in range(state.chain.n):
         start, tip = _ends(state, link)
         if float(np.linalg.norm(tip - start, axis=0).min()) < SHORTEST:
             continue
         place = {"link": f"link_{link + 1}"}
         yield Candidate(EFFECT.name, EFFECT.family, place, "bending", two, partial(_bending, link=link))
-        three = (*two, Parameter("torsion", UNIT, 2 * size))
+        three = (*two, Parameter("torsion", UNIT, 2 * size, positive=True))
         yield Candidate(EFFECT.name, EFFECT.family, place, "bending and torsion", three, partial(_whole, link=link))
-        one = (Parameter("bending", UNIT, size),)
+        one = (Parameter("bending", UNIT, size, positive=True),)
         yield Candidate(EFFECT.name, EFFECT.family, place, "tube", one, partial(_round, link=link))
 
 

@@ -1,6 +1,7 @@
 """Compliance of a joint across its axis: bearings and housings give way about the two other axes.
 
-theta_u = C_u tau_u about x and y of the frame before the joint (DH frame i-1), or of the body frame behind it.
+theta_u = C_u tau_u about x and y of the frame before the joint (DH frame i-1), or of the body frame behind it; a
+compliance between x and y turns the principal directions.
 Source: virtual joints with several springs each (Pashkevich, Klimchik, Chablat); moment rigidity of reducers.
 """
 
@@ -11,33 +12,41 @@ from functools import partial
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import X, Y, after_joint, before_joint, stacked
+from calibration_core.model.effects.springs import stacked, tilting
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
 UNIT = "rad/(N*m)"
+X, Y = 0, 1
+TURNED = 0.3  # typical size of the compliance between x and y over that about them
 
 
 def _proximal(state: State, joint: int) -> Float3D:
-    return stacked(before_joint(state, joint, X), before_joint(state, joint, Y))
+    axes = state.at.before[joint]
+    return tilting(state, (axes[X], axes[Y]), state.at.origin[joint])
 
 
 def _distal(state: State, joint: int) -> Float3D:
-    return stacked(after_joint(state, joint, X), after_joint(state, joint, Y))
+    axes = state.at.body[joint]
+    return tilting(state, (axes[X], axes[Y]), state.at.origin[joint])
 
 
 def _isotropic(state: State, joint: int) -> Float3D:
-    return stacked(before_joint(state, joint, X) + before_joint(state, joint, Y))
+    return stacked(_proximal(state, joint)[:, :, :2].sum(axis=-1))
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
     size = typical("off_axis_compliance", state.rated_load)
-    pair = (Parameter("compliance_x", UNIT, size), Parameter("compliance_y", UNIT, size))
+    several = (
+        Parameter("compliance_x", UNIT, size, positive=True),
+        Parameter("compliance_y", UNIT, size, positive=True),
+        Parameter("compliance_xy", UNIT, TURNED * size),
+    )
     for joint, name in enumerate(state.chain.joints):
         place = {"joint": name}
-        yield Candidate(EFFECT.name, EFFECT.family, place, "before", pair, partial(_proximal, joint=joint))
-        yield Candidate(EFFECT.name, EFFECT.family, place, "behind", pair, partial(_distal, joint=joint))
-        one = (Parameter("compliance", UNIT, size),)
+        yield Candidate(EFFECT.name, EFFECT.family, place, "before", several, partial(_proximal, joint=joint))
+        yield Candidate(EFFECT.name, EFFECT.family, place, "behind", several, partial(_distal, joint=joint))
+        one = (Parameter("compliance", UNIT, size, positive=True),)
         yield Candidate(EFFECT.name, EFFECT.family, place, "isotropic", one, partial(_isotropic, joint=joint))
 
 

@@ -28,7 +28,7 @@ def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    parameter = Parameter("extra_compliance", "1", typical("soft_zone", state.rated_load))
+    parameter = Parameter("extra_compliance", "1", typical("soft_zone", state.rated_load), positive=True)
     for joint, name in enumerate(state.chain.joints):
         if state.compliance[joint] > 0:
             for of in torques(state, joint):

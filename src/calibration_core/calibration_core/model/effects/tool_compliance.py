@@ -28,13 +28,13 @@ def _bending(state: State) -> Float3D:
 
 def _candidates(state: State) -> Iterator[Candidate]:
     turn, slide = typical("tool_rotation", state.rated_load), typical("tool_translation", state.rated_load)
-    turns = tuple(Parameter(f"rotation_{axis}", "rad/(N*m)", turn) for axis in "xyz")
-    slides = tuple(Parameter(f"translation_{axis}", "m/N", slide) for axis in "xyz")
+    turns = tuple(Parameter(f"rotation_{axis}", "rad/(N*m)", turn, positive=True) for axis in "xyz")
+    slides = tuple(Parameter(f"translation_{axis}", "m/N", slide, positive=True) for axis in "xyz")
     place = {"tool": "tool"}
     for name, translations in (("rotation", 0), ("six springs", 3)):
         columns = partial(_columns, translations=translations)
         yield Candidate(EFFECT.name, EFFECT.family, place, name, turns + slides[:translations], columns)
-    tilt = (Parameter("rotation_xy", "rad/(N*m)", turn),)
+    tilt = (Parameter("rotation_xy", "rad/(N*m)", turn, positive=True),)
     yield Candidate(EFFECT.name, EFFECT.family, place, "tilt", tilt, _bending)
 
 
