@@ -8,7 +8,7 @@ from calibration_core.cell import Cell
 from calibration_core.identification.absolute import identify_absolute
 from calibration_core.identification.estimate import Identification
 from calibration_core.identification.loaded import Options, identify_loaded
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import Note, Readings
 
 
 def is_loaded(readings: Readings) -> bool:
@@ -34,4 +34,13 @@ def identify(
     options = options or Options()
     if is_loaded(readings):
         return identify_loaded(readings, cell, options, test)
+    readings = readings.with_notes(*_without_effect(options))
     return identify_absolute(readings, cell, robust=options.robust, test=test, readmit=options.readmit)
+
+
+def _without_effect(options: Options) -> tuple[Note, ...]:
+    """Name the options that were asked for and mean nothing to an absolute recording."""
+    usual = Options()
+    asked = [name for name in ("method", "weights", "deflections") if getattr(options, name) != getattr(usual, name)]
+    text = "this option is for loaded recordings and has no effect on this one"
+    return tuple(Note("option", name, text) for name in asked)
