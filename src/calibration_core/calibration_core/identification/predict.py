@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import RecordingError
+from calibration_core.errors import ModelFileError, RecordingError
 from calibration_core.identification.problem import load_of
+from calibration_core.model.effects.applied import applied_shift
+from calibration_core.model.effects.state import state_of
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
@@ -30,6 +32,7 @@ def predict_readings(readings: Readings, cell: Cell, model: ModelParameters) -> 
     Raises:
         RecordingError: The recording has a point that the model does not know.
         EquilibriumError: The load is beyond what the joints can carry.
+        ModelFileError: The model contains an effect that this recording has no data for.
     """
     unknown = [name for name in readings.points if name not in model.points]
     if unknown:
@@ -39,8 +42,34 @@ def predict_readings(readings: Readings, cell: Cell, model: ModelParameters) -> 
     load = None if readings.wrench is None else load_of(readings, cell, model)
     rest = solve_equilibrium(chain, readings.q, model.compliance, load)
     points = np.stack([model.points[name] for name in readings.points])[readings.point].T
-    predicted = (rest.at.point(points).T - model.tracker[:3, 3]) @ model.tracker[:3, :3]
+    moved = rest.at.point(points).T + _by_effects(readings, cell, model, points.T)
+    predicted = (moved - model.tracker[:3, 3]) @ model.tracker[:3, :3]
     return predicted if cell.measurements.points == "absolute" else from_step_zero(readings, predicted)
+
+
+def _by_effects(readings: Readings, cell: Cell, model: ModelParameters, points: Float2D) -> Float2D:
+    """Return the (m, 3) m, base axes, that the model's effects move the points ((3, m) m, flange frame)."""
+    if not model.effects:
+        return np.zeros((len(readings), 3))
+    state = state_of(
+        chain_of(cell).corrected(model.geometry),
+        readings.q,
+        model.compliance,
+        None if readings.wrench is None else load_of(readings, cell, model),
+        points,
+        point_index=readings.point,
+        wrench=readings.wrench,
+        configuration=np.unique(readings.configuration, return_inverse=True)[1].reshape(-1).astype(np.int64),
+        step=readings.step,
+        time=readings.time,
+        temperature=readings.temperature,
+        tracker=model.tracker,
+        rated_load=cell.robot.rated_load,
+    )
+    try:
+        return applied_shift(model.effects, state)
+    except ValueError as error:
+        raise ModelFileError(readings.provenance.path, "effects", str(error), "data that its effects need") from None
 
 
 def from_step_zero(readings: Readings, values: Float2D) -> Float2D:

@@ -16,7 +16,8 @@ import yaml
 from calibration_core.cell import Cell, too_deep
 from calibration_core.errors import ModelFileError, quoted
 from calibration_core.model.chain import pose_matrix, rpy_of
-from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.effects import catalogue
+from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 
 SCHEMA = 1
@@ -35,6 +36,7 @@ KEYS = (
     "force_torque",
     "effects",
 )
+EFFECT_KEYS = ("effect", "location", "variant", "parameters")
 GEOMETRY = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -53,7 +55,7 @@ def model_dict(parameters: ModelParameters, cell: Cell) -> dict[str, Any]:
         "measurement_points": {name: [float(x) for x in point] for name, point in parameters.points.items()},
         "wrench_point": None if parameters.wrench_point is None else [float(x) for x in parameters.wrench_point],
         "force_torque": None if parameters.force_torque is None else _pose_dict(parameters.force_torque),
-        "effects": [],
+        "effects": [_effect_dict(effect) for effect in parameters.effects],
     }
 
 
@@ -81,8 +83,6 @@ def read_model(path: str | Path, cell: Cell) -> ModelParameters:
     compliance = _vector(path, "compliance", data.get("compliance"), n)
     if np.any(compliance < 0):
         raise ModelFileError(path, "compliance", quoted(float(compliance.min())), "compliances that are not negative")
-    if data.get("effects"):
-        raise ModelFileError(path, "effects", quoted(data["effects"]), "none (no effect is known to this version)")
     optional = {key: data.get(key) for key in ("wrench_point", "force_torque")}
     return ModelParameters(
         joints=joints,
@@ -96,6 +96,7 @@ def read_model(path: str | Path, cell: Cell) -> ModelParameters:
         force_torque=None
         if optional["force_torque"] is None
         else _pose(path, "force_torque", optional["force_torque"]),
+        effects=_effects(path, data.get("effects") or []),
     )
 
 
@@ -142,6 +143,42 @@ def _geometry(path: Path, value: object, n: int) -> Float2D:
             raise ModelFileError(path, f"geometry.{i}", quoted(row), f"the keys {', '.join(GEOMETRY)}")
         rows.append(_vector(path, f"geometry.{i}", [row[key] for key in GEOMETRY], 6))
     return np.stack(rows)
+
+
+def _effects(path: Path, value: object) -> tuple[AppliedEffect, ...]:
+    """Read the list of effects; names must be of the catalogue, values finite."""
+    if not isinstance(value, list):
+        raise ModelFileError(path, "effects", quoted(value), "a list of effects")
+    known = [effect.name for effect in catalogue()]
+    effects = []
+    for i, entry in enumerate(value):
+        place = f"effects.{i}"
+        if not isinstance(entry, dict) or set(entry) != set(EFFECT_KEYS):
+            raise ModelFileError(path, place, quoted(entry), f"the keys {', '.join(EFFECT_KEYS)}")
+        if entry["effect"] not in known:
+            raise ModelFileError(path, f"{place}.effect", quoted(entry["effect"]), f"one of {', '.join(known)}")
+        location, parameters = entry["location"], entry["parameters"]
+        if not isinstance(location, dict) or not all(_named(x) for x in location.values()):
+            raise ModelFileError(path, f"{place}.location", quoted(location), "names of joints, links or sensors")
+        if not isinstance(parameters, dict) or not all(_finite(x) for x in parameters.values()):
+            raise ModelFileError(path, f"{place}.parameters", quoted(parameters), "names with finite numbers")
+        where = {str(key): tuple(x) if isinstance(x, list) else str(x) for key, x in location.items()}
+        numbers = {str(key): float(x) for key, x in parameters.items()}
+        effects.append(AppliedEffect(str(entry["effect"]), where, str(entry["variant"]), numbers))
+    return tuple(effects)
+
+
+def _named(value: object) -> bool:
+    return isinstance(value, str) or (isinstance(value, list) and all(isinstance(x, str) for x in value))
+
+
+def _effect_dict(effect: AppliedEffect) -> dict[str, Any]:
+    return {
+        "effect": effect.effect,
+        "location": {key: list(x) if isinstance(x, tuple) else x for key, x in effect.location.items()},
+        "variant": effect.variant,
+        "parameters": {key: float(x) for key, x in effect.parameters.items()},
+    }
 
 
 def _pose(path: Path, place: str, value: object) -> Float2D:

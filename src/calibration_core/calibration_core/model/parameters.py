@@ -9,6 +9,28 @@ from types import MappingProxyType
 from calibration_core.timeseries import Float1D, Float2D, read_only
 
 
+@dataclasses.dataclass(frozen=True)
+class AppliedEffect:
+    """An effect of the catalogue (contract, section 6) that the model contains.
+
+    Attributes:
+        effect: Its name.
+        location: Where, e.g. {"joint": "joint_2"}.
+        variant: Which form of its law, as the catalogue calls it.
+        parameters: Name -> value, SI units.
+    """
+
+    effect: str
+    location: Mapping[str, str | tuple[str, ...]]
+    variant: str
+    parameters: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        """Freeze the mappings."""
+        object.__setattr__(self, "location", MappingProxyType(dict(self.location)))
+        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class ModelParameters:
     """Parameter values of the extended kinematic model.
@@ -22,6 +44,7 @@ class ModelParameters:
         points: Measurement point -> (3,) m, flange frame.
         wrench_point: (3,) m, flange frame; None if no wrench acts.
         force_torque: (4, 4) pose of the sensor frame in the flange frame; None if there is no sensor.
+        effects: Physics beyond joint springs and geometry, as a diagnosis found it.
     """
 
     joints: tuple[str, ...]
@@ -31,6 +54,7 @@ class ModelParameters:
     points: Mapping[str, Float1D]
     wrench_point: Float1D | None = None
     force_torque: Float2D | None = None
+    effects: tuple[AppliedEffect, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays; raise ValueError on wrong shapes."""

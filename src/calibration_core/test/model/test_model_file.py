@@ -62,7 +62,8 @@ def test_a_rigid_joint_has_no_stiffness(tmp_path: Path) -> None:
         ("measurement_points", {"mp1": [0, 0, "x"]}, "measurement_points.mp1"),
         ("wrench_point", [0, 0], "wrench_point"),
         ("force_torque", [1], "force_torque"),
-        ("effects", [{"effect": "magic"}], "effects"),
+        ("effects", [{"effect": "magic", "location": {}, "variant": "", "parameters": {}}], "effects.0.effect"),
+        ("effects", [{"effect": "creep"}], "effects.0"),
         ("surprise", 1, "surprise"),
     ],
 )

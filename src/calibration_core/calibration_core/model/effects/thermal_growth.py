@@ -1,0 +1,56 @@
+"""Links grow with temperature.
+
+p = FK(q; l_i (1 + alpha dT)): the point moves by alpha dT times the vector that grows, dT from 20 degrees Celsius (what
+is constant goes into the geometry).
+Either the whole arm grows, or one link.  Source: thermal expansion of metals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import stacked
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float1D, Float3D
+
+REFERENCE = 20.0  # degrees Celsius (ISO 1)
+LEAST_RANGE = 0.5  # K; below it no growth can be told
+
+
+def _warmth(state: State) -> Float1D:
+    return state.temperature - REFERENCE
+
+
+def _arm(state: State) -> Float3D:
+    return stacked((_warmth(state) * (state.point - state.at.origin[0])).T)
+
+
+def _link(state: State, link: int) -> Float3D:
+    tips = [*state.at.origin[1:], state.point]
+    return stacked((_warmth(state) * (tips[link] - state.at.origin[link])).T)
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    if not np.isfinite(state.temperature).all() or np.ptp(state.temperature) < LEAST_RANGE:
+        return
+    parameters = (Parameter("expansion", "1/K", typical("thermal_growth", state.rated_load)),)
+    yield Candidate(EFFECT.name, EFFECT.family, {"robot": "arm"}, "uniform", parameters, _arm)
+    for link in range(state.chain.n):
+        place = {"link": f"link_{link + 1}"}
+        yield Candidate(EFFECT.name, EFFECT.family, place, "one link", parameters, partial(_link, link=link))
+
+
+EFFECT = Effect(
+    name="thermal_growth",
+    family="absolute",
+    equation="p = FK(q; l_i (1 + alpha dT_i))",
+    source="thermal expansion of steel and aluminium, 12 to 23 um per m and K",
+    reveal="one pose every few configurations while the robot warms up, link temperatures recorded",
+    candidates=_candidates,
+    loaded=False,
+)
