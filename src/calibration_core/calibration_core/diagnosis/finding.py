@@ -6,7 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Literal
 
-from calibration_core.identification.estimate import Anomaly, Identification
+from calibration_core.identification.estimate import Anomaly, Identification, TestResult
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 
 Location = Mapping[str, str | tuple[str, ...]]
@@ -126,6 +127,12 @@ class Diagnosis:
         located: Sentences of the model-free location.
         residual: (m, 3) m, what the extended model leaves.
         shift: (m, 3) m, what the findings explain.
+        compliance: (n,) rad/(N*m) of the extended model.
+        blocks: Kind of block left out (`time`, `posture`) -> 3-d rms before and after, m; absolute recordings only.
+        test: Result on a recording that was not fitted, if one was given.
+        model: The extended model, as it is written to a file; None where there is none.
+        aliases: What this kind of recording can never tell apart, in sentences.
+        further_figures: More figures of the fit for result.json, by name.
     """
 
     verdict: Verdict
@@ -145,3 +152,8 @@ class Diagnosis:
     residual: Float2D
     shift: Float2D
     compliance: Float1D
+    blocks: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    test: TestResult | None = None
+    model: ModelParameters | None = None
+    aliases: tuple[str, ...] = ()
+    further_figures: Mapping[str, float] = dataclasses.field(default_factory=dict)

@@ -1,0 +1,270 @@
+"""Diagnosis of an absolute recording: what the geometric model leaves out, found, named, fitted and proven."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.absolute_changes import FAMILY, anomaly_of, select_changes
+from calibration_core.diagnosis.absolute_controls import GravityControl
+from calibration_core.diagnosis.absolute_design import (
+    AbsoluteDesign,
+    absolute_state,
+    build_absolute_design,
+    sample,
+    weighted,
+)
+from calibration_core.diagnosis.absolute_fit import AbsoluteExtended, extend_absolute
+from calibration_core.diagnosis.absolute_naming import absolute_findings
+from calibration_core.diagnosis.absolute_rest import what_remains_absolute
+from calibration_core.diagnosis.absolute_selection import (
+    MOST_PARAMETERS,
+    AbsoluteSelection,
+    parameter_count,
+    select_absolute,
+)
+from calibration_core.diagnosis.blocks import Blocks, posture_blocks, time_blocks
+from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
+from calibration_core.identification.absolute import Evaluated, evaluate_absolute, identification_of
+from calibration_core.identification.absolute_problem import absolute_problem
+from calibration_core.identification.estimate import TestResult
+from calibration_core.identification.geometry import fit
+from calibration_core.identification.terms import ElasticityTerm, Term
+from calibration_core.model.effects import candidates
+from calibration_core.model.effects.applied import applied
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.joint_elasticity import turned_columns
+from calibration_core.model.effects.state import State
+from calibration_core.model.effects.transmission_error import order_of
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.observations.covariance import position_covariance
+from calibration_core.timeseries import Float2D, Int1D, Readings
+
+LOW_ORDERS = 64  # of transmission errors, searched first; higher ones if there is room left
+REPORTED = {"time": 10, "posture": 20}  # blocks left out in the figures that are reported
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Case:
+    """The null model of a recording and what a search needs.
+
+    Attributes:
+        readings: The recording.
+        cell: The cell file.
+        evaluated: Decisions of the identification.
+        terms: Frames and, where identifiable, geometry.
+        parameters: The null model, fitted.
+        state: All readings' state there.
+        nuisances: Joint compliances of the null model: stiffnesses that the cell file states are refitted.
+        rows: Readings of the search.
+        partitions: Of those, into blocks.
+        control: Controls of elasticity.
+    """
+
+    readings: Readings
+    cell: Cell
+    evaluated: Evaluated
+    terms: tuple[Term, ...]
+    parameters: ModelParameters
+    state: State
+    nuisances: tuple[Candidate, ...]
+    rows: Int1D
+    partitions: tuple[Blocks, ...]
+    control: GravityControl
+
+    def design(self, hypotheses: tuple[Candidate, ...]) -> AbsoluteDesign:
+        """Return the linear model with the given hypotheses."""
+        problem = self.evaluated.problem
+        return build_absolute_design(
+            problem, self.parameters, self.terms, self.state, hypotheses, self.rows, self.nuisances
+        )
+
+    def extend(self, chosen: tuple[Candidate, ...]) -> AbsoluteExtended:
+        """Fit the given effects together with frames and geometry to all readings used."""
+        return extend_absolute(
+            self.evaluated.problem, self.evaluated.used, self.parameters, self.terms, chosen, self.readings, self.cell,
+            time_blocks(self.readings.configuration), self.nuisances,
+        )  # fmt: skip
+
+
+def diagnose_absolute(readings: Readings, cell: Cell, *, test: Readings | None = None) -> Diagnosis:
+    """Say what the model of an absolute recording leaves out.
+
+    Args:
+        readings: The recording; rows in the order of time.
+        cell: The cell file.
+        test: A second recording, predicted but not fitted.
+
+    Raises:
+        InputError: As `identify_absolute`.
+    """
+    evaluated = evaluate_absolute(readings, cell)
+    identification = identification_of(evaluated, readings, cell, test=test)
+    case = prepare(readings, cell, evaluated)
+    design, selection, steps = search(case)
+    hypotheses = tuple(design.candidates[i] for i in selection.accepted)
+    null, extended = case.extend(()), case.extend(hypotheses)
+    findings = absolute_findings(extended, design, selection, case.partitions, case.control)
+    rest = what_remains_absolute(
+        extended, design, selection.accepted, case.partitions[0], readings, identification.noise
+    )
+    rest = _with_refusals(rest, selection)
+    kinds = {"time": time_blocks(readings.configuration, REPORTED["time"]),
+             "posture": posture_blocks(readings.q, readings.configuration, REPORTED["posture"])}  # fmt: skip
+    left = {kind: (null.held_out(partition), extended.held_out(partition)) for kind, partition in kinds.items()}
+    physics = tuple(k for k, h in enumerate(hypotheses) if h.family != FAMILY)
+    model = extended.parameters.replace(
+        effects=tuple(applied(hypotheses[k], extended.values_of(k)[0]) for k in physics)
+    )
+    anomalies = tuple(
+        anomaly_of(hypothesis, extended, k, readings, steps.get(hypothesis.key, ()))
+        for k, hypothesis in enumerate(hypotheses)
+        if hypothesis.family == FAMILY
+    )
+    return Diagnosis(
+        verdict=_verdict(bool(findings), rest),
+        findings=findings,
+        anomalies=(*identification.anomalies, *anomalies),
+        rest=rest,
+        next_measurements=(),
+        identification=identification,
+        stiffness=_stiffness(extended),
+        rms_before=_rms(null.residual),
+        rms_after=_rms(extended.residual),
+        held_out_before=_rms(left["time"][0]),
+        held_out_after=_rms(left["time"][1]),
+        noise=identification.noise.claimed,
+        level=0.0,
+        located=(*selection.refused, *(f"{words}: too small to be named" for words in selection.small)),
+        residual=extended.residual,
+        shift=extended.shift(extended.state, physics),
+        compliance=extended.parameters.compliance,
+        blocks={kind: (_rms3(before), _rms3(after)) for kind, (before, after) in left.items()},
+        test=None if test is None else predict_extended(test, cell, case, extended, physics),
+        model=model,
+    )
+
+
+def prepare(readings: Readings, cell: Cell, evaluated: Evaluated) -> Case:
+    """Fit the null model: frames, identifiable geometry, and refitted stiffnesses where the cell file states them."""
+    problem, used = evaluated.problem, np.flatnonzero(evaluated.used)
+    final = evaluated.ladder.final.fit
+    terms = tuple(term for term in final.terms if not isinstance(term, ElasticityTerm))
+    start = final.parameters.replace(compliance=evaluated.nominal.compliance)
+    parameters = fit(problem.select(used), start, terms).parameters
+    state = absolute_state(problem, parameters, readings, cell)
+    stated = bool(np.any(evaluated.nominal.compliance))
+    nuisances = tuple(c for c in candidates(state) if stated and c.effect == "joint_elasticity")
+    rows = sample(readings.configuration, used)
+    partitions = (
+        time_blocks(readings.configuration[rows]),
+        posture_blocks(readings.q[rows], readings.configuration[rows]),
+    )
+    part = problem.select(rows)
+    turned = {
+        name: weighted(part, parameters, turned_columns(state, joint)[rows])
+        for joint, name in enumerate(state.chain.joints)
+    }
+    control = GravityControl(partitions, turned)
+    return Case(readings, cell, evaluated, terms, parameters, state, nuisances, rows, partitions, control)
+
+
+def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, dict[object, tuple[str, ...]]]:
+    """Look for steps that dwarf everything, then for physics, then for steps beside the physics.
+
+    Returns:
+        The design of the last search, what was accepted in it, and per accepted step the kinds that fit nearly as well.
+    """
+    offered = tuple(c for c in candidates(case.state) if not (case.nuisances and c.effect == "joint_elasticity"))
+    low = tuple(c for c in offered if _order(c) <= LOW_ORDERS)
+    high = tuple(c for c in offered if _order(c) > LOW_ORDERS)
+    steps = select_changes(case.design, case.readings, case.partitions, (), dwarfing=True)
+    design, selection = _select(case, tuple(steps.found), low)
+    if high and parameter_count(design, selection.accepted) < MOST_PARAMETERS:
+        design, selection = _select(case, _accepted(design, selection), (*low, *high))
+    physics = tuple(c for c in _accepted(design, selection) if c.family != FAMILY)
+    known = tuple(c for c in _accepted(design, selection) if c.family == FAMILY)
+    later = select_changes(case.design, case.readings, case.partitions, (*physics, *known), dwarfing=False)
+    if later.found:
+        design, selection = _select(case, (*known, *later.found, *physics), low)
+    return design, selection, {**steps.beside, **later.beside}
+
+
+def predict_extended(
+    readings: Readings, cell: Cell, case: Case, extended: AbsoluteExtended, physics: tuple[int, ...]
+) -> TestResult:
+    """Predict a recording that was not fitted with frames, geometry and findings; steps are not carried over.
+
+    Args:
+        readings: The other recording, in the order of time.
+        cell: The cell file.
+        case: The null model.
+        extended: The extended model.
+        physics: Positions of the findings' effects in it.
+    """
+    before = case.evaluated.nominal
+    problem = absolute_problem(
+        readings, cell, case.evaluated.problem.chain, before, position_covariance(readings, cell)
+    )
+    state = absolute_state(problem, extended.parameters, readings, cell)
+    after = problem.residual(extended.parameters).T - extended.shift(state, physics)
+    nominal = problem.residual(before).T
+    lengths = np.linalg.norm(after, axis=1)
+    return TestResult(
+        file=readings.provenance.path,
+        sha256=readings.provenance.sha256,
+        readings=len(readings),
+        rms=_rms(after),
+        mean=float(lengths.mean()),
+        maximum=float(lengths.max()),
+        rms_before=_rms(nominal),
+        mean_before=float(np.linalg.norm(nominal, axis=1).mean()),
+    )
+
+
+def _select(
+    case: Case, first: tuple[Candidate, ...], offered: tuple[Candidate, ...]
+) -> tuple[AbsoluteDesign, AbsoluteSelection]:
+    """Search among the offered candidates, beginning with the first ones."""
+    keys = {candidate.key for candidate in first}
+    design = case.design((*first, *(c for c in offered if c.key not in keys)))
+    return design, select_absolute(design, case.partitions, case.control, tuple(range(len(first))))
+
+
+def _accepted(design: AbsoluteDesign, selection: AbsoluteSelection) -> tuple[Candidate, ...]:
+    return tuple(design.candidates[i] for i in selection.accepted)
+
+
+def _order(candidate: Candidate) -> int:
+    return order_of(candidate.variant) if candidate.effect == "transmission_error" else 0
+
+
+def _stiffness(extended: AbsoluteExtended) -> dict[str, tuple[float, float]]:
+    """Return joint -> (stiffness, standard deviation) of compliances that were found, N*m/rad."""
+    found = {}
+    for k, candidate in enumerate(extended.candidates):
+        if candidate.effect == "joint_elasticity":
+            value, covariance = extended.values_of(k)
+            compliance, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
+            found[str(candidate.location["joint"])] = (1 / compliance, std / compliance**2)
+    return found
+
+
+def _with_refusals(rest: Rest, selection: AbsoluteSelection) -> Rest:
+    return dataclasses.replace(rest, text=f"{rest.text} The search stopped: {selection.stopped}.")
+
+
+def _verdict(found: bool, rest: Rest) -> Verdict:
+    if found:
+        return "partly_explained" if rest.significant else "missing_physics"
+    return "unexplained" if rest.significant else "consistent"
+
+
+def _rms(residual: Float2D) -> float:
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def _rms3(residual: Float2D) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
