@@ -55,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     _plan(_command(commands, "plan", "choose measurement configurations (Table 1 of the standard)"))
     _simulate(_command(commands, "simulate", "write a recording as the cell's model predicts it"))
     _identify(_command(commands, "identify", "joint stiffness, frames and geometry from a recording"))
+    _diagnose(_command(commands, "diagnose", "where simulation and recording differ, and which physics is left out"))
     _predict(_command(commands, "predict", "predicted points and residuals of a recording"))
     return parser
 
@@ -107,6 +108,12 @@ def _identify(parser: argparse.ArgumentParser) -> None:
         metavar="CONFIGURATION:STEP:POINT",
         help="use this reading after all (repeatable)",
     )
+
+
+def _diagnose(parser: argparse.ArgumentParser) -> None:
+    _recording(parser)
+    parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
+    parser.add_argument("--no-robust", action="store_true", help="use every reading, gross errors too")
 
 
 def _predict(parser: argparse.ArgumentParser) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from calibration_core.errors import CalibrationError
 
-NAMES = ("plan", "simulate", "identify", "predict")
+NAMES = ("plan", "simulate", "identify", "diagnose", "predict")
 
 
 def command(name: str) -> Callable[[argparse.Namespace], str]:

@@ -14,8 +14,10 @@ from calibration_core.diagnosis.selection import Selection
 from calibration_core.identification.frames import FrameFit
 from calibration_core.identification.offsets import Rows, without_offsets
 from calibration_core.identification.problem import LoadedProblem
+from calibration_core.model.effects.applied import applied
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 ROUNDS = 4
@@ -167,3 +169,12 @@ def extend(
         raw=raw,
         residual=without_offsets(linear.rows.select(used), raw[used]),
     )
+
+
+def extended_model(parameters: ModelParameters, extended: Extended) -> ModelParameters:
+    """Return the identified model with the compliances and effects of the extended one."""
+    effects = tuple(
+        applied(extended.design.candidates[index], extended.value[extended.parameters_of(index)])
+        for index in extended.accepted
+    )
+    return parameters.replace(compliance=extended.compliance, effects=effects)

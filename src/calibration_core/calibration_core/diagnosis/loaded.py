@@ -9,14 +9,20 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.anomalies import find_anomalies
 from calibration_core.diagnosis.design import Design
-from calibration_core.diagnosis.extended import Extended, design_at, extend, loaded_state
+from calibration_core.diagnosis.extended import Extended, design_at, extend, extended_model, loaded_state
 from calibration_core.diagnosis.finding import Diagnosis, Verdict
 from calibration_core.diagnosis.naming import findings_of
 from calibration_core.diagnosis.noise import Scatter, claimed, directions, scatter, with_noise
 from calibration_core.diagnosis.rest import held_out_error, weighted_rest, what_remains
 from calibration_core.diagnosis.screening import readings_to_use
 from calibration_core.diagnosis.selection import Selection, select
-from calibration_core.identification.loaded import Options, PreparedLoaded, identify_prepared, prepare_loaded
+from calibration_core.diagnosis.tested import tested_on
+from calibration_core.identification.loaded import (
+    Options,
+    PreparedLoaded,
+    identify_prepared,
+    prepare_loaded,
+)
 from calibration_core.identification.offsets import Rows, without_offsets
 from calibration_core.identification.problem import LoadedProblem
 from calibration_core.model.effects import candidates
@@ -26,6 +32,13 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readin
 ROUNDS = 3
 SETTLED = 0.05  # relative change of the noise below which it is taken as found
 MOVED = 0.05  # relative change of a compliance below which the operating point is taken as found
+ALIASES = (
+    "A gain common to all axes of the force/torque sensor acts like all joints being softer by the same share.",
+    "A servo that gives way acts like its joint being softer, unless the encoder is read again under load.",
+    "A wrong scale of the tracker acts like all joints being softer by the same share.",
+    "A gravity compensator acts like a stiffness of joint 2 that follows its angle.",
+    "Rocking of the base acts like an off-axis compliance of joint 1.",
+)
 FITTED_WITH_FRAMES = ("tracker_frame_misalignment", "measurement_point_offset")
 
 
@@ -40,20 +53,23 @@ class Attempt:
     rms_before: float
 
 
-def diagnose_loaded(readings: Readings, cell: Cell, options: Options | None = None) -> Diagnosis:
+def diagnose_loaded(
+    readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None
+) -> Diagnosis:
     """Say what the model of a loaded recording leaves out.
 
     Args:
         readings: The recording.
         cell: The cell file.
         options: As for `identify_loaded`.
+        test: A second recording, predicted but not fitted.
 
     Raises:
         InputError: As `identify_loaded`.
     """
     options = options or Options()
     prepared = prepare_loaded(readings, cell, options)
-    identification = identify_prepared(prepared, cell, options)
+    identification = identify_prepared(prepared, cell, options, test)
     anomalies = find_anomalies(identification)
     attempt = _search(prepared, cell, options)
     extended, selection, seen = attempt.extended, attempt.selection, attempt.seen
@@ -61,6 +77,7 @@ def diagnose_loaded(readings: Readings, cell: Cell, options: Options | None = No
     findings = findings_of(extended, selection, identification, readings)
     noise = identification.noise.claimed * seen.total
     joints = prepared.problem.chain.joints
+    model = extended_model(prepared.parameters, extended)
     return Diagnosis(
         verdict=_verdict(bool(findings), rest.significant),
         findings=findings,
@@ -82,6 +99,9 @@ def diagnose_loaded(readings: Readings, cell: Cell, options: Options | None = No
         residual=extended.residual,
         shift=extended.shift,
         compliance=extended.compliance,
+        test=None if test is None else tested_on(test, cell, prepared.problem.chain, prepared.fit.compliance, model),
+        model=model,
+        aliases=ALIASES,
     )
 
 

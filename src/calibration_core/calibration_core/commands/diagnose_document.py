@@ -1,0 +1,186 @@
+"""The report of a diagnosis: what was left out, where, how sure, how much better, and what to measure next."""
+
+from __future__ import annotations
+
+import datetime as dt
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.finding import Diagnosis, Finding
+from calibration_core.report.content import date_of_test
+from calibration_core.report.diagnosis_summary import VERDICTS
+from calibration_core.report.document import (
+    Block,
+    Column,
+    Document,
+    Facts,
+    Items,
+    Paragraph,
+    Section,
+    Table,
+    Verdict,
+    cleaned,
+    numbered,
+)
+from calibration_core.report.rendering import document_number
+from calibration_core.report.result import tested
+from calibration_core.report.rounding import fixed, padded, significant
+from calibration_core.report.sections.procedure import counts_text, equipment, load_text
+from calibration_core.report.sections.records import exclusion_section, traceability_section
+from calibration_core.report.sections.residuals import residual_section
+from calibration_core.report.sections.uncertainty import noise_section
+
+STATEMENT = (
+    "A finding says that the recording is explained better with the effect than without, on data that the fit did not "
+    "see; it does not say that nothing else could be the cause. What cannot be told apart is listed with every finding."
+)
+
+
+def diagnosis_document(found: Diagnosis, cell: Cell, result: bytes, day: dt.date | None = None) -> Document:
+    """Build the report of a diagnosis.
+
+    Args:
+        found: The diagnosis.
+        cell: The cell.
+        result: The bytes of result.json, for the report's number.
+        day: Date of evaluation; today (UTC) if not given.
+    """
+    day = day or dt.datetime.now(dt.UTC).date()
+    null = found.identification
+    sections = [Section(_title(finding), "", _finding(finding)) for finding in found.findings]
+    sections += [
+        Section("What remains", "", (Paragraph(found.rest.text),)),
+        Section("Where it was, without a model", "", _located(found)),
+        Section("Anomalies", "", _anomalies(found)),
+        Section("Next measurements", "", _next(found)),
+        Section("Joint stiffness in the extended model", "", (_stiffness(found),)),
+        Section("Residuals of the model before", "", residual_section(null)),
+        Section("Noise", "5.3", noise_section(null)),
+        Section("Readings not used", "", exclusion_section(null)),
+        Section("Measuring equipment", "8 e)", equipment(cell)),
+        Section("Input and software", "", traceability_section(cell, null.readings.provenance, tested(null))),
+    ]
+    document = Document(
+        number=document_number(result),
+        title="Diagnosis of model and recording",
+        subtitle="Elastostatic compliance calibration according to CWA 17384",
+        facts=_facts(found, cell, day),
+        verdict=_verdict(found),
+        front=(_overview(found),),
+        sections=tuple(sections),
+        signatures=("Evaluated by", "Approved by"),
+        statement=STATEMENT,
+    )
+    return numbered(cleaned(document))
+
+
+def _facts(found: Diagnosis, cell: Cell, day: dt.date) -> Facts:
+    null = found.identification
+    provenance = null.readings.provenance
+    return Facts((
+        ("Industrial robot", cell.robot.name),
+        ("Cell", cell.name),
+        ("Date of the test", date_of_test(provenance.start)),
+        ("Date of evaluation", f"{day:%Y-%m-%d}"),
+        ("Recording", f"{provenance.path} ({provenance.kind})"),
+        ("Extent", counts_text(null)),
+        ("Applied load", load_text(null, cell)),
+    ))  # fmt: skip
+
+
+def _verdict(found: Diagnosis) -> Verdict:
+    headline = VERDICTS[found.verdict]
+    lines = [
+        ("Residual", f"{_um(found.rms_before)} per coordinate without the findings, {_um(found.rms_after)} with them"),
+        ("Left out", f"configurations not in the fit: {_um(found.held_out_before)} to {_um(found.held_out_after)}"),
+        ("Noise", f"{_um(found.noise)} per coordinate, as seen in the recording"),
+    ]
+    if found.anomalies:
+        kinds = dict.fromkeys(anomaly.kind.replace("_", " ") for anomaly in found.anomalies)
+        lines.append(("Anomalies", ", ".join(kinds)))
+    return Verdict(headline[0].upper() + headline[1:], tuple(lines))
+
+
+def _overview(found: Diagnosis) -> Block:
+    if not found.findings:
+        return Paragraph("No effect of the catalogue stands out of the noise and of many small effects.")
+    rows = tuple(
+        (
+            finding.effect.replace("_", " "),
+            _place(finding) or "not decided",
+            significant(1e6 * finding.magnitude, 3),
+            significant(finding.log_bayes_factor, 3),
+            fixed(100 * finding.held_out_gain, 0),
+            str(len(finding.cannot_be_told_from)),
+        )
+        for finding in found.findings
+    )
+    columns = (
+        Column("Left-out effect", "left", wide=True),
+        Column("Place", "left"),
+        Column("Size [µm]"),
+        Column("Log Bayes factor"),
+        Column("Gain on data left out [%]"),
+        Column("Others as good"),
+    )
+    note = "Size: root mean square of the movement of the measured points that the effect causes."
+    return Table("Findings", columns, padded(rows), note)
+
+
+def _finding(finding: Finding) -> tuple[Block, ...]:
+    rows = tuple(
+        (p.name.replace("_", " "), significant(p.value, 4), significant(p.std, 2), p.unit) for p in finding.parameters
+    )
+    columns = (Column("Parameter", "left", wide=True), Column("Value"), Column("Standard deviation"), Column("Unit"))
+    blocks: list[Block] = [Paragraph(finding.explanation), Table("Parameters", columns, padded(rows))]
+    if finding.refinements:
+        blocks.append(Paragraph("Of the same cause: " + "; ".join(finding.refinements) + "."))
+    blocks.append(Paragraph(f"What would decide: {finding.separate_by}."))
+    return tuple(blocks)
+
+
+def _located(found: Diagnosis) -> tuple[Block, ...]:
+    if not found.located:
+        return (Paragraph("No pattern stands out."),)
+    return (Items(found.located),)
+
+
+def _anomalies(found: Diagnosis) -> tuple[Block, ...]:
+    if not found.anomalies:
+        return (Paragraph("None was found."),)
+    return (Items(tuple(f"{a.kind.replace('_', ' ')}: {a.text}" for a in found.anomalies)),)
+
+
+def _next(found: Diagnosis) -> tuple[Block, ...]:
+    if not found.next_measurements:
+        return (Paragraph("Nothing is proposed: no findings compete."),)
+    return (Items(tuple(proposal.why for proposal in found.next_measurements)),)
+
+
+def _stiffness(found: Diagnosis) -> Table:
+    before = {joint.joint: joint.value for joint in found.identification.stiffness}
+    rows = tuple(
+        (name, significant(1e-6 * before.get(name, float("nan")), 4), significant(1e-6 * value, 4),
+         significant(1e-6 * std, 2))
+        for name, (value, std) in found.stiffness.items()
+    )  # fmt: skip
+    columns = (
+        Column("Joint", "left", wide=True),
+        Column("Without findings [MN·m/rad]"),
+        Column("With findings"),
+        Column("Standard deviation"),
+    )
+    return Table("Joint stiffness", columns, padded(rows))
+
+
+def _title(finding: Finding) -> str:
+    words = finding.effect.replace("_", " ")
+    place = _place(finding)
+    return f"{words[0].upper()}{words[1:]}" + (f" at {place}" if place else "")
+
+
+def _place(finding: Finding) -> str:
+    return ", ".join(v if isinstance(v, str) else " and ".join(v) for v in finding.location.values())
+
+
+def _um(value: float) -> str:
+    return f"{1e6 * value:.1f} µm"

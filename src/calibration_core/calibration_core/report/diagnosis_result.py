@@ -1,0 +1,96 @@
+"""result.json of a diagnosis: the contract's keys (section 5), further keys after them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.finding import Diagnosis, Finding
+from calibration_core.report.result import plain, result_dict
+
+
+def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
+    """Return the content of result.json; numbers that are not finite are None."""
+    content = result_dict(diagnosis.identification, cell, "diagnose")
+    content["stiffness"] = [
+        {**row, **_stiffness(*diagnosis.stiffness[row["joint"]])} if row["joint"] in diagnosis.stiffness else row
+        for row in content["stiffness"]
+    ]
+    content["fit"] = {
+        "rms_before": diagnosis.rms_before,
+        "rms_after": diagnosis.rms_after,
+        "held_out_rms_before": diagnosis.held_out_before,
+        "held_out_rms_after": diagnosis.held_out_after,
+        "noise": diagnosis.noise,
+        "unit": "m",
+        **diagnosis.further_figures,
+    }
+    content["verdict"] = diagnosis.verdict
+    content["findings"] = [_finding(finding) for finding in diagnosis.findings]
+    content["anomalies"] = [
+        {
+            "kind": anomaly.kind,
+            "location": dict(anomaly.location),
+            "configurations": None if anomaly.configurations is None else list(anomaly.configurations),
+            "magnitude": anomaly.magnitude,
+            "unit": anomaly.unit,
+            "text": anomaly.text,
+        }
+        for anomaly in diagnosis.anomalies
+    ]
+    rest = diagnosis.rest
+    content["unexplained"] = {
+        "rms": rest.rms if rest.significant else 0.0,
+        "significant": rest.significant,
+        "where": dict(rest.where) if rest.significant else {},
+        "text": rest.text,
+    }
+    content["next_measurements"] = [
+        {"q": list(proposal.q), "wrench": list(proposal.wrench), "why": proposal.why}
+        for proposal in diagnosis.next_measurements
+    ]
+    content["located"] = list(diagnosis.located)
+    content["small_effects"] = {"signal_to_noise": diagnosis.level}
+    content["blocks"] = {kind: {"before": b, "after": a} for kind, (b, a) in diagnosis.blocks.items()}
+    content["test"] = None if diagnosis.test is None else vars(diagnosis.test)
+    content["aliases"] = list(diagnosis.aliases)
+    return {key: plain(value) for key, value in content.items()}
+
+
+def _stiffness(value: float, std: float) -> dict[str, Any]:
+    return {
+        "value": value,
+        "std": std,
+        "interval_95": [value - 1.96 * std, value + 1.96 * std],
+        "compliance": 1 / value if value else None,
+        "compliance_std": std / value**2 if value else None,
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    return {
+        "effect": finding.effect,
+        "family": finding.family,
+        "location": dict(finding.location),
+        "parameters": [vars(parameter) for parameter in finding.parameters],
+        "evidence": {
+            "log_bayes_factor": finding.log_bayes_factor,
+            "held_out_gain": finding.held_out_gain,
+            "magnitude": finding.magnitude,
+            "unit": "m",
+        },
+        "cannot_be_told_from": [
+            {
+                "effect": other.effect,
+                "family": other.family,
+                "location": dict(other.location),
+                "log_bayes_factor": other.log_bayes_factor,
+            }
+            for other in finding.cannot_be_told_from
+        ],
+        "explanation": finding.explanation,
+        "separate_by": finding.separate_by,
+        "variant": finding.variant,
+        "stiffness_change": dict(finding.stiffness_change),
+        "refinements": list(finding.refinements),
+    }
