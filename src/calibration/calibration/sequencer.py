@@ -278,13 +278,13 @@ class SequencerNode(CalibrationNode):
         text = Path(request.plan).read_text(encoding="utf-8")
         if not request.resume and (directory / DATABASE).exists():
             raise SessionError(directory, "", "a session", "a new directory, or resume to continue this one")
+        missing = self._missing()
+        if missing:
+            return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, missing))
         open_session = Session.resume if request.resume else Session.create
         with open_session(directory, text, self.cell) as session:
             parameters = {name: self.value(name) for name in sorted(self._table)}
             session.begin_run(self.now_ns(), provenance(self.cell, text, parameters))
-            missing = self._missing()
-            if missing:
-                return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, missing), session=str(directory))
             self._record("open")
             runner = self._start(plan, session)
             finish = runner.run()

@@ -1,0 +1,179 @@
+"""The suite as it is installed: real processes, real DDS, real bags, driven from outside."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
+LONG = 30.0  # s of wall time, that a process may take to appear on a busy machine
+PACKAGES = {"simulated_cell": "calibration_sim"}
+
+# Contexts, nodes that spin, and the environment of processes are those of the nodes' own tests.
+_specification = importlib.util.spec_from_file_location(
+    "of_nodes", ROOT / "src" / "calibration" / "test" / "conftest.py"
+)
+assert _specification is not None
+assert _specification.loader is not None
+_of_nodes = importlib.util.module_from_spec(_specification)
+_specification.loader.exec_module(_of_nodes)
+context, spinning, until = _of_nodes.context, _of_nodes.spinning, _of_nodes.until
+source_environment = _of_nodes.source_environment
+
+
+class Suite:
+    """Processes of one cell, and a client's view of them."""
+
+    def __init__(self, environment: dict[str, str], client: Any, directory: Path) -> None:
+        self.environment, self.client, self.directory = environment, client, directory
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.given: dict[str, list[str]] = {}
+
+    # --- processes ---------------------------------------------------------------------------------------------------
+
+    def start(self, name: str, *files: Path, **parameters: object) -> None:
+        """Start an executable of install/ with parameter files and parameters (`__` for dots)."""
+        package = PACKAGES.get(name, "calibration")
+        command = [str(ROOT / "install" / package / "lib" / package / name), "--ros-args"]
+        for file in (ROOT / "config" / "ros.yaml", *files):
+            command += ["--params-file", str(file)]
+        for key, value in ({"cell": CELL} | parameters).items():
+            text = value if isinstance(value, str | Path) else json.dumps(value)
+            command += ["-p", f"{key.replace('__', '.')}:={text}"]
+        self.given[name] = command
+        self.again(name)
+
+    def again(self, name: str) -> None:
+        """Start an executable as before."""
+        with (self.directory / f"{name}.log").open("ab") as log:
+            self.processes[name] = subprocess.Popen(
+                self.given[name], env=self.environment, stdout=log, stderr=subprocess.STDOUT
+            )
+
+    def end(self, name: str, how: signal.Signals = signal.SIGINT) -> tuple[int, float]:
+        """End a process; return its exit code and how long that took, s."""
+        process = self.processes.pop(name)
+        began = time.monotonic()
+        process.send_signal(how)
+        try:
+            return process.wait(LONG), time.monotonic() - began
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise
+
+    def stop(self) -> dict[str, int]:
+        """End whatever still runs; return the exit codes."""
+        for process in self.processes.values():
+            process.send_signal(signal.SIGINT)
+        codes = {}
+        for name, process in self.processes.items():
+            try:
+                codes[name] = process.wait(LONG)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                codes[name] = process.wait()
+        self.processes.clear()
+        return codes
+
+    def log(self, name: str) -> str:
+        """What a process said."""
+        path = self.directory / f"{name}.log"
+        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
+    # --- conversation ------------------------------------------------------------------------------------------------
+
+    def call(self, service: Any, place: str, /, **fields: Any) -> Any:
+        """Call a service, again if its server was just restarted; return the answer."""
+        client = self.client.create_client(service, place)
+        try:
+            end = time.monotonic() + LONG
+            while time.monotonic() < end:
+                if client.wait_for_service(1.0):
+                    answer = client.call(service.Request(**fields), timeout_sec=5.0)
+                    if answer is not None:
+                        return answer
+        finally:
+            self.client.destroy_client(client)
+        raise AssertionError(f"{place} does not answer")
+
+    def run(self, plan: Path, *, resume: bool = False, feedback: Callable[[Any], None] | None = None) -> Run:
+        """Have a plan measured."""
+        from calibration_interfaces.action import RunPlan
+        from rclpy.action import ActionClient
+
+        client = ActionClient(self.client, RunPlan, "sequencer/run")
+        assert client.wait_for_server(LONG), self.log("sequencer")
+        goal = RunPlan.Goal(plan=str(plan), session=str(self.directory / "session"), resume=resume)
+        end = time.monotonic() + LONG
+        while time.monotonic() < end:  # a server that was killed looks alive for 20 s, and goals to it are lost
+            accepted = client.send_goal_async(goal, feedback_callback=feedback)
+            again = time.monotonic() + 5.0
+            while time.monotonic() < again:
+                if accepted.done() and accepted.result().accepted:
+                    return Run(accepted.result())
+                time.sleep(0.01)
+        raise AssertionError("the plan is not accepted")
+
+    @property
+    def session(self) -> Path:
+        """Directory of the session."""
+        return self.directory / "session"
+
+    @property
+    def bag(self) -> Path:
+        """The bag of the session."""
+        return self.session / "bag"
+
+
+class Run:
+    """A plan that is being measured."""
+
+    def __init__(self, handle: Any) -> None:
+        self._handle, self._result = handle, handle.get_result_async()
+
+    def result(self, timeout: float) -> Any:
+        """Wait for the end; return the result."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            if self._result.done():
+                return self._result.result().result
+            time.sleep(0.01)
+        raise AssertionError(f"no result within {timeout:.0f} s")
+
+    def cancel(self) -> None:
+        """Cancel it."""
+        self._handle.cancel_goal_async()
+
+
+@pytest.fixture
+def suite(source_environment: dict[str, str], spinning: Any, tmp_path: Path) -> Iterator[Suite]:
+    """No process yet; none is left behind."""
+    one = Suite(source_environment, spinning.plain("outside"), tmp_path)
+    with contextlib.ExitStack() as ending:
+        ending.callback(one.stop)
+        yield one
+
+
+@pytest.fixture(scope="session")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """18 configurations with four load steps each, start-up cycle, reference and spares."""
+    from calibration_core.cell import load_cell
+    from calibration_core.procedure.loads import LoadRules
+    from calibration_core.procedure.plan_file import plan_text
+    from calibration_core.procedure.planning import PlanningRules, make_plan
+
+    rules = PlanningRules(load=LoadRules(levels=(0.0, 1 / 3, 2 / 3, 1.0)))
+    path = tmp_path_factory.mktemp("plan") / "plan.yaml"
+    path.write_text(plan_text(make_plan(load_cell(CELL), rules=rules, seed=1)), encoding="utf-8")
+    return path

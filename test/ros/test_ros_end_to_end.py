@@ -1,0 +1,157 @@
+"""A whole measurement in the simulated cell, through the installed executables alone."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from calibration_core.cell import load_cell
+from calibration_core.observations.observe import observe
+from calibration_core.procedure.plan import REFERENCE_NUMBER
+from calibration_core.procedure.session import Session
+from calibration_core.procedure.session_values import as_readings
+from calibration_sim.speed_log import read_speed_log
+from calibration_sim.truth import draw_truth
+
+ROOT = Path(__file__).resolve().parents[2]
+CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
+FAST = ROOT / "config" / "simulation.yaml"
+SPEED, LIMIT = 20.0, 0.25
+FIRST, STEPS = 3, 4  # configurations of the short plan, load steps
+
+
+def fast_cell(suite: Any, seed: int = 1, nodes: tuple[str, ...] = ()) -> None:
+    """Start everything that a measurement needs, faster than life."""
+    suite.start("simulated_cell", FAST, speed=SPEED, seed=seed, speed_log=suite.directory / "speed.csv")
+    for name in ("guard", "tracker", "force_torque", "sequencer", *nodes):
+        suite.start(name, FAST)
+    suite.start("recorder", FAST, out=suite.bag)
+
+
+def shortened(plan: Path, directory: Path) -> Path:
+    """The first configurations of a plan, with less of its start-up cycle."""
+    content = yaml.safe_load(plan.read_text(encoding="utf-8"))
+    content["configurations"] = content["configurations"][:FIRST]
+    content["startup_cycle"] = content["startup_cycle"][-1:]
+    content["expected"] = None
+    path = directory / "short.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def offline(bag: Path, out: Path, *arguments: str) -> dict[str, Any]:
+    """Identify a bag with the installed program; return its result."""
+    program = Path(sys.executable).parent / "calibration"
+    command = [str(program), "identify", str(bag), "--cell", str(CELL), "--out", str(out), *arguments]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    return dict(json.loads((out / "result.json").read_text(encoding="utf-8")))
+
+
+def test_a_short_measurement(suite: Any, plan: Path) -> None:
+    """A few configurations: what is confirmed, what the bag holds and what was announced agree."""
+    from calibration_interfaces.msg import Outcome, Reading
+
+    readings: list[Any] = []
+    suite.client.create_subscription(Reading, "calibration/reading", readings.append, 1000)
+    fast_cell(suite)
+    told: list[Any] = []
+    result = suite.run(shortened(plan, suite.directory), feedback=told.append).result(150.0)
+    assert (result.outcome.code, result.outcome.text) == (Outcome.OK, f"{FIRST} of {FIRST} configurations are measured")
+    assert result.configurations_done == FIRST
+    assert result.recording == str(suite.bag)
+    assert told
+    assert told[-1].feedback.share_done > 0.3
+    cell = load_cell(CELL)
+    with Session.look(suite.session) as session:
+        confirmed = session.confirmed()
+        assert len(session.completed) == FIRST
+        assert session.runs[0]["cell_sha256"] == cell.sha256
+        assert any(decision.permitted for decision in session.decisions)
+        kinds = {event.kind for event in session.events}
+    assert {"started", "warm_up", "configuration_done", "load_applied", "finished"} <= kinds
+    assert len(confirmed) == result.readings == len(readings)
+    measured = [row for row in confirmed if row.configuration != REFERENCE_NUMBER]
+    assert len(measured) == FIRST * STEPS * len(cell.points)
+    assert all(code == 0 for code in suite.stop().values())
+    replayed = observe(suite.bag, cell)
+    live = as_readings(confirmed, cell.points, "")
+    assert np.array_equal(replayed.configuration, live.configuration)
+    assert np.array_equal(replayed.step, live.step)
+    # the phases between markers are a little longer than the windows averaged live
+    assert np.abs(replayed.position - live.position).max() < 2e-4
+    assert np.abs(replayed.q - live.q).max() < 1e-9
+    speed = read_speed_log(suite.directory / "speed.csv")
+    assert speed[:, 1].max() <= LIMIT
+
+
+@pytest.mark.slow
+def test_the_whole_measurement(suite: Any, plan: Path) -> None:
+    """18 configurations after a start-up cycle; the stiffnesses, live and offline, to the bit."""
+    from calibration_interfaces.msg import Outcome
+    from calibration_interfaces.srv import IdentifyStiffness
+
+    fast_cell(suite)
+    suite.start("identification", recording=suite.bag)
+    began = time.monotonic()
+    result = suite.run(plan).result(600.0)
+    took = time.monotonic() - began
+    assert result.outcome.code == Outcome.OK, result.outcome.text
+    assert (result.configurations_done, result.configurations_skipped) == (18, 0)
+    asked = time.monotonic()
+    answer = suite.call(
+        IdentifyStiffness, "identification/identify_stiffness", cell=str(CELL), out=str(suite.directory / "live")
+    )
+    print(f"\nmeasured in {took:.0f} s, identified in {time.monotonic() - asked:.1f} s")
+    assert answer.outcome.code == Outcome.OK, answer.outcome.text
+    suite.stop()
+    replayed = offline(suite.bag, suite.directory / "offline")
+    live = json.loads(answer.result_json)
+    assert {**live, "recording": None} == {**replayed, "recording": None}
+    assert live["stiffness"] == replayed["stiffness"]
+    truth = draw_truth(load_cell(CELL), 1).stiffness
+    found = np.array([entry["value"] for entry in live["stiffness"]])
+    std = np.array([entry["std"] for entry in live["stiffness"]])
+    deviation = np.abs(found - truth) / std
+    print("deviations from the truth, in standard deviations:", np.round(deviation, 1))
+    assert deviation.max() < 4.0
+    assert np.sqrt(np.mean(deviation**2)) < 2.0
+    speed = read_speed_log(suite.directory / "speed.csv")
+    cruising = speed[speed[:, 1] > 0.5 * LIMIT, 1]
+    print(f"fastest point {1e3 * speed[:, 1].max():.1f} mm/s, cruising at {cruising.mean() / LIMIT:.2f} of the limit")
+    assert speed[:, 1].max() <= LIMIT
+    assert cruising.mean() >= 0.8 * LIMIT
+    assert speed[-1, 0] / took > 5.0
+
+
+def test_what_cannot_be_measured_is_refused_before_anything_moves(suite: Any, plan: Path) -> None:
+    from calibration_interfaces.msg import Outcome
+
+    suite.start("simulated_cell", FAST, speed=SPEED)
+    suite.start("sequencer", FAST, server_wait=8.0)
+    content = yaml.safe_load(plan.read_text(encoding="utf-8"))
+    content["configurations"][0]["q"][0] = 9.0
+    wrong = suite.directory / "wrong.yaml"
+    wrong.write_text(yaml.safe_dump(content), encoding="utf-8")
+    for path, code, found in (
+        (suite.directory / "no.yaml", Outcome.INPUT_UNUSABLE, "no.yaml"),
+        (wrong, Outcome.INPUT_UNUSABLE, "joint's limits"),
+        (plan, Outcome.NO_DATA, "tracker/measure"),  # no tracker is there
+    ):
+        outcome = suite.run(path).result(60.0).outcome
+        assert outcome.code == code
+        assert found in outcome.text
+    assert not suite.session.exists()
+    Session.create(suite.session, plan.read_text(encoding="utf-8"), load_cell(CELL)).close()
+    again = suite.run(plan).result(60.0).outcome
+    assert again.code == Outcome.INPUT_UNUSABLE
+    assert "resume" in again.text
