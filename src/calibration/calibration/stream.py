@@ -122,7 +122,7 @@ class Stream:
             self._problem, self._problem_at = problem or Problem.GAP, self._arrived
         with self._lock:
             for one in self._averagings:
-                if problem is not Problem.FINE or self.check.gap_before:
+                if problem is not Problem.FINE or self.check.break_before:
                     one.break_off()
                 if problem is Problem.FINE:
                     one.add(stamp, sample.values)

@@ -17,7 +17,7 @@ CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yam
 
 
 def overrides(**values: Any) -> list[Parameter]:
-    given = {"cell": str(CELL), "window": 0.2, "timeout": 3.0, "min_samples": 10, **values}
+    given = {"cell": str(CELL), "window": 0.2, "timeout": 15.0, "min_samples": 10, **values}
     return [Parameter(name, value=value) for name, value in given.items()]
 
 
@@ -45,7 +45,7 @@ class Feed:
         self._thread.join(2.0)
 
 
-def call(client: Any, request: Any, timeout: float = 15.0) -> Any:
+def call(client: Any, request: Any, timeout: float = 40.0) -> Any:
     assert client.wait_for_service(timeout)
     future = client.call_async(request)
     end = time.monotonic() + timeout
@@ -55,7 +55,7 @@ def call(client: Any, request: Any, timeout: float = 15.0) -> Any:
     return future.result()
 
 
-def finish(future: Any, timeout: float = 15.0) -> Any:
+def finish(future: Any, timeout: float = 40.0) -> Any:
     end = time.monotonic() + timeout
     while not future.done():
         assert time.monotonic() < end, "no answer"

@@ -89,6 +89,7 @@ def test_tare_is_subtracted_logged_and_taken_back(spinning: Any, feeds: list[Fee
     assert result.averages[0].tare == 1
     np.testing.assert_allclose(wrench_values(raw[-1].wrench), LOAD, atol=1.0)
     answer = call(service, Tare.Request(requested_by="A. Operator"))
+    assert answer.outcome.code == Outcome.OK, answer.outcome.text
     np.testing.assert_allclose(wrench_values(answer.event.bias), LOAD, atol=0.2)  # of the raw wrench, not on top
     answer = call(service, Tare.Request(clear=True, requested_by="A. Operator"))
     assert (answer.outcome.code, answer.event.number) == (Outcome.OK, 0)

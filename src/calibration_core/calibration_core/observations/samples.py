@@ -1,6 +1,7 @@
 """Checks of the samples of one stream, one after another, as they arrive.
 
-What is rejected must not be measured with; a gap rejects nothing, but no average may reach across it.  The checks know
+What is rejected must not be measured with; a gap rejects nothing, but no average may reach across a break, which is
+what counts as a gap in a recording.  The checks know
 nothing of where samples come from: they take numbers and give a verdict.
 """
 
@@ -13,6 +14,7 @@ import math
 
 import numpy as np
 
+from calibration_core.recording.streams import GAP_FACTOR, GAP_SECONDS
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
 LEARNING = 10  # intervals from which the usual one is known
@@ -89,6 +91,7 @@ class StreamCheck:
         counts: What the stream has brought so far.
         problem: Problem of the last sample.
         gap_before: Whether samples are missing between the last sample and the one before it.
+        break_before: Whether so many are missing that no average may reach across.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -96,7 +99,7 @@ class StreamCheck:
         self.limits = limits
         self.counts = Counts()
         self.problem = Problem.FINE
-        self.gap_before = False
+        self.gap_before = self.break_before = False
         self._time: int | None = None  # of the last sample in order
         self._last: tuple[int, Float1D] | None = None  # the last sample accepted
         self._bytes = b""
@@ -123,7 +126,7 @@ class StreamCheck:
             FINE, or the first problem found; every problem but FINE means: not to be measured with.
         """
         self.counts.received += 1
-        self.gap_before = False
+        self.gap_before = self.break_before = False
         self.problem = self._judge(time, values, frame, rotation)
         if self.problem is Problem.FINE:
             self.counts.accepted += 1
@@ -178,6 +181,7 @@ class StreamCheck:
     def _judge_gap(self, interval: int) -> None:
         if interval > self.limits.gap * self._interval:
             self.gap_before = True
+            self.break_before = interval > max(GAP_FACTOR * self._interval, GAP_SECONDS * NANOSECONDS)
             self.counts.gaps += 1
             self.counts.missing += max(round(interval / self._interval) - 1, 1)
 

@@ -45,10 +45,11 @@ def test_gaps_are_counted_exactly(interval: float, first: int) -> None:
 def test_gap_before_is_told_with_the_sample() -> None:
     check = StreamCheck(Limits(interval=0.01))
     told = []
-    for k in (0, 1, 2, 5, 6):
+    for k in (0, 1, 2, 5, 6, 13):
         check.add(START + 10 * MS * k, np.array([0.1 * k, 0.0, 0.0]))
-        told.append(check.gap_before)
-    assert told == [False, False, False, True, False]
+        told.append((check.gap_before, check.break_before))
+    no, gap, pause = (False, False), (True, False), (True, True)
+    assert told == [no, no, no, gap, no, pause]
 
 
 @pytest.mark.parametrize(
