@@ -144,11 +144,11 @@ def test_measure_says_why_it_cannot(spinning: Any, feeds: list[Feed]) -> None:
     assert result.outcome.code == Outcome.NO_DATA
     publisher = client.create_publisher(PointStamped, "input/mp1", 100)
     feeds.append(Feed(publisher, lambda k: incoming("PointStamped", HERE + 1e-4 * k, node.now_ns())))
-    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp1"]))
+    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp1"], timeout=6.0))
     assert result.outcome.code == Outcome.NOT_SETTLED, result.outcome.text
     feeds.pop().stop()
     feeds.append(Feed(publisher, lambda _k: incoming("PointStamped", HERE, node.now_ns())))
-    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp1"]))
+    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp1"], timeout=3.0))
     assert result.outcome.code == Outcome.TIMED_OUT
     assert "frozen" in result.outcome.text
 

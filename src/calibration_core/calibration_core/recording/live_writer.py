@@ -125,7 +125,7 @@ class LiveBag:
             OutputError: The file cannot be written.
         """
         try:
-            self._writer.flush()
+            self._writer.flush()  # type: ignore[no-untyped-call]
             os.fsync(self._stream.fileno())
         except OSError as error:
             raise self._error(error) from None
@@ -137,7 +137,7 @@ class LiveBag:
             OutputError: The file cannot be written.
         """
         try:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
             self._stream.flush()
             os.fsync(self._stream.fileno())
             self._stream.close()
@@ -208,7 +208,7 @@ def _earlier(path: Path) -> list[tuple[str, str, str]]:
         names = sorted(item.name for item in path.iterdir())
     except OSError as error:
         raise OutputError(path, "", error.strerror or str(error), "a directory for a bag") from None
-    found = [(name, *match.groups()) for name in names if (match := re.fullmatch(r"(.+)_(\d{1,9})\.mcap", name))]
+    found = [(name, match[1], match[2]) for name in names if (match := re.fullmatch(r"(.+)_(\d{1,9})\.mcap", name))]
     foreign = [name for name in names if not name.endswith(".mcap") and name not in (METADATA, f".{METADATA}")]
     if foreign:
         raise OutputError(path, foreign[0], "a directory with other files", "an empty directory or a bag")
