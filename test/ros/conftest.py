@@ -13,9 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
+FAST = ROOT / "config" / "simulation.yaml"
+SPEED = 20.0  # times real time
+FIRST = 3  # configurations of the short plan
 LONG = 30.0  # s of wall time, that a process may take to appear on a busy machine
 PACKAGES = {"simulated_cell": "calibration_sim"}
 
@@ -52,6 +56,13 @@ class Suite:
             command += ["-p", f"{key.replace('__', '.')}:={text}"]
         self.given[name] = command
         self.again(name)
+
+    def start_fast(self, seed: int = 1) -> None:
+        """Start everything that a measurement needs, faster than life."""
+        self.start("simulated_cell", FAST, speed=SPEED, seed=seed, speed_log=self.directory / "speed.csv")
+        for name in ("guard", "tracker", "force_torque", "sequencer"):
+            self.start(name, FAST)
+        self.start("recorder", FAST, out=self.bag)
 
     def again(self, name: str) -> None:
         """Start an executable as before."""
@@ -151,6 +162,11 @@ class Run:
             time.sleep(0.01)
         raise AssertionError(f"no result within {timeout:.0f} s")
 
+    @property
+    def over(self) -> bool:
+        """Whether there is a result."""
+        return bool(self._result.done())
+
     def cancel(self) -> None:
         """Cancel it."""
         self._handle.cancel_goal_async()
@@ -176,4 +192,15 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rules = PlanningRules(load=LoadRules(levels=(0.0, 1 / 3, 2 / 3, 1.0)))
     path = tmp_path_factory.mktemp("plan") / "plan.yaml"
     path.write_text(plan_text(make_plan(load_cell(CELL), rules=rules, seed=1)), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def short_plan(plan: Path) -> Path:
+    """The first configurations of the plan, with the end of its start-up cycle alone."""
+    content = yaml.safe_load(plan.read_text(encoding="utf-8"))
+    content |= {"configurations": content["configurations"][:FIRST], "startup_cycle": content["startup_cycle"][-1:]}
+    content["expected"] = None
+    path = plan.parent / "short.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path

@@ -30,25 +30,6 @@ SPEED, LIMIT = 20.0, 0.25
 FIRST, STEPS = 3, 4  # configurations of the short plan, load steps
 
 
-def fast_cell(suite: Any, seed: int = 1, nodes: tuple[str, ...] = ()) -> None:
-    """Start everything that a measurement needs, faster than life."""
-    suite.start("simulated_cell", FAST, speed=SPEED, seed=seed, speed_log=suite.directory / "speed.csv")
-    for name in ("guard", "tracker", "force_torque", "sequencer", *nodes):
-        suite.start(name, FAST)
-    suite.start("recorder", FAST, out=suite.bag)
-
-
-def shortened(plan: Path, directory: Path) -> Path:
-    """The first configurations of a plan, with less of its start-up cycle."""
-    content = yaml.safe_load(plan.read_text(encoding="utf-8"))
-    content["configurations"] = content["configurations"][:FIRST]
-    content["startup_cycle"] = content["startup_cycle"][-1:]
-    content["expected"] = None
-    path = directory / "short.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return path
-
-
 def offline(bag: Path, out: Path, *arguments: str) -> dict[str, Any]:
     """Identify a bag with the installed program; return its result."""
     program = Path(sys.executable).parent / "calibration"
@@ -57,15 +38,15 @@ def offline(bag: Path, out: Path, *arguments: str) -> dict[str, Any]:
     return dict(json.loads((out / "result.json").read_text(encoding="utf-8")))
 
 
-def test_a_short_measurement(suite: Any, plan: Path) -> None:
+def test_a_short_measurement(suite: Any, short_plan: Path) -> None:
     """A few configurations: what is confirmed, what the bag holds and what was announced agree."""
     from calibration_interfaces.msg import Outcome, Reading
 
     readings: list[Any] = []
     suite.client.create_subscription(Reading, "calibration/reading", readings.append, 1000)
-    fast_cell(suite)
+    suite.start_fast()
     told: list[Any] = []
-    result = suite.run(shortened(plan, suite.directory), feedback=told.append).result(150.0)
+    result = suite.run(short_plan, feedback=told.append).result(150.0)
     assert (result.outcome.code, result.outcome.text) == (Outcome.OK, f"{FIRST} of {FIRST} configurations are measured")
     assert result.configurations_done == FIRST
     assert result.recording == str(suite.bag)
@@ -100,7 +81,7 @@ def test_the_whole_measurement(suite: Any, plan: Path) -> None:
     from calibration_interfaces.msg import Outcome
     from calibration_interfaces.srv import IdentifyStiffness
 
-    fast_cell(suite)
+    suite.start_fast()
     suite.start("identification", recording=suite.bag)
     began = time.monotonic()
     result = suite.run(plan).result(600.0)

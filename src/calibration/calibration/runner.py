@@ -18,7 +18,7 @@ import numpy as np
 
 from calibration.clients import Measured
 from calibration.motion.arrival import Joints
-from calibration.motion.base import Backend
+from calibration.motion.base import Backend, End
 from calibration.motion.ladder import StopLadder
 from calibration.permission import PermissionWatch
 from calibration.readings import ReadingError
@@ -44,7 +44,7 @@ class MotionEnded:
     """The driver's word on the motion of a request."""
 
     request: int
-    success: bool
+    how: End
     text: str
 
 
@@ -281,7 +281,10 @@ class Runner:
         """Begin the motion once the robot stands, and see how it goes."""
         if motion.trajectory is None:
             self._begin(motion, now)
-        elif motion.ended is not None and not motion.ended.success:
+        elif motion.ended is not None and motion.ended.how is End.CANCELLED:
+            self._cell.carry_out(m.AskOperator(f"{motion.ended.text}: resume when it is safe to go on"))
+            self._handle(m.Pause(now))  # whoever stopped it had a reason: nothing moves before the operator says so
+        elif motion.ended is not None and motion.ended.how is End.FAILURE:
             self._blocked(motion, now, motion.ended.text or "the driver gave up")
         elif (motion.ended is not None or not self._backend.answers) and self._joints.arrived(motion.goal):
             self._motion = None
@@ -312,7 +315,7 @@ class Runner:
             pace = scaling if 0.0 < scaling <= 1.0 else 1.0
             motion.late_at = now + SLACK * motion.trajectory.duration / pace + SLACK_TIME
         request = motion.request
-        self._backend.move(motion.trajectory, lambda success, text: self.post(MotionEnded(request, success, text)))
+        self._backend.move(motion.trajectory, lambda how, text: self.post(MotionEnded(request, how, text)))
 
     def _blocked(self, motion: _Motion, now: float, reason: str) -> None:
         self._motion = None

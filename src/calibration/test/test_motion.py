@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("calibration_interfaces")
 
+from action_msgs.srv import CancelGoal
 from calibration_interfaces.action import MoveTo
 from calibration_interfaces.msg import Outcome
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -24,6 +25,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from calibration.motion import action_motion, follow_joint_trajectory
 from calibration.motion.arrival import ArrivalRules, Joints
+from calibration.motion.base import End
 from calibration.motion.calls import Call, parse_call, succeeded
 from calibration.motion.catalogue import NAMES, make_backend
 from calibration.motion.external import ExternalMotion
@@ -261,10 +263,10 @@ class Ends:
     """What a back end said."""
 
     def __init__(self) -> None:
-        self.said: list[tuple[bool, str]] = []
+        self.said: list[tuple[End, str]] = []
 
-    def __call__(self, success: bool, text: str) -> None:
-        self.said.append((success, text))
+    def __call__(self, how: End, text: str) -> None:
+        self.said.append((how, text))
 
 
 @pytest.fixture
@@ -285,7 +287,7 @@ def test_a_motion_that_succeeds(spinning: Any, awake: Any, until: Any) -> None:
     until(lambda: driver.goals)
     driver.finish.set()
     until(lambda: ends.said)
-    assert ends.said == [(True, "so it ended")]
+    assert ends.said == [(End.SUCCESS, "so it ended")]
     assert len(driver.goals[0].trajectory.points) == 3
     backend.stop()  # nothing is under way
     assert not driver.cancelled.wait(0.2)
@@ -298,7 +300,7 @@ def test_a_motion_that_fails(spinning: Any, awake: Any, until: Any) -> None:
     assert backend.prepare(10.0) == ""
     backend.move(TRAJECTORY, ends)
     until(lambda: ends.said)
-    assert ends.said == [(False, "so it ended")]
+    assert ends.said == [(End.FAILURE, "so it ended")]
 
 
 def test_a_motion_that_is_stopped(spinning: Any, awake: Any, until: Any) -> None:
@@ -311,7 +313,22 @@ def test_a_motion_that_is_stopped(spinning: Any, awake: Any, until: Any) -> None
     backend.stop()
     assert driver.cancelled.wait(5.0)
     until(lambda: ends.said)
-    assert ends.said[0][0] is False
+    assert ends.said[0][0] is End.FAILURE
+
+
+def test_a_motion_that_somebody_else_cancels(spinning: Any, awake: Any, until: Any) -> None:
+    driver, ends = Driver(awake), Ends()
+    node = spinning.plain()
+    backend = simulated(node)
+    assert backend.prepare(10.0) == ""
+    backend.move(TRAJECTORY, ends)
+    until(lambda: driver.goals)
+    canceller = node.create_client(CancelGoal, "driver/move_to/_action/cancel_goal")
+    assert canceller.wait_for_service(10.0)
+    time.sleep(0.1)
+    canceller.call(CancelGoal.Request(), timeout_sec=5.0)
+    until(lambda: ends.said)
+    assert ends.said[0][0] is End.CANCELLED
 
 
 def test_a_motion_that_is_stopped_before_it_is_accepted(spinning: Any, awake: Any, until: Any) -> None:
@@ -343,7 +360,7 @@ def test_a_driver_that_does_not_answer(spinning: Any) -> None:
     assert ends.said == []
     backend.tick(time.monotonic() + action_motion.ACCEPT_TIME + 0.1)
     backend.tick(time.monotonic() + action_motion.ACCEPT_TIME + 0.2)
-    assert ends.said == [(False, "nobody/move_to does not answer")]
+    assert ends.said == [(End.FAILURE, "nobody/move_to does not answer")]
 
 
 def test_motion_by_topic(spinning: Any, until: Any) -> None:

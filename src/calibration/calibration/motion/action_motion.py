@@ -11,10 +11,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.node import Node
 
-from calibration.motion.base import Done
+from calibration.motion.base import Done, End
 from calibration_core.procedure.trajectory import Trajectory
 
 ACCEPT_TIME = 2.0  # s, a driver takes to accept or reject a goal
@@ -96,13 +97,13 @@ class ActionMotion:
             late = goal is not None and not goal.over and goal.handle is None and now - goal.sent > ACCEPT_TIME
         if late and goal is not None:
             goal.cancelled = True  # should it be accepted after all
-            self._end(goal, False, f"{self._name} does not answer")
+            self._end(goal, End.FAILURE, f"{self._name} does not answer")
 
     def _on_accept(self, goal: _Goal, future: Any) -> None:
         error = future.exception()
         handle = None if error is not None else future.result()
         if handle is None or not handle.accepted:
-            self._end(goal, False, f"{self._name} rejects the trajectory" if error is None else str(error))
+            self._end(goal, End.FAILURE, f"{self._name} rejects the trajectory" if error is None else str(error))
             return
         with self._lock:
             goal.handle = handle
@@ -113,13 +114,18 @@ class ActionMotion:
 
     def _on_result(self, goal: _Goal, future: Any) -> None:
         if future.exception() is not None:
-            self._end(goal, False, str(future.exception()))
+            self._end(goal, End.FAILURE, str(future.exception()))
+            return
+        answer = future.result()
+        success, text = self._verdict(answer)
+        if answer.status == GoalStatus.STATUS_CANCELED and not goal.cancelled:
+            self._end(goal, End.CANCELLED, text or End.CANCELLED.value)
         else:
-            self._end(goal, *self._verdict(future.result()))
+            self._end(goal, End.SUCCESS if success else End.FAILURE, text)
 
-    def _end(self, goal: _Goal, success: bool, text: str) -> None:
+    def _end(self, goal: _Goal, how: End, text: str) -> None:
         with self._lock:
             if goal.over:
                 return
             goal.over = True
-        goal.done(success, text)
+        goal.done(how, text)

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable
 from typing import Any, Protocol
 
 from calibration_core.procedure.trajectory import Trajectory
 from calibration_core.timeseries import Float1D
 
-Done = Callable[[bool, str], None]
-"""Called once when a trajectory has ended: whether the driver calls it a success, and its words.
 
-Success is not arrival: whoever moves checks the joint states.
-"""
+class End(enum.Enum):
+    """How a trajectory ended, by the driver's word."""
+
+    SUCCESS = "success"  # which is not arrival: whoever moves checks the joint states
+    FAILURE = "failure"
+    CANCELLED = "cancelled by somebody else"
+
+
+Done = Callable[[End, str], None]
+"""Called once when a trajectory has ended: how, and the driver's words."""
 
 
 class Backend(Protocol):
