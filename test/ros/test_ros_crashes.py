@@ -68,7 +68,7 @@ def test_sigint_while_the_robot_moves(suite: Any, plan: Path, cell: Cell) -> Non
 
 def end_somewhere(suite: Any, name: str, rng: np.random.Generator) -> int:
     """Kill a process at a random moment of a measurement; return how many readings were on the disk before."""
-    wait(lambda: suite.session.exists() and stored(suite) > 0, 90.0, suite.log("sequencer"))
+    wait(lambda: (suite.session / "session.db").exists() and stored(suite) > 0, 90.0, suite.log("sequencer"))
     time.sleep(rng.uniform(0.0, 2.0))
     before = stored(suite)
     suite.end(name, signal.SIGKILL)
@@ -127,7 +127,7 @@ def test_a_killed_sequencer_goes_on_at_the_next_configuration(suite: Any, short_
     suite.run(short_plan)
 
     def one_done() -> bool:
-        if not suite.session.exists():
+        if not (suite.session / "session.db").exists():
             return False
         with Session.look(suite.session) as session:
             return bool(session.completed)

@@ -94,9 +94,8 @@ class SequencerNode(CalibrationNode):
         self._goal: Any = None
         self._ended = threading.Event()
         self._ended.set()
-        self._told = -math.inf
+        self._told, self._scaling = -math.inf, math.nan
         self._temperature: Any = None
-        self._scaling = math.nan
         self._decided: tuple[Any, ...] = ()
         self._backend = make_backend(
             self.value("motion.backend"),
@@ -244,13 +243,11 @@ class SequencerNode(CalibrationNode):
     # --- a run -------------------------------------------------------------------------------------------------------
 
     async def _on_run(self, goal: Any) -> Any:
-        result = RunPlan.Result()
         if not self._ended.is_set():
             goal.abort()
-            result.outcome = to_outcome(Outcome.BUSY, "a plan is being measured")
-            return result
+            return RunPlan.Result(outcome=to_outcome(Outcome.BUSY, "a plan is being measured"))
         self._ended.clear()
-        self._goal = goal
+        self._goal, result = goal, RunPlan.Result()
         try:
             result = await Background(self, lambda: self._measure(goal.request))
         except InputError as error:

@@ -69,7 +69,8 @@ class McapStorage:
         allowance = budget(size)
         while True:
             stream.seek(position)
-            header = stream.read(RECORD_HEADER)
+            size = max(size, position)  # a file that is being written has grown since
+            header = stream.read(min(RECORD_HEADER, size - position))
             opcode = header[0] if header else 0
             if opcode in (DATA_END, FOOTER):
                 return
