@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.stats import chi2
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.absolute_changes import FAMILY, anomaly_of, select_changes
+from calibration_core.diagnosis.absolute_changes import FAMILY, Steps, anomaly_of, select_changes
 from calibration_core.diagnosis.absolute_controls import GravityControl
 from calibration_core.diagnosis.absolute_design import (
     AbsoluteDesign,
@@ -29,8 +30,9 @@ from calibration_core.diagnosis.blocks import Blocks, posture_blocks, time_block
 from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
 from calibration_core.identification.absolute import Evaluated, evaluate_absolute, identification_of
 from calibration_core.identification.absolute_problem import absolute_problem
-from calibration_core.identification.estimate import TestResult
+from calibration_core.identification.estimate import Anomaly, TestResult
 from calibration_core.identification.geometry import fit
+from calibration_core.identification.robust import Key
 from calibration_core.identification.terms import ElasticityTerm, Term
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.applied import applied
@@ -42,6 +44,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.covariance import position_covariance
 from calibration_core.timeseries import Float2D, Int1D, Readings
 
+GROSS = 0.01  # probability that a clean recording has any reading beyond the limit
 LOW_ORDERS = 64  # of transmission errors, searched first; higher ones if there is room left
 REPORTED = {"time": 10, "posture": 20}  # blocks left out in the figures that are reported
 
@@ -100,15 +103,25 @@ def diagnose_absolute(readings: Readings, cell: Cell, *, test: Readings | None =
     Raises:
         InputError: As `identify_absolute`.
     """
-    evaluated = evaluate_absolute(readings, cell)
-    identification = identification_of(evaluated, readings, cell, test=test)
-    case = prepare(readings, cell, evaluated)
-    design, selection, steps = search(case)
+    case = prepare(readings, cell, evaluate_absolute(readings, cell))
+    stepped = select_changes(case.design, readings, case.partitions, (), dwarfing=True)
+    moved = _anomalies(case.extend(stepped.found), readings, stepped)
+    if stepped.found:  # everything else is judged on readings freed of what moved
+        readings = _freed(case.extend(stepped.found), readings)
+        case = prepare(readings, cell, evaluate_absolute(readings, cell))
+    searched = case
+    design, selection, steps = search(searched)
     hypotheses = tuple(design.candidates[i] for i in selection.accepted)
-    null, extended = case.extend(()), case.extend(hypotheses)
-    findings = absolute_findings(extended, design, selection, case.partitions, case.control)
+    extended = case.extend(hypotheses)
+    readmit = fitting_after_all(extended, readings)
+    if readmit:
+        case = prepare(readings, cell, evaluate_absolute(readings, cell, readmit=readmit))
+        extended = case.extend(hypotheses)
+    null = case.extend(())
+    identification = identification_of(case.evaluated, readings, cell, test=test)
+    findings = absolute_findings(extended, design, selection, searched.partitions, searched.control)
     rest = what_remains_absolute(
-        extended, design, selection.accepted, case.partitions[0], readings, identification.noise
+        extended, design, selection.accepted, searched.partitions[0], readings, identification.noise
     )
     rest = _with_refusals(rest, selection)
     kinds = {"time": time_blocks(readings.configuration, REPORTED["time"]),
@@ -118,15 +131,10 @@ def diagnose_absolute(readings: Readings, cell: Cell, *, test: Readings | None =
     model = extended.parameters.replace(
         effects=tuple(applied(hypotheses[k], extended.values_of(k)[0]) for k in physics)
     )
-    anomalies = tuple(
-        anomaly_of(hypothesis, extended, k, readings, steps.get(hypothesis.key, ()))
-        for k, hypothesis in enumerate(hypotheses)
-        if hypothesis.family == FAMILY
-    )
     return Diagnosis(
         verdict=_verdict(bool(findings), rest),
         findings=findings,
-        anomalies=(*identification.anomalies, *anomalies),
+        anomalies=(*identification.anomalies, *moved, *_anomalies(extended, readings, steps)),
         rest=rest,
         next_measurements=(),
         identification=identification,
@@ -171,25 +179,50 @@ def prepare(readings: Readings, cell: Cell, evaluated: Evaluated) -> Case:
     return Case(readings, cell, evaluated, terms, parameters, state, nuisances, rows, partitions, control)
 
 
-def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, dict[object, tuple[str, ...]]]:
-    """Look for steps that dwarf everything, then for physics, then for steps beside the physics.
+def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, Steps]:
+    """Look for physics, then for steps beside the physics; where there are any, for physics beside the steps.
 
     Returns:
-        The design of the last search, what was accepted in it, and per accepted step the kinds that fit nearly as well.
+        The design of the last search, what was accepted in it, and the steps.
     """
     offered = tuple(c for c in candidates(case.state) if not (case.nuisances and c.effect == "joint_elasticity"))
     low = tuple(c for c in offered if _order(c) <= LOW_ORDERS)
-    high = tuple(c for c in offered if _order(c) > LOW_ORDERS)
-    steps = select_changes(case.design, case.readings, case.partitions, (), dwarfing=True)
-    design, selection = _select(case, tuple(steps.found), low)
+    high = len(low) < len(offered)
+    design, selection = _select(case, (), low)
     if high and parameter_count(design, selection.accepted) < MOST_PARAMETERS:
-        design, selection = _select(case, _accepted(design, selection), (*low, *high))
-    physics = tuple(c for c in _accepted(design, selection) if c.family != FAMILY)
-    known = tuple(c for c in _accepted(design, selection) if c.family == FAMILY)
-    later = select_changes(case.design, case.readings, case.partitions, (*physics, *known), dwarfing=False)
-    if later.found:
-        design, selection = _select(case, (*known, *later.found, *physics), low)
-    return design, selection, {**steps.beside, **later.beside}
+        design, selection = _select(case, _accepted(design, selection), offered)
+    physics = _accepted(design, selection)
+    steps = select_changes(case.design, case.readings, case.partitions, physics, dwarfing=False)
+    if steps.found:
+        design, selection = _select(case, (*steps.found, *physics), low)
+    return design, selection, steps
+
+
+def fitting_after_all(extended: AbsoluteExtended, readings: Readings) -> frozenset[Key]:
+    """Return the readings that the null model called gross errors and the extended model explains."""
+    squares = np.sum(extended.rest.reshape(-1, 3) ** 2, axis=1)
+    scale = max(float(np.median(squares[extended.used])) / float(chi2.median(3)), 1.0)
+    limit = scale * float(chi2.isf(GROSS / len(squares), 3))
+    rows = np.flatnonzero(~extended.used & (squares < limit))
+    names = readings.points
+    return frozenset(
+        (int(readings.configuration[k]), int(readings.step[k]), names[readings.point[k]]) for k in rows
+    )
+
+
+def _freed(extended: AbsoluteExtended, readings: Readings) -> Readings:
+    """Return the readings with the steps taken out, in the tracker frame."""
+    shift = extended.shift(extended.state) @ extended.parameters.tracker[:3, :3]
+    return dataclasses.replace(readings, position=readings.position - shift)
+
+
+def _anomalies(extended: AbsoluteExtended, readings: Readings, steps: Steps) -> tuple[Anomaly, ...]:
+    """Return the steps of an extended model in words."""
+    return tuple(
+        anomaly_of(candidate, extended, k, readings, steps.beside.get(candidate.key, ()))
+        for k, candidate in enumerate(extended.candidates)
+        if candidate.family == FAMILY
+    )
 
 
 def predict_extended(

@@ -55,7 +55,7 @@ def time_blocks(configuration: Int1D, most: int = MOST) -> Blocks:
 
 
 def posture_blocks(q: Float2D, configuration: Int1D, most: int = MOST) -> Blocks:
-    """Cluster the configurations by their joint angles (k-means on cosine and sine, Lloyd 1982).
+    """Cluster the configurations by their joint angles (k-means on cosine and sine, Lloyd 1982, seeded).
 
     Args:
         q: (m, n) rad.
@@ -73,8 +73,8 @@ def posture_blocks(q: Float2D, configuration: Int1D, most: int = MOST) -> Blocks
 
 
 def _clusters(features: Float2D, count: int) -> Int1D:
-    """Return the cluster of every row after Lloyd's iteration from seeded rows; empty clusters vanish."""
-    centres = features[np.random.default_rng(SEED).choice(len(features), count, replace=False)]
+    """Return the cluster of every row after Lloyd's iteration from spread-out rows; empty clusters vanish."""
+    centres = _spread(features, count)
     label = np.zeros(len(features), dtype=np.int64)
     for _ in range(ITERATIONS):
         nearest = cKDTree(centres).query(features)[1]
@@ -82,3 +82,14 @@ def _clusters(features: Float2D, count: int) -> Int1D:
         sizes = np.bincount(label)
         centres = np.stack([np.bincount(label, column) / sizes for column in features.T], axis=1)
     return label
+
+
+def _spread(features: Float2D, count: int) -> Float2D:
+    """Return rows drawn with probability as the squared distance to those drawn (Arthur and Vassilvitskii 2007)."""
+    rng = np.random.default_rng(SEED)
+    chosen = [int(rng.integers(len(features)))]
+    distance = np.sum((features - features[chosen[0]]) ** 2, axis=1)
+    while len(chosen) < count and distance.sum() > 0:
+        chosen.append(int(rng.choice(len(features), p=distance / distance.sum())))
+        distance = np.minimum(distance, np.sum((features - features[chosen[-1]]) ** 2, axis=1))
+    return features[chosen]

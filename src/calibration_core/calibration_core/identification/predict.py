@@ -42,7 +42,7 @@ def predict_readings(readings: Readings, cell: Cell, model: ModelParameters) -> 
     load = None if readings.wrench is None else load_of(readings, cell, model)
     rest = solve_equilibrium(chain, readings.q, model.compliance, load)
     points = np.stack([model.points[name] for name in readings.points])[readings.point].T
-    moved = rest.at.point(points).T + _by_effects(readings, cell, model, points.T)
+    moved = rest.at.point(points).T + _by_effects(readings, cell, model, points)
     predicted = (moved - model.tracker[:3, 3]) @ model.tracker[:3, :3]
     return predicted if cell.measurements.points == "absolute" else from_step_zero(readings, predicted)
 
