@@ -1,0 +1,242 @@
+"""The sequencer as a node: what the operator can say, and a measurement in which the operator moves and loads."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+pytest.importorskip("calibration_interfaces")
+
+from builtin_interfaces.msg import Time
+from calibration_interfaces.action import Measure, RunPlan
+from calibration_interfaces.msg import MeasurementStep, Outcome, Permission, Reading
+from calibration_interfaces.srv import LoadApplied
+from rclpy.action import ActionClient, ActionServer
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from calibration.conversions import Mean, to_average, to_outcome
+from calibration.sequencer import SequencerNode
+from calibration.topics import PERMISSION, READING, Quality, profile
+from calibration_core.errors import InputError
+from calibration_core.observations.average import Average
+from calibration_core.procedure.session import Session
+
+CELL = str(Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml")
+JOINTS = [f"joint_{i}" for i in range(1, 7)]
+GOAL = [0.1, 0.2, 0.1, 0.0, 0.3, 0.0]
+PULL = [0.0, 0.0, -500.0, 0.0, 0.0, 0.0]
+
+
+def overrides(**values: Any) -> list[Parameter]:
+    usual = {"cell": CELL, "motion.backend": "external", "force_torque": "", "settle_time": 0.1, "recorder": ""}
+    usual |= {"arrival.dwell": 0.1, "server_wait": 10.0, "permission_age": 1.0}
+    return [Parameter(name, value=value) for name, value in (usual | values).items()]
+
+
+class World:
+    """Guard, robot and tracker of the sequencer under test."""
+
+    def __init__(self, spinning: Any) -> None:
+        self.node = spinning.plain("world")
+        pulse = PERMISSION.qos
+        pulse.deadline = Duration(nanoseconds=10**8)
+        self.permissions = self.node.create_publisher(Permission, PERMISSION.relative, pulse)
+        self.joints = self.node.create_publisher(JointState, "joint_states", 10)
+        self.temperatures = self.node.create_publisher(Temperature, "cell/temperature", 10)
+        self.q = np.zeros(6)
+        self.permitted = True
+        self.tracker = ActionServer(self.node, Measure, "tracker/measure", self._measure)
+        self.timer = self.node.create_timer(0.02, self._live)
+
+    def _live(self) -> None:
+        self.permissions.publish(Permission(permitted=self.permitted, text="" if self.permitted else "not now"))
+        self.joints.publish(JointState(header=now(), name=JOINTS, position=self.q.tolist()))
+        self.temperatures.publish(Temperature(temperature=21.5))
+
+    def _measure(self, goal: Any) -> Any:
+        at = time.time_ns()
+        one = Average(np.array([1.0, 2.0, 3.0]), 1e-10 * np.eye(3), 20, 20.0, 0)
+        means = [Mean(name, "tracker", at - 10**8, at, one) for name in goal.request.names]
+        goal.succeed()
+        return Measure.Result(outcome=to_outcome(Outcome.OK, ""), averages=[to_average(mean) for mean in means])
+
+
+def now() -> Header:
+    at = time.time_ns()
+    return Header(stamp=Time(sec=at // 10**9, nanosec=at % 10**9))
+
+
+class Operator:
+    """Calls the sequencer's services."""
+
+    def __init__(self, spinning: Any) -> None:
+        node = spinning.plain("operator")
+        self.clients = {name: node.create_client(Trigger, f"sequencer/{name}") for name in ("pause", "resume", "stop")}
+        self.load = node.create_client(LoadApplied, "sequencer/load_applied")
+        self.plan = ActionClient(node, RunPlan, "sequencer/run")
+        self.readings: list[Any] = []
+        self.steps: list[Any] = []
+        node.create_subscription(Reading, READING.relative, self.readings.append, READING.qos)
+        node.create_subscription(MeasurementStep, "calibration/step", self.steps.append, profile(Quality.EVENTS))
+
+    def says(self, name: str) -> Any:
+        assert self.clients[name].wait_for_service(10.0)
+        return self.clients[name].call(Trigger.Request(), timeout_sec=10.0)
+
+    def loaded(self, configuration: int, step: int, name: str = "A. Smith") -> Any:
+        assert self.load.wait_for_service(10.0)
+        request = LoadApplied.Request(operator_name=name, configuration=configuration, step=step)
+        return self.load.call(request, timeout_sec=10.0).outcome
+
+    def measure(self, plan: Path, session: Path, *, resume: bool = False) -> Any:
+        assert self.plan.wait_for_server(10.0)
+        accepted = self.plan.send_goal_async(RunPlan.Goal(plan=str(plan), session=str(session), resume=resume))
+        end = time.monotonic() + 10.0
+        while not accepted.done():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        return accepted.result()
+
+
+@pytest.fixture
+def world(spinning: Any) -> Iterator[World]:
+    return World(spinning)
+
+
+@pytest.fixture
+def operator(spinning: Any) -> Operator:
+    return Operator(spinning)
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.yaml"
+    configurations = [{"number": 7, "q": GOAL, "steps": [[0.0] * 6, PULL]}]
+    path.write_text(yaml.safe_dump({"schema": 1, "joints": JOINTS, "configurations": configurations}))
+    return path
+
+
+def ended(handle: Any, seconds: float = 20.0) -> Any:
+    future = handle.get_result_async()
+    end = time.monotonic() + seconds
+    while not future.done():
+        assert time.monotonic() < end, "no result"
+        time.sleep(0.01)
+    return future.result().result
+
+
+def test_without_a_run_there_is_nothing_to_say(spinning: Any, operator: Operator) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    for name in ("pause", "resume", "stop"):
+        answer = operator.says(name)
+        assert (answer.success, answer.message) == (False, "no plan is being measured")
+    assert operator.loaded(1, 0).code == Outcome.INPUT_UNUSABLE
+    assert "name" in operator.loaded(1, 0, name=" ").text
+
+
+def test_the_operator_moves_and_loads(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: operator.steps)
+    assert (operator.steps[0].configuration, operator.steps[0].phase) == (7, MeasurementStep.MOVING)
+    busy = ended(operator.measure(plan, tmp_path / "other"))
+    assert busy.outcome.code == Outcome.BUSY
+    world.q = np.array(GOAL)  # by the pendant
+    until(lambda: any(step.phase == MeasurementStep.LOADING for step in operator.steps))
+    assert "step 1 is waited for" in operator.loaded(7, 3).text
+    assert operator.loaded(7, 1).code == Outcome.OK
+    until(lambda: operator.steps[-1].phase == MeasurementStep.UNLOADING)
+    assert operator.loaded(7, 1).code == Outcome.OK
+    result = ended(handle)
+    assert (result.outcome.code, result.configurations_done, result.readings) == (Outcome.OK, 1, 6)
+    until(lambda: len(operator.readings) == 6)
+    one = operator.readings[-1]
+    assert (one.configuration, one.step, one.has_wrench, one.temperature) == (7, 1, False, 21.5)
+    assert list(one.q) == pytest.approx(GOAL)
+    with Session.look(tmp_path / "session") as session:
+        assert session.completed == (7,)
+        assert len(session.confirmed()) == 6
+        assert session.runs[0]["parameter motion.backend"] == "external"
+        assert any(decision.permitted for decision in session.decisions)
+
+
+def test_stop_and_resume_later(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: operator.steps)
+    assert operator.says("pause").success
+    assert operator.says("resume").success
+    assert operator.says("stop").success
+    assert ended(handle).outcome.code == Outcome.STOPPED
+    assert ended(operator.measure(plan, tmp_path / "session")).outcome.code == Outcome.INPUT_UNUSABLE
+    handle = operator.measure(plan, tmp_path / "session", resume=True)
+    world.q = np.array(GOAL)
+    for _ in range(2):
+        until(lambda: operator.loaded(7, 1).code == Outcome.OK)
+    assert ended(handle).outcome.code == Outcome.OK
+
+
+def test_a_run_can_be_cancelled(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: operator.steps)
+    handle.cancel_goal_async()
+    assert ended(handle).outcome.code == Outcome.CANCELLED
+
+
+def test_what_is_missing_is_named(spinning: Any, operator: Operator, plan: Path, tmp_path: Path) -> None:
+    given = overrides(**{"server_wait": 0.2, "motion.prepare_services": ["/go=std_srvs/srv/Trigger"]})
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=given))
+    result = ended(operator.measure(plan, tmp_path / "session"))
+    assert (result.outcome.code, result.outcome.text) == (Outcome.NO_DATA, "/go: no answer")
+    node._prepare.clear()
+    assert "tracker/measure" in ended(operator.measure(plan, tmp_path / "session")).outcome.text
+    assert not (tmp_path / "session").exists()
+
+
+def test_without_joint_states_nothing_begins(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path
+) -> None:
+    world.timer.cancel()
+    given = overrides(server_wait=0.5)
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=given))
+    result = ended(operator.measure(plan, tmp_path / "session"))
+    assert "/joint_states" in result.outcome.text
+
+
+@pytest.mark.parametrize(
+    ("parameters", "found"),
+    [
+        ({"cell": ""}, "cell"),
+        ({"motion.backend": "telepathy"}, "telepathy"),
+        ({"motion.backend": "follow_joint_trajectory"}, "control_msgs"),
+        ({"motion.prepare_services": ["go"]}, "go"),
+        ({"motion.stop_services": ["/stop=no_such_msgs/srv/Stop"]}, "no_such_msgs"),
+        ({"motion.speed": 0.3}, "motion.speed"),
+        ({"unheard_of": 1}, "unheard_of"),
+    ],
+)
+def test_parameters_that_cannot_be_used(
+    context: Any, monkeypatch: pytest.MonkeyPatch, parameters: dict[str, Any], found: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "control_msgs", None)
+    with pytest.raises(InputError, match=found):
+        SequencerNode(context=context, parameter_overrides=overrides(**parameters))
