@@ -1,0 +1,61 @@
+"""Motions of whole plans, followed by the simulated robot: its own truth never exceeds 250 mm/s, and wastes little.
+
+The trajectories are bounded on the kinematics of the cell file; the robot that follows them is MuJoCo's, looked at
+every millisecond: link origins, flange, sensor, wrench point and measurement points.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration_core.cell import Cell, load_cell
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.procedure.planning import make_plan
+from calibration_core.procedure.speed import Monitored
+from calibration_core.procedure.trajectory import MotionLimits, plan_motion
+from calibration_sim.live import LiveCell
+from calibration_sim.live import Path as Way
+from calibration_sim.speed_log import SpeedLog, read_speed_log
+from calibration_sim.truth import nominal_truth
+
+CELLS = Path(__file__).resolve().parents[1] / "config" / "cells"
+LIMIT = 0.25
+CONFIGURATIONS = 12
+
+
+def speeds(cell: Cell, seed: int, log: Path) -> np.ndarray:
+    """Drive through a plan with its start-up cycle; return the fastest point's speed at every millisecond, m/s."""
+    plan = make_plan(cell, configurations=CONFIGURATIONS, spares=0.0, seed=seed)
+    monitored = Monitored.of(chain_of(cell), nominal_parameters(cell))
+    way = [*plan.startup_cycle, *(configuration.q for configuration in plan.configurations)]
+    live = LiveCell(cell, nominal_truth(cell), way[0])
+    with SpeedLog(log, live) as speed_log:
+        for goal in way[1:]:
+            trajectory = plan_motion(monitored, live.q, goal, MotionLimits())
+            live.follow(Way(trajectory.time, trajectory.position, trajectory.velocity))
+            while live.moving:
+                speed_log.add(*live.advance(live.time + 0.1))
+            np.testing.assert_allclose(live.q, goal, atol=1e-9)
+            speed_log.add(*live.advance(live.time + 0.1))
+    return read_speed_log(log)[:, 1]
+
+
+@pytest.mark.parametrize(
+    ("name", "plans"),
+    [("demo", 1), pytest.param("demo", 25, marks=pytest.mark.slow), pytest.param("small", 25, marks=pytest.mark.slow)],
+)
+def test_no_point_is_ever_too_fast(tmp_path: Path, name: str, plans: int) -> None:
+    cell = load_cell(CELLS / f"{name}.cell.yaml")
+    fastest, used = [], []
+    for seed in range(plans):
+        found = speeds(cell, seed, tmp_path / f"{seed}.csv")
+        fastest.append(found.max())
+        used.append(found.mean() / LIMIT)
+    print(f"\n{name}: {plans} plans, fastest {1e3 * max(fastest):.1f} mm/s, in motion {np.mean(used):.2f} of the limit")
+    assert max(fastest) <= LIMIT
+    if name == "demo":  # the small robot is held back by the limits of its joints
+        assert np.mean(used) >= 0.8
