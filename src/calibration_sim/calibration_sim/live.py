@@ -8,13 +8,17 @@ on its path.  What hangs on the motors gives way statically, and rings down afte
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from calibration_core.cell import Cell
 from calibration_core.timeseries import Float1D, Float2D, Float3D, read_only
-from calibration_sim.table import build_mechanism, solve_states
+from calibration_sim.chain import read_chain
+from calibration_sim.mjcf import Spring
+from calibration_sim.statics import Mechanism
+from calibration_sim.table import solve_states
 from calibration_sim.timeline import RINGING_AFTER_MOTION, RINGING_AFTER_RAMP, RINGING_FREQUENCY, RINGING_TIME
 from calibration_sim.truth import Truth
 
@@ -83,10 +87,25 @@ class LiveCell:
         blocked_after: Share of a path after which the motors stop; 1: never.
     """
 
-    def __init__(self, cell: Cell, truth: Truth, home: ArrayLike) -> None:
-        """Put the robot at `home` (n,) rad, without load."""
+    def __init__(self, cell: Cell, truth: Truth, home: ArrayLike, springs: Sequence[Spring] = ()) -> None:
+        """Put the robot at `home` (n,) rad, without load.
+
+        Args:
+            cell: What is believed.
+            truth: What is.
+            home: (n,) rad.
+            springs: What gives way besides the joints, and stands in no cell file.
+        """
         self.cell, self.truth = cell, truth
-        self.mechanism = build_mechanism(cell, truth)
+        self.mechanism = Mechanism(
+            read_chain(cell),
+            truth.stiffness,
+            truth.gravity,
+            joint_frame_errors=truth.joint_frame_errors,
+            joint_zero=truth.joint_zero,
+            wrench_point=truth.wrench_point,
+            springs=springs,
+        )
         self.time = 0.0
         self.q: Float1D = np.array(home, dtype=np.float64)
         self.load: Float1D = np.zeros(6)

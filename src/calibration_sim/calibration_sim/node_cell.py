@@ -38,6 +38,7 @@ from calibration_sim.chain import read_chain
 from calibration_sim.faults import Fault, Faults, Kind
 from calibration_sim.live import LiveCell, Refused
 from calibration_sim.live_sensors import LiveSensors
+from calibration_sim.mjcf import Spring
 from calibration_sim.node_messages import PARAMETERS, path_of, reported, wrench_message, wrench_values
 from calibration_sim.schedule import Schedule
 from calibration_sim.speed_log import SpeedLog
@@ -71,7 +72,7 @@ class SimulatedCell(Node):
             raise InputError("simulated_cell", "speed", f"{self.speed:g}", "above 0, and other than 1 only with clock")
         seed = int(self._value("seed"))
         truth = nominal_truth(self.cell) if self._value("truth") == "nominal" else draw_truth(self.cell, seed)
-        self.live = LiveCell(self.cell, truth, self._home())
+        self.live = LiveCell(self.cell, truth, self._home(), self._concealed())
         rate = {name: float(self._value(f"rates.{name}")) for name in ("joints", "tracker", "wrench", "temperature")}
         self._sensors = LiveSensors(self.cell, truth, seed, rates=Rates(**rate), window=float(self._value("window")))
         self.schedule = Schedule(rate | {"state": float(self._value("rates.state"))})
@@ -111,6 +112,16 @@ class SimulatedCell(Node):
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
+
+    def _concealed(self) -> tuple[Spring, ...]:
+        joint, joints = self._value("concealed_joint"), self.cell.robot.joints
+        if not joint:
+            return ()
+        link = next((link for link in read_chain(self.cell).links if link.joint == joint), None)
+        if link is None:
+            raise InputError("simulated_cell", "concealed_joint", quoted(joint), f"one of {', '.join(joints)}")
+        across = np.linalg.svd(link.axis[None])[2][1]
+        return (Spring(link.name, across, np.zeros(3), 1.0 / float(self._value("concealed_compliance"))),)
 
     def _home(self) -> Float1D:
         limits = read_chain(self.cell).limits

@@ -17,6 +17,8 @@ PARAMETERS: dict[str, tuple[Any, str]] = {
     "cell": ("", "Cell file."),
     "seed": (1, "Of the hidden truth and of the noise."),
     "truth": ("draw", "draw: stiffnesses differ from the cell file's; nominal: they do not."),
+    "concealed_joint": ("", "Joint whose bearing tilts, which no cell file says; empty: none."),
+    "concealed_compliance": (2.0e-7, "rad/(N*m), of that bearing about one axis across the joint's."),
     "speed": (1.0, "Multiple of real time."),
     "clock": (False, "Whether /clock is sent and stamps begin at a fixed date; needed for a speed other than 1."),
     "clock_rate": (100.0, "Hz of wall time, of /clock."),

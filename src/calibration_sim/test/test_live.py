@@ -9,9 +9,11 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from calibration_core.cell import Cell
+from calibration_sim.chain import read_chain
 from calibration_sim.faults import Fault, Faults, Kind
 from calibration_sim.live import BRAKING, LiveCell, Path, Refused
 from calibration_sim.live_sensors import LiveNoise, LiveSensors
+from calibration_sim.mjcf import Spring
 from calibration_sim.schedule import Schedule
 from calibration_sim.sensors import stream_noise
 from calibration_sim.speed_log import SpeedLog, read_speed_log
@@ -132,6 +134,20 @@ def test_load_and_points_are_those_of_statics(live: LiveCell, demo: Cell, truth:
     assert np.abs(live.points() - unloaded).max() > 1e-4
     with pytest.raises(Refused):
         live.pull([np.nan] * 6, 1.0)
+
+
+def test_a_concealed_spring_gives_way_besides_the_joints(demo: Cell, truth: Truth, live: LiveCell) -> None:
+    link = next(link for link in read_chain(demo).links if link.joint == "joint_2")
+    across = np.linalg.svd(link.axis[None])[2][1]
+    soft = LiveCell(demo, truth, START, (Spring(link.name, across, np.zeros(3), 5e6),))
+    moved = []
+    for one in (live, soft):
+        before = one.points()
+        one.pull([600.0, 600.0, -1000.0, 0.0, 0.0, 0.0], 0.5)
+        run(one, 6.0)
+        moved.append(one.points() - before)
+    assert np.abs(moved[1] - moved[0]).max() > 5e-5
+    np.testing.assert_array_equal(soft.q, START)
 
 
 def test_it_rings_after_a_change_of_load(live: LiveCell) -> None:
