@@ -11,6 +11,7 @@ JOBS ?= 2
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
+LIVE := src/calibration/test test/ros/test_ros_end_to_end.py
 # Published; for development other seeds were used.
 PROVE_SEED ?= 20261
 CELL := config/cells/demo.cell.yaml
@@ -36,11 +37,14 @@ lint: setup
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
+# Tests of live nodes measure time: they run alone, the others share the cores.
 test: lint
-	@$(PYTEST) -n $(JOBS) -m "not slow"
+	@$(PYTEST) -n $(JOBS) -m "not slow" --ignore=src/calibration/test --ignore=test/ros
+	@$(PYTEST) -m "not slow" $(LIVE)
 
 prove: setup
-	@$(PYTEST) -n $(JOBS) -m slow
+	@$(PYTEST) -m slow --ignore=test/ros
+	@$(PYTEST) test/ros
 	@$(BIN)/calibration-prove --seed $(PROVE_SEED) --out build/prove/$(PROVE_SEED) --jobs $(JOBS) --batch
 
 demo: setup
