@@ -1,6 +1,6 @@
 """Fit the shared problem with figaroh (`full_params`); runs in that package's own environment.
 
-    python fit_figaroh.py PROBLEM.npz REPETITIONS      prints one line of JSON
+python fit_figaroh.py PROBLEM.npz REPETITIONS      prints one line of JSON
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Fit the shared problem with robotkinecal; runs in that package's own environment.
 
-    python fit_robotkinecal.py PROBLEM.npz REPETITIONS      prints one line of JSON
+python fit_robotkinecal.py PROBLEM.npz REPETITIONS      prints one line of JSON
 """
 
 from __future__ import annotations

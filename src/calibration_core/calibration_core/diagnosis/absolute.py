@@ -205,9 +205,7 @@ def fitting_after_all(extended: AbsoluteExtended, readings: Readings) -> frozens
     limit = scale * float(chi2.isf(GROSS / len(squares), 3))
     rows = np.flatnonzero(~extended.used & (squares < limit))
     names = readings.points
-    return frozenset(
-        (int(readings.configuration[k]), int(readings.step[k]), names[readings.point[k]]) for k in rows
-    )
+    return frozenset((int(readings.configuration[k]), int(readings.step[k]), names[readings.point[k]]) for k in rows)
 
 
 def _freed(extended: AbsoluteExtended, readings: Readings) -> Readings:

@@ -6,18 +6,22 @@ from collections.abc import Mapping
 
 from calibration_core.model.effects.candidate import Candidate
 
-BASE, TOOL = -1, 1 << 20  # before the first joint, beyond the last
+TOOL = 1 << 20  # beyond the last joint
+MEMORY = frozenset({"hysteresis", "creep"})
 
 
 def are_kin(first: Candidate, second: Candidate) -> bool:
     """Say whether two candidates could be one cause under two laws.
 
-    Joint laws: the same joint.  Structure: the same or neighbouring parts.  Load chain and point chain: always.
+    Joint laws: the same joint, both with memory or both without.  Structure: the same or neighbouring parts.  Load
+    chain and point chain: always.
     """
     if first.family != second.family:
         return False
     if first.family in {"load chain", "point chain"}:
         return True
+    if first.family == "joint law" and (first.effect in MEMORY) != (second.effect in MEMORY):
+        return False
     reach = 0 if first.family == "joint law" else 1
     return any(abs(i - j) <= reach for i in parts(first.location) for j in parts(second.location))
 

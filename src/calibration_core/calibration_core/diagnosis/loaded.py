@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.anomalies import find_anomalies
+from calibration_core.diagnosis.anomalies import Checked, check_loaded, noise_understated, outlier_readings
 from calibration_core.diagnosis.design import Design
 from calibration_core.diagnosis.extended import Extended, design_at, extend, extended_model, loaded_state
 from calibration_core.diagnosis.finding import Diagnosis, Verdict
@@ -15,9 +15,11 @@ from calibration_core.diagnosis.naming import findings_of
 from calibration_core.diagnosis.noise import Scatter, claimed, directions, scatter, with_noise
 from calibration_core.diagnosis.rest import held_out_error, weighted_rest, what_remains
 from calibration_core.diagnosis.screening import readings_to_use
-from calibration_core.diagnosis.selection import Selection, select
+from calibration_core.diagnosis.selection import NOTHING, Selection, select
 from calibration_core.diagnosis.tested import tested_on
+from calibration_core.identification.estimate import Anomaly, Identification
 from calibration_core.identification.loaded import (
+    SET_ASIDE,
     Options,
     PreparedLoaded,
     identify_prepared,
@@ -70,16 +72,17 @@ def diagnose_loaded(
     options = options or Options()
     prepared = prepare_loaded(readings, cell, options)
     identification = identify_prepared(prepared, cell, options, test)
-    anomalies = find_anomalies(identification)
-    attempt = _search(prepared, cell, options)
+    checked = check_loaded(prepared, loaded_state(prepared.problem, cell, prepared.fit.compliance))
+    attempt = _search(prepared, cell, options, checked)
     extended, selection, seen = attempt.extended, attempt.selection, attempt.seen
     rest = what_remains(extended, seen, identification.noise.claimed, prepared.problem.readings)
+    anomalies = _anomalies(checked, attempt, identification)
     findings = findings_of(extended, selection, identification, readings)
     noise = identification.noise.claimed * seen.total
     joints = prepared.problem.chain.joints
     model = extended_model(prepared.parameters, extended)
     return Diagnosis(
-        verdict=_verdict(bool(findings), rest.significant),
+        verdict=_verdict(bool(findings), rest.significant and checked.usable),
         findings=findings,
         anomalies=anomalies,
         rest=rest,
@@ -113,7 +116,28 @@ def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
     return tuple(candidate for candidate in found if candidate.effect not in FITTED_WITH_FRAMES)
 
 
-def _search(prepared: PreparedLoaded, cell: Cell, options: Options) -> Attempt:
+def _anomalies(checked: Checked, attempt: Attempt, identification: Identification) -> tuple[Anomaly, ...]:
+    extended = attempt.extended
+    readings = extended.problem.readings
+    aside = checked.sound.copy()
+    aside[extended.used] = False
+    length = np.linalg.norm(without_offsets(_kept_rows(extended), extended.raw), axis=1)
+    size = float(length[aside].max(initial=0.0))
+    kinds = {anomaly.kind for anomaly in checked.anomalies}
+    noise = () if kinds & {"loose_target"} else noise_understated(attempt.seen, identification.noise.claimed)
+    notes = tuple(anomaly for anomaly in identification.anomalies if anomaly.kind == "unsettled")
+    return (*checked.anomalies, *noise, *outlier_readings(aside, size, readings), *notes)
+
+
+def _kept_rows(extended: Extended) -> Rows:
+    """Return the rows of all readings in which those not used do not count for the offsets."""
+    rows = extended.problem.linearise(extended.compliance).rows
+    aside = np.ones(len(rows.configuration), dtype=bool)
+    aside[extended.used] = False
+    return dataclasses.replace(rows, noise=rows.noise * np.where(aside, SET_ASIDE, 1.0)[:, None, None])
+
+
+def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Checked) -> Attempt:
     """Select and extend until operating point, readings used and noise stand still.
 
     A strong missing effect spoils all three: the null model's compliances are wrong, good readings look bad under it,
@@ -122,17 +146,18 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options) -> Attempt:
     problem, compliance = prepared.problem, prepared.fit.compliance
     hypotheses = _hypotheses(prepared, cell)
     axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
-    used = np.flatnonzero(prepared.screened.used)
+    sound = np.flatnonzero(checked.sound)
+    used = np.flatnonzero(checked.sound & prepared.screened.used)
     linear = problem.linearise(compliance)
     seen = _seen(linear.rows, linear.residual, problem, axes, used)
     told = seen.freedom > 0
     if not told:
         seen = claimed(max(1.0, float(np.sqrt(prepared.fit.chi2 / max(prepared.fit.freedom, 1)))))
     for remaining in reversed(range(ROUNDS)):
-        attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
+        attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance, usable=checked.usable)
         extended = attempt.extended
         rows = with_noise(linear.rows, problem.readings, seen, axes)
-        kept = readings_to_use(rows, extended.raw) if options.robust else used
+        kept = sound[readings_to_use(rows.select(sound), extended.raw[sound])] if options.robust else sound
         again = _seen(linear.rows, extended.raw, problem, axes, kept) if told else _left(attempt)
         moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
@@ -150,11 +175,13 @@ def _attempt(
     axes: Float3D,
     used: Int1D,
     compliance: Float1D,
+    *,
+    usable: bool,
 ) -> Attempt:
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
-    selection = select(design)
+    selection = select(design) if usable else NOTHING
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     return Attempt(seen, design, selection, extended, _rms(used, prepared))
 

@@ -14,8 +14,10 @@ import dataclasses
 import numpy as np
 
 from calibration_core.identification.offsets import Rows
+from calibration_core.identification.problem import LoadedProblem
+from calibration_core.model.effects.state import State
 from calibration_core.observations.covariance import sight_axes
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
 
 SHARE = 2 / 3  # of the steps of a configuration that smooth functions may take up
 TRUSTED = 30  # degrees of freedom from which on the scatter sets the noise
@@ -219,3 +221,45 @@ def _smooth(level: Float1D) -> Float2D:
         if length > 0.05 * max(float(np.linalg.norm(shape)), 1e-12) and len(basis) < most:
             basis.append(rest / length)
     return np.stack(basis, axis=1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LeftOver:
+    """One configuration's residuals, free of smooth functions of the load.
+
+    Attributes:
+        number: Of the configuration.
+        rest: (l, p, 3) m, flange axes, independent combinations of steps.
+    """
+
+    number: int
+    rest: Float3D
+
+
+def left_over(problem: LoadedProblem, state: State, used: Bool1D) -> list[LeftOver]:
+    """Return what jumps from step to step under the state's compliances.
+
+    Args:
+        problem: All readings.
+        state: Their state.
+        used: (m,) readings to look at; steps at which not all of their points are left do not count.
+    """
+    readings = problem.readings.select(used)
+    residual = problem.linearise(state.compliance).residual[used]
+    axes = np.moveaxis(state.at.flange, -1, 0)[used]
+    local = np.einsum("mia,ma->mi", axes, residual)
+    kinds = np.unique(readings.point)
+    found = []
+    for number in np.unique(readings.configuration):
+        inside = np.flatnonzero(readings.configuration == number)
+        steps = np.unique(readings.step[inside])
+        index = np.full((len(steps), len(kinds)), -1)
+        index[np.searchsorted(steps, readings.step[inside]), np.searchsorted(kinds, readings.point[inside])] = inside
+        index = index[(index >= 0).all(axis=1)]
+        if len(index) < 3:
+            continue
+        smooth = _smooth(_load(readings, index[:, 0]))
+        complement = np.linalg.svd(smooth, full_matrices=True)[0][:, smooth.shape[1] :]
+        if complement.shape[1]:
+            found.append(LeftOver(int(number), np.einsum("sl,spi->lpi", complement, local[index])))
+    return found

@@ -25,6 +25,7 @@ from calibration_core.diagnosis.evidence import (
     posterior,
     profile,
     threshold,
+    visible_size,
     without_kin,
 )
 from calibration_core.diagnosis.kin import are_kin
@@ -36,6 +37,7 @@ WITHIN = 8.0  # nats of the best, to be tried
 LEAST = 6.0  # nats: the threshold is never lower
 EQUIVALENT = 5.0  # nats of the best, to be called indistinguishable
 PLAUSIBLE = 6.0  # typical sizes: an equivalent must not need more
+STANDS_OUT = 2.5  # times the signal-to-noise ratio of the small effects
 SWAP = 0.5  # nats by which a swap must be better
 KIN_SHARE = 0.15  # a later effect of the same kin, this much weaker, is the same cause under another law
 
@@ -76,6 +78,9 @@ class Selection:
     best_rejected: str
 
 
+NOTHING = Selection((), (), 0.0, 0.0, "no physics is searched in this recording")
+
+
 def select(design: Design) -> Selection:
     """Search greedily, with refinement, threshold and gate."""
     base = base_of(design)
@@ -114,11 +119,14 @@ def _first_that_passes(
     for index in order:
         if scores[index] <= limit or scores[index] < best - WITHIN:
             break
-        other = without_kin(several[int(at[index])], int(index))
+        here = several[int(at[index])]
+        if visible_size(here, int(index)) < STANDS_OUT * here.level:
+            continue
+        other = without_kin(here, int(index))
         if passes(log_predictive_density(other), log_predictive_density(other, (int(index),))):
             return int(index), ""
     name = now.design.candidates[int(order[0])].effect
-    return None, f"{name}: log Bayes factor {best:.1f}, but no gain on configurations left out"
+    return None, f"{name}: log Bayes factor {best:.1f}, but no gain on configurations left out, or no larger than many"
 
 
 def _refined(base: Base, accepted: tuple[int, ...], limit: float) -> tuple[int, ...]:

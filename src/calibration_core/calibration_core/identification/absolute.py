@@ -213,9 +213,7 @@ def evaluate_absolute(
     return Evaluated(problem, believed, terms, hidden, choice, ladder, used, screened)
 
 
-def _unfitted_points(
-    terms: list[Term], start: ModelParameters, nominal: ModelParameters
-) -> dict[str, Float2D]:
+def _unfitted_points(terms: list[Term], start: ModelParameters, nominal: ModelParameters) -> dict[str, Float2D]:
     """Put coordinates that no term fits back on their nominal values."""
     fitted = names_of(terms)
     points = {}
@@ -335,8 +333,12 @@ def _exclusions(case: Evaluated, readings: Readings) -> tuple[Exclusion, ...]:
         name = readings.points[readings.point[row]]
         found.append(
             Exclusion(
-                int(readings.configuration[row]), int(readings.step[row]), name, reason,
-                size=float(held_out[row]), times_sigma=float(np.sqrt(screened.squared[row])),
+                int(readings.configuration[row]),
+                int(readings.step[row]),
+                name,
+                reason,
+                size=float(held_out[row]),
+                times_sigma=float(np.sqrt(screened.squared[row])),
             )
         )
     return tuple(found)

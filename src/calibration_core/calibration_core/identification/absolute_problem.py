@@ -81,7 +81,9 @@ def _require_positions(readings: Readings, cell: Cell) -> None:
     path = readings.provenance.path
     if cell.measurements.points == "displacement":
         raise IdentificationError(
-            path, "step", "single steps, and positions relative to step 0 (measurements.points: displacement)",
+            path,
+            "step",
+            "single steps, and positions relative to step 0 (measurements.points: displacement)",
             "several steps per configuration, or absolute positions",
         )
     count = len(np.unique(readings.configuration))
@@ -97,7 +99,9 @@ def _require_positions(readings: Readings, cell: Cell) -> None:
     parameters = 6 + 3 * len(np.unique(readings.point))
     if 3 * len(readings) <= parameters:
         raise IdentificationError(
-            path, "", f"{3 * len(readings)} coordinates",
+            path,
+            "",
+            f"{3 * len(readings)} coordinates",
             f"more than the {parameters} parameters of the tracker pose and the measurement points",
         )
 

@@ -128,21 +128,23 @@ class NormalEquations:
     def __add__(self, other: NormalEquations) -> NormalEquations:
         """Add further readings."""
         return NormalEquations(
-            self.matrix + other.matrix, self.gradient + other.gradient,
-            self.cost + other.cost, self.readings + other.readings,
+            self.matrix + other.matrix,
+            self.gradient + other.gradient,
+            self.cost + other.cost,
+            self.readings + other.readings,
         )
 
     def of(self, chosen: Int1D) -> NormalEquations:
         """Return the equations of some of the parameters, the others held."""
-        return NormalEquations(
-            self.matrix[np.ix_(chosen, chosen)], self.gradient[chosen], self.cost, self.readings
-        )
+        return NormalEquations(self.matrix[np.ix_(chosen, chosen)], self.gradient[chosen], self.cost, self.readings)
 
     def __sub__(self, other: NormalEquations) -> NormalEquations:
         """Take readings out."""
         return NormalEquations(
-            self.matrix - other.matrix, self.gradient - other.gradient,
-            self.cost - other.cost, self.readings - other.readings,
+            self.matrix - other.matrix,
+            self.gradient - other.gradient,
+            self.cost - other.cost,
+            self.readings - other.readings,
         )
 
 

@@ -345,4 +345,3 @@ def cross_into(a: Float2D, b: Float2D, out: Float2D) -> None:
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         np.multiply(a[j], b[k], out=out[i])
         out[i] -= a[k] * b[j]
-

@@ -27,8 +27,14 @@ def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
     return stacked(state.joint_column(joint, state.compliance[joint] * np.clip(torque, -edge, edge)))
 
 
+def _several(state: State, joint: int, of: str) -> Float3D:
+    """A law that softens gradually: zones of all widths, one beside the other."""
+    return np.concatenate([_columns(state, joint, of, width) for width in WIDTHS], axis=2)
+
+
 def _candidates(state: State) -> Iterator[Candidate]:
-    parameter = Parameter("extra_compliance", "1", typical("soft_zone", state.rated_load), positive=True)
+    size = typical("soft_zone", state.rated_load)
+    parameter = Parameter("extra_compliance", "1", size, positive=True)
     for joint, name in enumerate(state.chain.joints):
         if state.compliance[joint] > 0:
             for of in torques(state, joint):
@@ -36,6 +42,11 @@ def _candidates(state: State) -> Iterator[Candidate]:
                     columns = partial(_columns, joint=joint, of=of, width=width)
                     variant = f"{of}, below {100 * width:g} %"
                     yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, (parameter,), columns)
+                several = tuple(
+                    Parameter(f"extra_compliance_{100 * width:g}_percent", "1", size, positive=True) for width in WIDTHS
+                )
+                columns = partial(_several, joint=joint, of=of)
+                yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, f"{of}, gradual", several, columns)
 
 
 EFFECT = Effect(
