@@ -9,6 +9,7 @@ from calibration_core.diagnosis.design import Design
 from calibration_core.diagnosis.extended import Extended
 from calibration_core.diagnosis.finding import Rest
 from calibration_core.diagnosis.noise import Scatter
+from calibration_core.identification.distributions import chi2_tail
 from calibration_core.timeseries import Float1D, Readings
 
 SIGNIFICANT = 0.001
@@ -16,7 +17,9 @@ SMALLEST_EXCESS = 1.04  # of the noise: a smaller rest does not matter, however 
 
 
 def what_remains(extended: Extended, seen: Scatter, claimed: float, readings: Readings) -> Rest:
-    """Test the rest of the extended model against the noise (F test), and say where it is largest.
+    """Test the rest of the extended model against the noise, and say where it is largest.
+
+    F test against the noise that was seen; where none could be seen, chi-square test against the instruments' claim.
 
     Args:
         extended: The extended model.
@@ -26,10 +29,14 @@ def what_remains(extended: Extended, seen: Scatter, claimed: float, readings: Re
     """
     design = extended.design
     rest, ratio, freedom = weighted_rest(extended)
-    sigma = claimed * seen.total
-    excess = sigma * float(np.sqrt(max(ratio - 1, 0.0)))
     trusted = seen.freedom > 0
-    beyond = trusted and float(f_distribution.sf(ratio, freedom, seen.freedom)) < SIGNIFICANT
+    if trusted:
+        sigma, tail = claimed * seen.total, float(f_distribution.sf(ratio, freedom, seen.freedom))
+    else:  # nothing but the claim to compare with
+        ratio *= seen.total**2
+        sigma, tail = claimed, chi2_tail(ratio * freedom, freedom)
+    beyond = tail < SIGNIFICANT
+    excess = sigma * float(np.sqrt(max(ratio - 1, 0.0)))
     if not (beyond and np.sqrt(ratio) > SMALLEST_EXCESS):
         return Rest(excess, False, {}, "The rest agrees with the noise.")
     per = {int(k): float(np.mean(rest[design.configuration == k] ** 2)) for k in np.unique(design.configuration)}
@@ -43,6 +50,8 @@ def what_remains(extended: Extended, seen: Scatter, claimed: float, readings: Re
         f"A rest of {1e6 * excess:.1f} µm per coordinate beyond the noise is not explained by the catalogue; largest "
         f"in configurations {', '.join(str(int(numbers[k])) for k in worst)}."
     )
+    if not trusted:
+        text += " Steps are too few to see the noise itself: it may be larger than claimed, or physics is missing."
     return Rest(excess, True, where, text)
 
 
