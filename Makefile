@@ -11,6 +11,7 @@ JOBS ?= 2
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
+STILL := src/calibration_core/test src/calibration_sim/test test
 LIVE := src/calibration/test test/ros/test_ros_end_to_end.py
 # Published; for development other seeds were used.
 PROVE_SEED ?= 20261
@@ -39,11 +40,11 @@ lint: setup
 
 # Tests of live nodes measure time: they run alone, the others share the cores.
 test: lint
-	@$(PYTEST) -n $(JOBS) -m "not slow" --ignore=src/calibration/test --ignore=test/ros
+	@$(PYTEST) -n $(JOBS) -m "not slow" $(STILL) --ignore=test/ros
 	@$(PYTEST) -m "not slow" $(LIVE)
 
 prove: setup
-	@$(PYTEST) -m slow --ignore=test/ros
+	@$(PYTEST) -m slow $(STILL) src/calibration/test --ignore=test/ros
 	@$(PYTEST) test/ros
 	@$(BIN)/calibration-prove --seed $(PROVE_SEED) --out build/prove/$(PROVE_SEED) --jobs $(JOBS) --batch
 
