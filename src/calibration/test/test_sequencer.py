@@ -112,7 +112,9 @@ class Operator:
 
 @pytest.fixture
 def world(spinning: Any) -> Iterator[World]:
-    return World(spinning)
+    one = World(spinning)
+    yield one
+    one.tracker.destroy()  # else it is found by the next test
 
 
 @pytest.fixture
