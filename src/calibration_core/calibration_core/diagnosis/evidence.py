@@ -24,6 +24,7 @@ from calibration_core.diagnosis.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.kin import are_kin
 from calibration_core.timeseries import Float1D, Float2D
 
+NOISE_ALONE = (0.0,)  # where the noise is what the model leaves, small effects are part of it
 LEVELS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5)
 SAMPLES = 500
 FALSE_ALARM = 0.01
@@ -111,9 +112,11 @@ def without_kin(f: Field, candidate: int) -> Field:
     return dataclasses.replace(f, weights=weights)
 
 
-def fields(base: Base, accepted: tuple[int, ...], kin: Float1D | None = None) -> tuple[Field, ...]:
+def fields(
+    base: Base, accepted: tuple[int, ...], kin: Float1D | None = None, levels: tuple[float, ...] = LEVELS
+) -> tuple[Field, ...]:
     """Set up the fields at all levels."""
-    return tuple(field(base, accepted, level, kin) for level in LEVELS)
+    return tuple(field(base, accepted, level, kin) for level in levels)
 
 
 def best_field(several: tuple[Field, ...]) -> Field:

@@ -36,7 +36,8 @@ class Extended:
         rows: Grouping and noise as seen, of the readings used.
         design: Whitened there.
         accepted: Candidates in the model.
-        compliance: (n,) rad/(N*m).
+        base_compliance: (n,) rad/(N*m), about which the design is linear.
+        compliance: (n,) rad/(N*m), fitted.
         compliance_std: (n,).
         value: (p,) parameters of the accepted candidates.
         std: (p,) their standard deviations.
@@ -51,6 +52,7 @@ class Extended:
     rows: Rows
     design: Design
     accepted: tuple[int, ...]
+    base_compliance: Float1D
     compliance: Float1D
     compliance_std: Float1D
     value: Float1D
@@ -161,6 +163,7 @@ def extend(
         rows=rows,
         design=whole,
         accepted=accepted,
+        base_compliance=compliance,
         compliance=np.clip(compliance + final[:n], 0.0, None),
         compliance_std=std[:n],
         value=final[n:],

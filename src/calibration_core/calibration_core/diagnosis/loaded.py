@@ -9,10 +9,13 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.anomalies import Checked, check_loaded, noise_understated, outlier_readings
 from calibration_core.diagnosis.design import Design
+from calibration_core.diagnosis.evidence import LEVELS, NOISE_ALONE
 from calibration_core.diagnosis.extended import Extended, design_at, extend, extended_model, loaded_state
 from calibration_core.diagnosis.finding import Diagnosis, Verdict
+from calibration_core.diagnosis.held_out import held_out_errors, lengths
 from calibration_core.diagnosis.naming import findings_of
 from calibration_core.diagnosis.noise import Scatter, claimed, directions, scatter, with_noise
+from calibration_core.diagnosis.registration import registration_findings
 from calibration_core.diagnosis.rest import held_out_error, weighted_rest, what_remains
 from calibration_core.diagnosis.screening import readings_to_use
 from calibration_core.diagnosis.selection import NOTHING, Selection, select
@@ -41,6 +44,7 @@ ALIASES = (
     "A gravity compensator acts like a stiffness of joint 2 that follows its angle.",
     "Rocking of the base acts like an off-axis compliance of joint 1.",
 )
+FRAMES_SPOILED = frozenset({"wrong_robot_file", "target_moved", "tracker_moved"})
 FITTED_WITH_FRAMES = ("tracker_frame_misalignment", "measurement_point_offset")
 
 
@@ -78,6 +82,9 @@ def diagnose_loaded(
     rest = what_remains(extended, seen, identification.noise.claimed, prepared.problem.readings)
     anomalies = _anomalies(checked, attempt, identification)
     findings = findings_of(extended, selection, identification, readings)
+    if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
+        registered = registration_findings(prepared, cell, extended.state, readings)
+        findings = tuple(sorted((*findings, *registered), key=lambda finding: -finding.magnitude))
     noise = identification.noise.claimed * seen.total
     joints = prepared.problem.chain.joints
     model = extended_model(prepared.parameters, extended)
@@ -105,6 +112,7 @@ def diagnose_loaded(
         test=None if test is None else tested_on(test, cell, prepared.problem.chain, prepared.fit.compliance, model),
         model=model,
         aliases=ALIASES,
+        further_figures=_held_out_lengths(extended, cell),
     )
 
 
@@ -114,6 +122,17 @@ def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
     if prepared.frames is None:
         return found
     return tuple(candidate for candidate in found if candidate.effect not in FITTED_WITH_FRAMES)
+
+
+def _held_out_lengths(extended: Extended, cell: Cell) -> dict[str, float]:
+    """Return mean and largest length of the prediction error of configurations left out, before and after, m."""
+    displacement = cell.measurements.points == "displacement"
+    figures = {}
+    for name, accepted in (("before", ()), ("after", extended.accepted)):
+        length = lengths(*held_out_errors(extended, accepted, displacement=displacement))
+        figures[f"held_out_mean_{name}"] = float(length.mean())
+        figures[f"held_out_max_{name}"] = float(length.max())
+    return figures
 
 
 def _anomalies(checked: Checked, attempt: Attempt, identification: Identification) -> tuple[Anomaly, ...]:
@@ -181,7 +200,7 @@ def _attempt(
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
-    selection = select(design) if usable else NOTHING
+    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE) if usable else NOTHING
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     return Attempt(seen, design, selection, extended, _rms(used, prepared))
 

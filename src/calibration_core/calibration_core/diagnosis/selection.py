@@ -14,6 +14,7 @@ import numpy as np
 from calibration_core.diagnosis.cross_validation import log_predictive_density, passes
 from calibration_core.diagnosis.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.evidence import (
+    LEVELS,
     Base,
     Field,
     base_of,
@@ -81,13 +82,18 @@ class Selection:
 NOTHING = Selection((), (), 0.0, 0.0, "no physics is searched in this recording")
 
 
-def select(design: Design) -> Selection:
-    """Search greedily, with refinement, threshold and gate."""
+def select(design: Design, levels: tuple[float, ...] = LEVELS) -> Selection:
+    """Search greedily, with refinement, threshold and gate.
+
+    Args:
+        design: The whitened model.
+        levels: Of the small effects, to choose from.
+    """
     base = base_of(design)
     accepted: tuple[int, ...] = ()
     rejected, limit = "nothing came near the threshold", 0.0
     while True:
-        several = fields(base, accepted, law_share(base, accepted))
+        several = fields(base, accepted, law_share(base, accepted), levels)
         now = best_field(several)
         scores, at = profile(several)
         _close_taken(design, scores, accepted)
@@ -95,7 +101,7 @@ def select(design: Design) -> Selection:
         found, rejected = _first_that_passes(several, now, scores, at, limit)
         if found is None or len(accepted) == MOST:
             break
-        refined = _refined(base, (*accepted, found), limit)
+        refined = _refined(base, (*accepted, found), limit, levels)
         if set(refined) == set(accepted):
             break
         accepted = refined
@@ -129,7 +135,7 @@ def _first_that_passes(
     return None, f"{name}: log Bayes factor {best:.1f}, but no gain on configurations left out, or no larger than many"
 
 
-def _refined(base: Base, accepted: tuple[int, ...], limit: float) -> tuple[int, ...]:
+def _refined(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]) -> tuple[int, ...]:
     """Swap each accepted candidate for a better one, given the others; drop what falls below the threshold."""
     for _ in range(3):
         changed = False
@@ -137,7 +143,7 @@ def _refined(base: Base, accepted: tuple[int, ...], limit: float) -> tuple[int, 
         while position < len(accepted):
             current = accepted[position]
             others = accepted[:position] + accepted[position + 1 :]
-            several = fields(base, others, law_share(base, others))
+            several = fields(base, others, law_share(base, others), levels)
             scores, _ = profile(several)
             kept = scores[current]
             _close_taken(base.design, scores, others)
