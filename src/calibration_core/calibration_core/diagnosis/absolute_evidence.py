@@ -23,6 +23,7 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 LEAST_REST = 0.05  # share of a column's length that the model must leave
 FLIPS = 100
+BEST = 40  # candidates judged in full where the thresholds are known
 FALSE_ALARM = 0.01
 SEED = 17384
 SPARE_BLOCKS = 3  # more than parameters
@@ -103,6 +104,7 @@ def evidence(
     accepted: Sequence[int],
     partitions: Sequence[Blocks],
     known: dict[str, float] | None = None,
+    watched: int | None = None,
 ) -> Evidence:
     """Score every candidate.
 
@@ -110,7 +112,9 @@ def evidence(
         design: The linear model.
         accepted: Candidates that are part of the model.
         partitions: Of the design's readings, into blocks.
-        known: Thresholds found before, which hardly change from round to round; None to draw them.
+        known: Thresholds found before, which hardly change from round to round; None to draw them.  With them only the
+            candidates with the best plain evidence are judged in full, which is where time goes.
+        watched: A candidate to be judged in any case.
     """
     at = project(design, accepted)
     count = len(design.candidates)
@@ -119,12 +123,16 @@ def evidence(
     for index in at.judged:
         own = at.columns[:, design.blocks[index]]
         plain[index] = _white(own.T @ own / variance, own.T @ at.residual / variance)
+    judged = list(at.judged)
+    if known is not None:
+        best = sorted(judged, key=lambda i: (-plain[i], i))[:BEST]
+        judged = sorted({*best, *(i for i in judged if i == watched)})
     robust: dict[str, Float1D] = {}
     limit: dict[str, float] = {}
     for partition in partitions:
         scores = np.full(count, -np.inf)
         largest = np.full(FLIPS, -np.inf)
-        for members in _batches(design, at.judged):
+        for members in _batches(design, judged):
             k = len(design.candidates[members[0]].parameters)
             if partition.count < k + SPARE_BLOCKS:
                 continue

@@ -134,7 +134,7 @@ def _alternatives(
         return ()
     index = members[0]
     others = tuple(i for i in accepted if i != index)
-    scores = evidence(design, others, partitions, dict.fromkeys((p.kind for p in partitions), 0.0))
+    scores = evidence(design, others, partitions, dict.fromkeys((p.kind for p in partitions), 0.0), index)
     scale = min(scores.weakest(index) / scores.plain[index], 1.0) if scores.plain[index] > 0 else 1.0
     best: dict[object, Alternative] = {}
     for i in np.argsort(-scores.plain, kind="stable"):

@@ -23,6 +23,7 @@ LEAST_SHARE = 0.03  # of the null model's squared error on blocks left out, that
 TRIED = 5  # candidates per round that may try
 SWAP = 0.5  # nats of plain evidence by which a swap must be better
 ROUNDS = 4  # of refinement
+REDRAWN = 3  # rounds after which the thresholds are drawn anew
 Control = Callable[[AbsoluteDesign, tuple[int, ...], int], str]
 
 
@@ -66,7 +67,8 @@ def select_absolute(
             break
         accepted, limits, stopped = search.grow(refined)
     accepted = search.without_small(accepted)
-    scores = tuple(evidence(design, _without(accepted, index), partitions, limits).weakest(index) for index in accepted)
+    beside = [evidence(design, _without(accepted, index), partitions, limits, index) for index in accepted]
+    scores = tuple(found.weakest(index) for found, index in zip(beside, accepted, strict=True))
     return AbsoluteSelection(
         accepted, scores, max(limits.values()), tuple(search.refused), tuple(search.small.values()), stopped
     )
@@ -88,8 +90,13 @@ class _Search:
 
     def grow(self, accepted: tuple[int, ...]) -> tuple[tuple[int, ...], dict[str, float], str]:
         """Add candidates one at a time until none passes or there is no room."""
+        limits: dict[str, float] | None = None
+        turn = 0
         while True:
-            scores = evidence(self.design, accepted, self.partitions)
+            known = limits if turn % REDRAWN else None
+            scores = evidence(self.design, accepted, self.partitions, known)
+            limits = scores.limit
+            turn += 1
             order = [int(i) for i in np.argsort(-scores.plain, kind="stable") if self._open(scores, int(i))]
             fitting = [i for i in order if self._fits(accepted, i)]
             if not order:
@@ -106,7 +113,7 @@ class _Search:
         """Swap every accepted candidate for a better one beside the others, or drop it."""
         for index in accepted:
             others = _without(accepted, index)
-            scores = evidence(self.design, others, self.partitions, limits)
+            scores = evidence(self.design, others, self.partitions, limits, index)
             open_ones = np.array([self._open(scores, i) for i in range(len(scores.plain))])
             best = int(np.argmax(np.where(open_ones, scores.plain, -np.inf)))
             better = best != index and open_ones[best] and scores.plain[best] > scores.plain[index] + SWAP

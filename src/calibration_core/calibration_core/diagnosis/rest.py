@@ -13,6 +13,7 @@ from calibration_core.identification.distributions import chi2_tail
 from calibration_core.timeseries import Float1D, Readings
 
 SIGNIFICANT = 0.001
+ODD = 1e-4  # chance that a clean recording holds any configuration that is called odd
 SMALLEST_EXCESS = 1.04  # of the noise: a smaller rest does not matter, however certain
 
 
@@ -35,9 +36,10 @@ def what_remains(extended: Extended, seen: Scatter, claimed: float, readings: Re
     else:  # nothing but the claim to compare with
         ratio *= seen.total**2
         sigma, tail = claimed, chi2_tail(ratio * freedom, freedom)
-    beyond = tail < SIGNIFICANT
     excess = sigma * float(np.sqrt(max(ratio - 1, 0.0)))
-    if not (beyond and np.sqrt(ratio) > SMALLEST_EXCESS):
+    everywhere = tail < SIGNIFICANT and np.sqrt(ratio) > SMALLEST_EXCESS
+    odd = odd_configurations(rest, design, seen) if trusted else []
+    if not everywhere and not odd:
         return Rest(excess, False, {}, "The rest agrees with the noise.")
     per = {int(k): float(np.mean(rest[design.configuration == k] ** 2)) for k in np.unique(design.configuration)}
     numbers = np.unique(readings.configuration)
@@ -50,9 +52,29 @@ def what_remains(extended: Extended, seen: Scatter, claimed: float, readings: Re
         f"A rest of {1e6 * excess:.1f} µm per coordinate beyond the noise is not explained by the catalogue; largest "
         f"in configurations {', '.join(str(int(numbers[k])) for k in worst)}."
     )
+    if not everywhere:
+        listed = ", ".join(str(int(numbers[k])) for k in odd)
+        text = (
+            f"Configurations {listed} do not agree with the model within the noise, the others do: repeat them; a "
+            "slip, a contact or a jump is more likely than physics of the robot."
+        )
+        where = {"configurations": [int(numbers[k]) for k in odd]}
     if not trusted:
         text += " Steps are too few to see the noise itself: it may be larger than claimed, or physics is missing."
     return Rest(excess, True, where, text)
+
+
+def odd_configurations(rest: Float1D, design: Design, seen: Scatter) -> list[int]:
+    """Return the indices of configurations whose rest is too large for the noise, by themselves, worst first."""
+    numbers = np.unique(design.configuration)
+    chances = {}
+    for k in numbers:
+        inside = design.configuration == k
+        used_up = design.n / len(numbers)
+        freedom = max(float(inside.sum()) - used_up, 1.0)
+        power = float(rest[inside] @ rest[inside]) / freedom
+        chances[int(k)] = float(f_distribution.sf(power, freedom, seen.freedom))
+    return sorted((k for k in chances if chances[k] * len(numbers) < ODD), key=lambda k: chances[k])
 
 
 def weighted_rest(extended: Extended) -> tuple[Float1D, float, int]:

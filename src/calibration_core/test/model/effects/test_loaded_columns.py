@@ -1,0 +1,303 @@
+"""Columns of the effects on loaded readings against independent computations: turned frames, beams, sensors."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from calibration_core.model.chain import Chain, rotation_rpy, rotation_z
+from calibration_core.model.effects import candidates
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.kinematics import posture
+from calibration_core.model.statics import Load
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+
+N, M = 6, 36
+STEPS = 4
+ROWS = ((0.35, -np.pi / 2, 0.75), (1.25, 0.0, 0.0), (0.041, -np.pi / 2, 0.0),
+        (0.0, np.pi / 2, 1.1), (0.0, -np.pi / 2, 0.0), (0.0, 0.0, 0.23))  # fmt: skip
+COMPLIANCE = 1 / np.array([1.4e6, 4.0e6, 9.4e5, 3.6e5, 3.7e5, 3.8e5])
+SENSOR = rotation_rpy(0.1, -0.2, 0.4)
+WRENCH_POINT = np.array([0.1, -0.05, 0.25])
+TIP = np.array([0.15, 0.05, 0.3])
+SMALL = 1e-6
+
+
+def a_chain() -> Chain:
+    """Return a robot of the 240 kg class without masses."""
+    from calibration_core.model.chain import rotation_x
+
+    carried_r, carried_t = np.eye(3), np.zeros(3)
+    rotation, translation = np.empty((N, 3, 3)), np.empty((N, 3))
+    for i, (a, alpha, d) in enumerate(ROWS):
+        rotation[i], translation[i] = carried_r, carried_t
+        carried_r, carried_t = rotation_x(alpha), np.array([a, 0.0, d])
+    return Chain(
+        joints=tuple(f"joint_{i + 1}" for i in range(N)), rotation=rotation, translation=translation,
+        offset=np.zeros(N), flange_rotation=carried_r, flange_translation=carried_t,
+        limits=np.tile([-3.0, 3.0], (N, 1)), gravity=np.array([0.0, 0.0, -9.81]),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    return a_chain()
+
+
+@pytest.fixture(scope="module")
+def readings() -> tuple[Float2D, Float2D]:
+    """Return angles (M, 6) and wrenches (M, 6): nine configurations of four steps."""
+    rng = np.random.default_rng(3)
+    q = np.repeat(rng.uniform(-1.2, 1.2, (M // STEPS, N)), STEPS, axis=0)
+    pull = np.repeat(rng.normal(size=(M // STEPS, 6)) * [900, 900, 900, 150, 150, 150], STEPS, axis=0)
+    return q, pull * np.tile([0.0, 0.5, 1.0, 0.5], M // STEPS)[:, None]
+
+
+def load(wrench: Float2D) -> Load:
+    return Load(wrench[:, :3].T, wrench[:, 3:].T, WRENCH_POINT, SENSOR)
+
+
+def state(chain: Chain, q: Float2D, wrench: Float2D, compliance: Float1D = COMPLIANCE, tip: Float1D = TIP) -> State:
+    return state_of(
+        chain, q, compliance, load(wrench), np.tile(tip[:, None], (1, M)),
+        point_index=np.zeros(M, dtype=np.int64), wrench=wrench, configuration=np.repeat(np.arange(M // STEPS), STEPS),
+        step=np.tile(np.arange(STEPS), M // STEPS), time=np.arange(M) * 5.0, temperature=np.full(M, 20.0),
+        tracker=np.eye(4), rated_load=240.0,
+    )  # fmt: skip
+
+
+def chosen(state: State, effect: str, variant: str, **location: object) -> Candidate:
+    found = [c for c in candidates(state) if c.effect == effect and c.variant == variant]
+    found = [c for c in found if all(c.location.get(key) == value for key, value in location.items())]
+    assert len(found) == 1, [(c.effect, dict(c.location), c.variant) for c in found]
+    return found[0]
+
+
+def point(chain: Chain, q: Float1D, place: Float1D = TIP) -> Float1D:
+    return posture(chain, q[None]).point(place)[:, 0]
+
+
+def hinged(chain: Chain, joint: int, turn: Float2D) -> Chain:
+    """Return the chain with a rotation before a joint, in the frame before it."""
+    rotation = chain.rotation.copy()
+    rotation[joint] = rotation[joint] @ turn
+    return dataclasses.replace(chain, rotation=rotation)
+
+
+def spring(chain: Chain, q: Float1D, wrench: Float1D, turned: Callable[[float], Chain], place: Float1D) -> Float1D:
+    """Return the movement of `place` per unit compliance of a hinge, by virtual work and finite differences."""
+    both = [posture(turned(s * SMALL), q[None]) for s in (1, -1)]
+    axes = posture(chain, q[None]).flange
+    to_base = np.stack([axes[k][:, 0] for k in range(3)], axis=1) @ SENSOR
+    force, moment = to_base @ wrench[:3], to_base @ wrench[3:]
+    lever = (both[0].point(WRENCH_POINT) - both[1].point(WRENCH_POINT))[:, 0] / (2 * SMALL)
+    frames = [np.stack([p.flange[k][:, 0] for k in range(3)], axis=1) for p in both]
+    spin = (frames[0] - frames[1]) / (2 * SMALL) @ frames[0].T
+    axis = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
+    torque = lever @ force + axis @ moment
+    return torque * (both[0].point(place) - both[1].point(place))[:, 0] / (2 * SMALL)
+
+
+STIFF = np.full(N, 1e-16)  # so that the deformed and the nominal posture are the same
+
+
+@pytest.mark.parametrize("joint", range(N))
+def test_off_axis_springs_turn_the_frame_before_the_joint(chain: Chain, readings: tuple, joint: int) -> None:
+    q, wrench = readings
+    columns = chosen(state(chain, q, wrench, STIFF), "off_axis_compliance", "before", joint=f"joint_{joint + 1}")
+    seen = columns.columns(state(chain, q, wrench, STIFF))
+    for k, turn in enumerate((lambda a: rotation_rpy(a, 0, 0), lambda a: rotation_rpy(0, a, 0))):
+        for row in (1, 10, 26):
+            expected = spring(chain, q[row], wrench[row], lambda a, t=turn: hinged(chain, joint, t(a)), TIP)
+            np.testing.assert_allclose(seen[row, :, k], expected, rtol=1e-5, atol=1e-4)
+
+
+def test_principal_directions_that_are_turned_are_a_sum_of_the_three_columns(chain: Chain, readings: tuple) -> None:
+    q, wrench = readings
+    here = state(chain, q, wrench, STIFF)
+    columns = chosen(here, "off_axis_compliance", "before", joint="joint_2").columns(here)
+    angle, c1, c2 = 0.4, 3e-7, 1e-7
+    r = rotation_z(angle)[:2, :2]
+    matrix = r @ np.diag([c1, c2]) @ r.T
+    for row in (2, 14):
+        expected = sum(
+            c * spring(chain, q[row], wrench[row], lambda a, f=f: hinged(
+                chain, 1, rotation_z(f) @ rotation_rpy(a, 0, 0) @ rotation_z(-f)), TIP)
+            for c, f in ((c1, angle), (c2, angle + np.pi / 2))
+        )  # fmt: skip
+        seen = columns[row] @ [matrix[0, 0], matrix[1, 1], matrix[0, 1]]
+        np.testing.assert_allclose(seen, expected, rtol=1e-5, atol=1e-11)
+
+
+def test_rocking_of_the_base_is_an_off_axis_compliance_of_the_first_joint(chain: Chain, readings: tuple) -> None:
+    here = state(chain, *readings, STIFF)
+    base = chosen(here, "base_compliance", "rocking").columns(here)
+    first = chosen(here, "off_axis_compliance", "before", joint="joint_1").columns(here)
+    np.testing.assert_allclose(base, first, atol=1e-9)
+
+
+def test_tool_springs_turn_the_flange(chain: Chain, readings: tuple) -> None:
+    q, wrench = readings
+    here = state(chain, q, wrench, STIFF)
+    columns = chosen(here, "tool_compliance", "six springs").columns(here)
+    for k, turn in enumerate((lambda a: rotation_rpy(a, 0, 0), lambda a: rotation_rpy(0, a, 0), rotation_z)):
+
+        def turned(a: float, t: Callable = turn) -> Chain:
+            return dataclasses.replace(chain, flange_rotation=chain.flange_rotation @ t(a))
+
+        expected = spring(chain, q[6], wrench[6], turned, TIP)
+        np.testing.assert_allclose(columns[6, :, k], expected, rtol=1e-5, atol=1e-4)
+    slides = columns[6, :, 3:].sum(axis=1)  # the same spring in all directions: along the force
+    np.testing.assert_allclose(slides, here.force[:, 6], rtol=1e-9)
+
+
+def test_a_link_bends_as_a_beam_clamped_at_its_joint(chain: Chain, readings: tuple) -> None:
+    """A point force F at the tip of a cantilever of length L and stiffness EI: deflection F L^3/3EI."""
+    q, wrench = readings
+    at = posture(chain, q)
+    here = state(chain, q, wrench, STIFF)
+    end, start = at.origin[2], at.origin[1]
+    length = np.linalg.norm(end - start, axis=0)
+    force = np.cross((end - start).T, [0.3, -0.5, 0.8]).T
+    force = 1000 * force / np.linalg.norm(force, axis=0)
+    pulled = dataclasses.replace(here, force=force, moment=np.zeros((3, M)), where=end, point=end)
+    tube = chosen(here, "link_bending", "tube", link="link_2").columns(pulled)[:, :, 0]
+    np.testing.assert_allclose(tube, (force * length**3 / 3).T, rtol=1e-9, atol=1e-6)
+
+
+def numeric(chain: Chain, q: Float2D, law: Callable[[Float2D], Float2D], wrench: Float2D) -> Float2D:
+    """Return the points with joints that deflect by C tau plus a law of the torques, solved to equilibrium."""
+    extra = np.zeros((N, M))
+    for _ in range(30):
+        rest = solve_equilibrium(chain, q + extra.T, COMPLIANCE, load(wrench))
+        extra = law(rest.torque)
+    return rest.at.point(np.tile(TIP[:, None], (1, M))).T
+
+
+@pytest.mark.parametrize(
+    ("effect", "variant", "joint", "law"),
+    [
+        ("nonlinear_stiffness", "load torque", 1, lambda t, r: -COMPLIANCE[1] * t * (t / r) ** 2),
+        ("soft_zone", "load torque, below 13 %", 4, lambda t, r: COMPLIANCE[4] * np.clip(t, -0.13 * r, 0.13 * r)),
+        ("backlash", "load torque, within 2 %", 0, lambda t, r: np.clip(t / (0.02 * r), -1, 1) / 2),
+    ],
+)
+def test_joint_laws_move_the_points_as_their_equilibrium_does(
+    chain: Chain, readings: tuple, effect: str, variant: str, joint: int, law: Callable
+) -> None:
+    q, wrench = readings
+    here = state(chain, q, wrench)
+    largest = float(np.abs(here.load_torque[joint]).max())
+    size = 1e-4 if effect != "backlash" else 1e-8
+
+    def extra(torque: Float2D) -> Float2D:
+        result = np.zeros((N, M))
+        result[joint] = size * law(torque[joint], largest)
+        return result
+
+    plain = numeric(chain, q, np.zeros_like, wrench)
+    expected = (numeric(chain, q, extra, wrench) - plain) / size
+    candidate = chosen(here, effect, variant, joint=f"joint_{joint + 1}")
+    seen = candidate.columns(here)[:, :, 0]
+    np.testing.assert_allclose(seen, expected, atol=2e-3 * np.abs(expected).max())
+    assert np.abs(expected).max() > 0
+
+
+def test_coupling_and_pose_dependence_move_the_points_as_their_equilibrium_does(chain: Chain, readings: tuple) -> None:
+    q, wrench = readings
+    here = state(chain, q, wrench)
+    plain = numeric(chain, q, np.zeros_like, wrench)
+
+    def coupled(torque: Float2D) -> Float2D:
+        result = np.zeros((N, M))
+        result[3], result[4] = 1e-9 * torque[4], 1e-9 * torque[3]
+        return result
+
+    def modulated(torque: Float2D) -> Float2D:
+        result = np.zeros((N, M))
+        result[2] = 1e-3 * np.sin(q[:, 2]) * COMPLIANCE[2] * torque[2]
+        return result
+
+    coupling = chosen(here, "joint_coupling", "symmetric", joints=("joint_4", "joint_5")).columns(here)[:, :, 0]
+    expected = (numeric(chain, q, coupled, wrench) - plain) / 1e-9
+    np.testing.assert_allclose(coupling, expected, atol=2e-3 * np.abs(expected).max())
+    sine = chosen(here, "pose_dependent_stiffness", "one turn", joint="joint_3").columns(here)[:, :, 1]
+    expected = (numeric(chain, q, modulated, wrench) - plain) / 1e-3
+    np.testing.assert_allclose(sine, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def sensed(chain: Chain, q: Float2D, wrench: Float2D) -> Float3D:
+    rest = solve_equilibrium(chain, q, COMPLIANCE, load(wrench))
+    return rest.at.point(np.tile(TIP[:, None], (1, M))).T
+
+
+def test_sensor_errors_move_the_prediction_as_a_perturbed_wrench_does(chain: Chain, readings: tuple) -> None:
+    q, wrench = readings
+    here = state(chain, q, wrench)
+    plain, size = sensed(chain, q, wrench), 1e-4
+    cases = {
+        ("wrench_gain", "forces", 1): wrench * (1 + size * np.array([0, 1, 0, 0, 0, 0])),
+        ("wrench_frame_misalignment", "small rotation", 2): np.hstack(
+            [part @ rotation_z(size).T for part in (wrench[:, :3], wrench[:, 3:])]
+        ),
+        ("wrench_point_offset", "lever arm", 0): wrench
+        + np.hstack([np.zeros((M, 3)), size * np.cross([1, 0, 0], wrench[:, :3])]),
+        ("wrench_drift", "linear in time", 2): wrench - size * here.time[:, None] * np.array([0, 0, 1, 0, 0, 0]),
+    }
+    for (effect, variant, column), other in cases.items():
+        expected = (sensed(chain, q, other) - plain) / size
+        seen = chosen(here, effect, variant).columns(here)[:, :, column]
+        np.testing.assert_allclose(seen, expected, atol=2e-3 * np.abs(expected).max(), err_msg=effect)
+    crossed = chosen(here, "wrench_crosstalk", "all axes")
+    names = [p.name for p in crossed.parameters]
+    other = wrench + size * np.outer(wrench[:, 0], [0, 0, 0, 0, 1, 0])
+    expected = (sensed(chain, q, other) - plain) / size
+    np.testing.assert_allclose(
+        crossed.columns(here)[:, :, names.index("fx_to_ty")], expected, atol=2e-3 * np.abs(expected).max()
+    )
+
+
+def test_a_wrong_zero_changes_the_deflection_as_a_turned_joint_does(chain: Chain, readings: tuple) -> None:
+    q, wrench = readings
+    here = state(chain, q, wrench)
+    for joint in (1, 3):
+        other = q + SMALL * np.eye(N)[joint]
+        moved = (sensed(chain, other, wrench) - sensed(chain, q, wrench)) / SMALL
+        expected = here.since_step_zero(moved)
+        seen = chosen(here, "joint_zero_offset", "zero", joint=f"joint_{joint + 1}").columns(here)[:, :, 0]
+        np.testing.assert_allclose(seen, expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_a_wrong_lever_arm_shows_by_the_rotation_of_the_tool(chain: Chain, readings: tuple) -> None:
+    q, wrench = readings
+    here, other = state(chain, q, wrench), state(chain, q, wrench, tip=TIP + SMALL * np.array([0.0, 1.0, 0.0]))
+    expected = here.since_step_zero((other.point - here.point).T) / SMALL
+    seen = chosen(here, "measurement_point_offset", "one point", point="#0").columns(here)[:, :, 1]
+    np.testing.assert_allclose(seen, expected, atol=1e-5 * np.abs(expected).max() + 1e-9)
+
+
+def test_memory_opens_a_loop_between_loading_and_unloading_and_creep_goes_on(chain: Chain, readings: tuple) -> None:
+    here = state(chain, *readings)
+    friction = chosen(here, "hysteresis", "virgin start", joint="joint_2").columns(here)
+    up, down = np.arange(1, M, STEPS), np.arange(3, M, STEPS)  # the same load, before and after the largest
+    np.testing.assert_allclose(here.load_torque[1][up], here.load_torque[1][down], rtol=1e-3)
+    moved = np.linalg.norm((friction[down] - friction[up]).sum(axis=2), axis=1)
+    assert np.all(moved[np.abs(here.load_torque[1][up]) > 10] > 0)
+    creeping = chosen(here, "creep", "30 s", joint="joint_2").columns(here)[:, :, 0]
+    assert np.all(creeping[::STEPS] == 0)
+    last, turned = creeping[up], creeping[down]
+    loud = np.abs(here.load_torque[1][up]) > 0.1 * np.abs(here.load_torque[1]).max()
+    assert np.all(np.linalg.norm(turned, axis=1)[loud] > np.linalg.norm(last, axis=1)[loud])
+
+
+def test_nothing_but_compliances_and_clearances_is_held_positive(chain: Chain, readings: tuple) -> None:
+    for candidate in candidates(state(chain, *readings)):
+        for parameter in candidate.parameters:
+            assert parameter.typical > 0
+            if parameter.positive:
+                assert candidate.family in {"structure", "joint law"}
