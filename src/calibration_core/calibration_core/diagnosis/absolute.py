@@ -241,18 +241,7 @@ def predict_extended(
     )
     state = absolute_state(problem, extended.parameters, readings, cell)
     after = problem.residual(extended.parameters).T - extended.shift(state, physics)
-    nominal = problem.residual(before).T
-    lengths = np.linalg.norm(after, axis=1)
-    return TestResult(
-        file=readings.provenance.path,
-        sha256=readings.provenance.sha256,
-        readings=len(readings),
-        rms=_rms(after),
-        mean=float(lengths.mean()),
-        maximum=float(lengths.max()),
-        rms_before=_rms(nominal),
-        mean_before=float(np.linalg.norm(nominal, axis=1).mean()),
-    )
+    return TestResult.of(readings, after, problem.residual(before).T)
 
 
 def _select(

@@ -155,18 +155,7 @@ def predict_absolute(
         before: What the cell file predicts.
     """
     problem = absolute_problem(readings, cell, chain, before, position_covariance(readings, cell))
-    after, nominal = problem.residual(parameters), problem.residual(before)
-    lengths = np.linalg.norm(after, axis=0)
-    return TestResult(
-        file=readings.provenance.path,
-        sha256=readings.provenance.sha256,
-        readings=len(readings),
-        rms=_rms(after),
-        mean=float(lengths.mean()),
-        maximum=float(lengths.max()),
-        rms_before=_rms(nominal),
-        mean_before=float(np.linalg.norm(nominal, axis=0).mean()),
-    )
+    return TestResult.of(readings, problem.residual(parameters).T, problem.residual(before).T)
 
 
 def evaluate_absolute(

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Literal
 
+import numpy as np
+
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Note, Readings
 
@@ -294,6 +296,27 @@ class TestResult:
     rms_before: float
     mean_before: float
     sha256: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(cls, readings: Readings, after: Float2D, before: Float2D) -> TestResult:
+        """Sum up what two models leave of a recording.
+
+        Args:
+            readings: The recording.
+            after: (m, 3) m, left by the identified model, of the readings that count.
+            before: (m, 3) m, left by the cell file's model.
+        """
+        lengths, nominal = np.linalg.norm(after, axis=1), np.linalg.norm(before, axis=1)
+        return cls(
+            file=readings.provenance.path,
+            sha256=readings.provenance.sha256,
+            readings=len(after),
+            rms=float(np.sqrt(np.mean(after**2))),
+            mean=float(lengths.mean()),
+            maximum=float(lengths.max()),
+            rms_before=float(np.sqrt(np.mean(before**2))),
+            mean_before=float(nominal.mean()),
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -198,17 +198,7 @@ def predict_loaded(
     problem = build_problem(readings, cell, chain, parameters)
     after, nominal = (_relative(problem, problem.linearise(c), cell) for c in (parameters.compliance, before))
     shown = _shown(problem, cell)
-    lengths = np.linalg.norm(after[shown], axis=1)
-    return TestResult(
-        file=readings.provenance.path,
-        sha256=readings.provenance.sha256,
-        readings=int(shown.sum()),
-        rms=_rms(after[shown]),
-        mean=float(lengths.mean()),
-        maximum=float(lengths.max()),
-        rms_before=_rms(nominal[shown]),
-        mean_before=float(np.linalg.norm(nominal[shown], axis=1).mean()),
-    )
+    return TestResult.of(readings, after[shown], nominal[shown])
 
 
 def _require_load(readings: Readings) -> None:
