@@ -54,13 +54,6 @@ PARAMETERS = (
     Declared("allowed_modes", ["MANUAL_REDUCED"], f"Operating modes in which motion is permitted: {', '.join(MODES)}."),
     Declared("speed_limit", RULES.speed_limit, "m/s, of every monitored point.", low=0.01, high=0.25),
     Declared("tolerance", RULES.tolerance, "Share by which a measured speed may exceed the limit.", low=0.0, high=0.2),
-    Declared(
-        "declared_limit",
-        0.0,
-        "m/s, safety-rated speed limit that the cell's owner declares for modes other than manual reduced; 0: none.",
-        low=0.0,
-        high=0.25,
-    ),
     Declared("max_state_age", RULES.max_state_age, "s, of the robot state.", low=0.05, high=10.0),
     Declared("max_joints_age", RULES.max_joints_age, "s, of the joint states.", low=0.01, high=1.0),
     Declared("freeze_time", RULES.freeze_time, "s, joint states repeat while in motion.", low=0.02, high=5.0),
@@ -117,10 +110,10 @@ class GuardNode(CalibrationNode):
             modes = mode_names(self.value("allowed_modes"))
         except KeyError as error:
             raise InputError("guard", "allowed_modes", quoted(error.args[0]), f"some of {', '.join(MODES)}") from None
-        declared = self.value("declared_limit")
+        declared = None if self.cell.safety is None else self.cell.safety.speed_limit
         names = {field.name for field in dataclasses.fields(GuardRules)} - {"allowed_modes", "declared_limit"}
         given = {name: self.value(name) for name in names if name in self._table}
-        return GuardRules(allowed_modes=modes, declared_limit=declared or None, **given)
+        return GuardRules(allowed_modes=modes, declared_limit=declared, **given)
 
     def _adapter(self) -> Adapter:
         name = self.value("robot_state.adapter")

@@ -86,7 +86,7 @@ class SequencerNode(CalibrationNode):
         super().__init__("sequencer", PARAMETERS, **kwargs)
         self.cell = load_cell(self.value("cell"))
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
-        self._rules, self._limits = sequence_rules(self), motion_limits(self)
+        self._rules, self._limits = sequence_rules(self), motion_limits(self, self.cell)
         self._joints = Joints(arrival_rules(self))
         self._watch = PermissionWatch(self.value("permission_age"))
         self._runner: Runner | None = None

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from calibration.motion.arrival import ArrivalRules
 from calibration.motion.catalogue import NAMES as BACKENDS
 from calibration.node import Declared
+from calibration_core.cell import Cell
 from calibration_core.procedure.agenda import SequenceRules
 from calibration_core.procedure.trajectory import MotionLimits
 
@@ -65,10 +66,13 @@ def arrival_rules(node: Values) -> ArrivalRules:
     return ArrivalRules(*(node.value(f"arrival.{name}") for name in ("tolerance", "speed", "dwell")))
 
 
-def motion_limits(node: Values) -> MotionLimits:
-    """Return the limits of motions."""
+def motion_limits(node: Values, cell: Cell) -> MotionLimits:
+    """Return the limits of motions; none is planned faster than the controller's declared safety-rated limit."""
     names = ("speed", "margin", "joint_speed", "joint_acceleration", "max_points")
-    return MotionLimits(**{name: node.value(f"motion.{name}") for name in names})
+    given = {name: node.value(f"motion.{name}") for name in names}
+    if cell.safety is not None:
+        given["speed"] = min(given["speed"], cell.safety.speed_limit)
+    return MotionLimits(**given)
 
 
 def sequence_rules(node: Values) -> SequenceRules:

@@ -28,7 +28,8 @@ from calibration.guard import GuardNode
 from calibration.topics import GUARD_EVIDENCE, MOTION_PULSE, PERMISSION
 from calibration_core.errors import InputError
 
-CELL = str(Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml")
+ROOT = Path(__file__).resolve().parents[3]
+CELL = str(ROOT / "config" / "cells" / "demo.cell.yaml")
 JOINTS = [f"joint_{i}" for i in range(1, 7)]
 GOOD = {
     "operating_mode": RobotState.MODE_MANUAL_REDUCED,
@@ -217,6 +218,21 @@ def test_an_operators_word_where_the_controller_says_nothing(spinning: Any, unti
     assert any(e.state.operator_name == "A. Smith" and e.state.operator_confirmed for e in cell.evidence)
 
 
+def declaring(directory: Path, text: str) -> str:
+    """A copy of the cell file that says more."""
+    file = directory / "cell.yaml"
+    robots = (ROOT / "config" / "robots").as_posix()
+    file.write_text(Path(CELL).read_text("utf-8").replace("../robots", robots) + text + "\n", "utf-8")
+    return str(file)
+
+
+def test_a_limit_is_declared_in_the_cell_file_alone(spinning: Any, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="declared_limit: found an unknown parameter"):
+        Cell(spinning, declared_limit=0.2)
+    with pytest.raises(InputError, match=r"safety\.speed_limit: found 0\.3"):
+        Cell(spinning, cell=declaring(tmp_path, "safety: {speed_limit: 0.3, source: nobody}"))
+
+
 def test_automatic_mode_needs_a_declared_limit(spinning: Any, until: Any) -> None:
     cell = Cell(spinning, allowed_modes=["AUTOMATIC"])
     cell.robot.state = GOOD | {"operating_mode": RobotState.MODE_AUTOMATIC}
@@ -225,8 +241,10 @@ def test_automatic_mode_needs_a_declared_limit(spinning: Any, until: Any) -> Non
     until(cell.permitted)
 
 
-def test_automatic_mode_with_a_declared_limit(spinning: Any, until: Any) -> None:
-    cell = Cell(spinning, allowed_modes=["AUTOMATIC"], declared_limit=0.2)
+def test_automatic_mode_with_a_limit_declared_in_the_cell_file(spinning: Any, until: Any, tmp_path: Path) -> None:
+    declared = declaring(tmp_path, "safety: {speed_limit: 0.2, source: safety configuration 8A3F}")
+    cell = Cell(spinning, allowed_modes=["AUTOMATIC"], cell=declared)
+    assert cell.guard.rules.declared_limit == 0.2
     cell.robot.state = GOOD | {"operating_mode": RobotState.MODE_AUTOMATIC}
     until(cell.permitted)
 

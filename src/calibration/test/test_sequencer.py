@@ -28,7 +28,9 @@ from std_srvs.srv import Trigger
 
 from calibration.conversions import Mean, to_average, to_outcome
 from calibration.sequencer import SequencerNode
+from calibration.sequencer_parameters import PARAMETERS, motion_limits
 from calibration.topics import PERMISSION, READING, Quality, profile
+from calibration_core.cell import Safety, load_cell
 from calibration_core.errors import InputError
 from calibration_core.observations.average import Average
 from calibration_core.procedure.session import Session
@@ -43,6 +45,18 @@ def overrides(**values: Any) -> list[Parameter]:
     usual = {"cell": CELL, "motion.backend": "external", "force_torque": "", "settle_time": 0.1, "recorder": ""}
     usual |= {"arrival.dwell": 0.1, "server_wait": 10.0, "permission_age": 1.0}
     return [Parameter(name, value=value) for name, value in (usual | values).items()]
+
+
+@pytest.mark.parametrize(("asked", "planned"), [(0.25, 0.2), (0.1, 0.1)])
+def test_no_motion_is_planned_faster_than_the_declared_limit(asked: float, planned: float) -> None:
+    class Given:
+        def value(self, name: str) -> Any:
+            return asked if name == "motion.speed" else next(p.default for p in PARAMETERS if p.name == name)
+
+    cell = load_cell(CELL)
+    assert motion_limits(Given(), cell).speed == asked
+    declaring = cell.model_copy(update={"safety": Safety(speed_limit=0.2, source="checksum 8A3F")})
+    assert motion_limits(Given(), declaring).speed == planned
 
 
 class World:

@@ -33,6 +33,7 @@ MAX_BYTES = 1 << 18
 MAX_ALIASES = 100
 MAX_NESTING = 100  # brackets; far beyond any real file, far below what stops a YAML parser
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
+REDUCED_SPEED = 0.25  # m/s, safety-rated reduced speed (CWA 17384, 5.1; ISO 10218-1)
 
 
 def _number(value: object) -> object:
@@ -194,6 +195,18 @@ class Instruments(_Strict):
     temperature: Thermometer | None = None
 
 
+class Safety(_Strict):
+    """What the robot's controller watches over with a safety rating, as the cell's owner declares it.
+
+    Attributes:
+        speed_limit: m/s, Cartesian speed that is not exceeded in automatic mode either.
+        source: Who declares it and where it can be checked, e.g. the checksum of the safety configuration.
+    """
+
+    speed_limit: Annotated[Positive, Field(le=REDUCED_SPEED)]
+    source: Name
+
+
 class Topics(_Strict):
     """Names of the topics; the defaults are the contract's.
 
@@ -255,6 +268,7 @@ class Cell(_Strict):
     instruments: Instruments
     topics: Topics = Field(default_factory=Topics)
     measurements: Measurements = Field(default_factory=Measurements)
+    safety: Safety | None = None
     path: Path = Path("cell.yaml")
     sha256: str = ""
 

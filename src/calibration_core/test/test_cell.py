@@ -73,6 +73,13 @@ def test_topics_by_role_and_by_default_name(tmp_path: Path) -> None:
     assert load(tmp_path, TEXT).topics.point("mp2") == "/tracker/mp2"
 
 
+def test_a_declared_speed_limit(tmp_path: Path) -> None:
+    assert load(tmp_path, TEXT).safety is None
+    declared = load(tmp_path, TEXT + "safety: {speed_limit: 0.2, source: checksum 8A3F}\n").safety
+    assert declared is not None
+    assert (declared.speed_limit, declared.source) == (0.2, "checksum 8A3F")
+
+
 def test_values_are_frozen(tmp_path: Path) -> None:
     cell = load(tmp_path, TEXT)
     with pytest.raises(ValueError, match="frozen"):
@@ -108,6 +115,10 @@ def test_values_are_frozen(tmp_path: Path) -> None:
         ("name: a cell", "name: a cell\npath: other", "path", "an unknown key"),
         ("name: a cell", "name: a cell\nname: twice", "line 2", "key 'name' twice"),
         ("name: a cell", "name: [", "", ""),
+        ("name: a cell", "safety: {speed_limit: 0.3, source: me}\nname: a cell", "safety.speed_limit", "0.3"),
+        ("name: a cell", "safety: {speed_limit: 0, source: me}\nname: a cell", "safety.speed_limit", "0"),
+        ("name: a cell", "safety: {speed_limit: 0.2}\nname: a cell", "safety.source", "nothing"),
+        ("name: a cell", "safety: {source: me}\nname: a cell", "safety.speed_limit", "nothing"),
         ("name: a cell", "measurements: {points: relative}\nname: a cell", "measurements.points", "'relative'"),
     ],
 )

@@ -24,7 +24,7 @@ from calibration_core.report.document import (
 from calibration_core.report.rendering import document_number
 from calibration_core.report.result import tested
 from calibration_core.report.rounding import fixed, padded, significant
-from calibration_core.report.sections.procedure import counts_text, equipment, load_text
+from calibration_core.report.sections.procedure import counts_text, equipment, load_text, safety_limit
 from calibration_core.report.sections.records import exclusion_section, traceability_section
 from calibration_core.report.sections.residuals import residual_section
 from calibration_core.report.sections.uncertainty import noise_section
@@ -84,6 +84,7 @@ def _facts(found: Diagnosis, cell: Cell, day: dt.date) -> Facts:
         ("Recording", f"{provenance.path} ({provenance.kind})"),
         ("Extent", counts_text(null)),
         ("Applied load", load_text(null, cell)),
+        ("Safety-rated speed limit", safety_limit(cell)),
     ))  # fmt: skip
 
 

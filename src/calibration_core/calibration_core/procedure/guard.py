@@ -30,8 +30,8 @@ class GuardRules:
         allowed_modes: Operating modes in which motion is permitted.
         speed_limit: m/s, of every monitored point (CWA 17384, 7.1).
         tolerance: A measured speed up to (1 + tolerance) times the limit is no fault.
-        declared_limit: m/s, safety-rated limit that the cell's owner declares for modes other than manual reduced;
-            None: none.
+        declared_limit: m/s, safety-rated limit that the cell file declares (`safety.speed_limit`), evidence for modes
+            other than manual reduced; None: none.
         max_state_age: s, of the robot state.
         max_joints_age: s, of the joint states.
         freeze_time: s, joint states repeat to the bit while the robot is said to be in motion.

@@ -26,6 +26,7 @@ MAY_BE_NEGATIVE = {"floor", "box"}
 MAY_BE_ZERO = {"reference_every", "startup_cycles"}
 MOST = 100_000
 SHARES = {"share", "kept", "limit_margin"}
+ELSEWHERE = {"space", "load", "declared_limit"}  # sections of their own; declared in the cell file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +83,7 @@ def _parse(path: Path) -> dict[Any, Any]:
 
 
 def _section(path: Path, name: str, kind: type[Any], values: object) -> Any:
-    known = {field.name: field for field in dataclasses.fields(kind) if field.name not in {"space", "load"}}
+    known = {field.name: field for field in dataclasses.fields(kind) if field.name not in ELSEWHERE}
     if values is None:
         return kind()
     if not isinstance(values, dict):

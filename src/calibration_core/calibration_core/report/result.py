@@ -144,7 +144,15 @@ def _further(result: Identification, cell: Cell) -> dict[str, Any]:
             ],
             "software": software(),
         },
+        "safety_rated_speed": safety_rated_speed(cell),
     }
+
+
+def safety_rated_speed(cell: Cell) -> dict[str, Any] | None:
+    """Return the controller's speed limit that the cell file declares, m/s, and who does; None if there is none."""
+    if cell.safety is None:
+        return None
+    return {"value": cell.safety.speed_limit, "unit": "m/s", "source": cell.safety.source}
 
 
 def tested(result: Identification) -> dict[str, Mapping[str, str]]:

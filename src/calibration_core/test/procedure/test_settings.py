@@ -11,7 +11,7 @@ import yaml
 from calibration_core.errors import PlanError
 from calibration_core.procedure.guard import GuardRules
 from calibration_core.procedure.robot_status import OperatingMode
-from calibration_core.procedure.settings import SECTIONS, ProcedureSettings, read_settings
+from calibration_core.procedure.settings import ELSEWHERE, SECTIONS, ProcedureSettings, read_settings
 
 FILE = Path(__file__).parents[4] / "config" / "procedure.yaml"
 
@@ -20,7 +20,7 @@ def test_the_file_states_every_default() -> None:
     assert read_settings(FILE) == ProcedureSettings()
     data = yaml.safe_load(FILE.read_text())
     for name, kind in SECTIONS.items():
-        fields = {field.name for field in dataclasses.fields(kind)} - {"space", "load"}
+        fields = {field.name for field in dataclasses.fields(kind)} - ELSEWHERE
         assert set(data[name]) == fields
 
 
@@ -31,7 +31,7 @@ def test_changes(tmp_path: Path) -> None:
         "load: {levels: [0, 0.5, 1], largest_force: 500}\n"
         "motion: {margin: 0.1, joint_speed: [1, 1, 1, 2, 2, 2]}\n"
         "sequence: {startup_period: .inf, attempts: 3}\n"
-        "guard: {allowed_modes: [MANUAL_REDUCED, AUTOMATIC], declared_limit: 0.25}\n"
+        "guard: {allowed_modes: [MANUAL_REDUCED, AUTOMATIC], speed_limit: 0.2}\n"
     )
     settings = read_settings(path)
     assert settings.planning.space.floor is None
@@ -40,7 +40,7 @@ def test_changes(tmp_path: Path) -> None:
     assert settings.motion.joint_speed == (1, 1, 1, 2, 2, 2)
     assert settings.sequence.attempts == 3
     modes = frozenset({OperatingMode.MANUAL_REDUCED, OperatingMode.AUTOMATIC})
-    assert settings.guard == GuardRules(allowed_modes=modes, declared_limit=0.25)
+    assert settings.guard == GuardRules(allowed_modes=modes, speed_limit=0.2)
 
 
 def test_empty_file_is_all_defaults(tmp_path: Path) -> None:
@@ -53,6 +53,7 @@ def test_empty_file_is_all_defaults(tmp_path: Path) -> None:
     [
         ("speed: 1", "speed"),
         ("motion: {sped: 1}", "motion.sped"),
+        ("guard: {declared_limit: 0.25}", "guard.declared_limit"),
         ("motion: {speed: 0.3}", "motion.speed"),
         ("motion: {speed: fast}", "motion.speed"),
         ("motion: {margin: .nan}", "motion.margin"),

@@ -8,7 +8,7 @@ import datetime as dt
 import numpy as np
 import pytest
 
-from calibration_core.cell import Cell
+from calibration_core.cell import Cell, Safety
 from calibration_core.identification.estimate import Identification, NoiseCheck
 from calibration_core.report.content import build, date_of_test, report_number
 from calibration_core.report.document import Document, Facts, Items, Paragraph, Table
@@ -71,6 +71,14 @@ def test_everything_clause_8_asks_for_is_there(loaded: Identification, cell: Cel
     place = {section.clause: i + 1 for i, section in enumerate(document.sections)}
     assert f"g) operating space in section {place['8 g)']}" in text(document)
     assert [figure.key for figure in document.figures() if figure.turnable] == ["space"]
+
+
+def test_a_declared_speed_limit_is_reported(loaded: Identification, cell: Cell) -> None:
+    assert "manual reduced speed only" in text(build(loaded, cell, DAY))
+    declaring = cell.model_copy(update={"safety": Safety(speed_limit=0.2, source="checksum 8A3F")})
+    said = text(build(loaded, declaring, DAY))
+    assert "200 mm/s, by the controller in every mode; declared by: checksum 8A3F" in said
+    assert "manual reduced speed only" not in said
 
 
 def test_table_1_has_the_templates_form(loaded: Identification, cell: Cell) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration_core.cell import Cell
+from calibration_core.cell import Cell, Safety
 from calibration_core.identification.estimate import Identification, NoiseCheck
 from calibration_core.report.result import correlation, result_dict, result_json, write_result
 
@@ -47,6 +47,13 @@ def test_values_are_the_identifications(loaded: Identification, cell: Cell) -> N
     assert [item["file"] for item in content["input"]["sha256"]] == [
         "demo_0.mcap", "metadata.yaml", str(cell.path), "demo_2_0.mcap",
     ]  # fmt: skip
+
+
+def test_the_declared_speed_limit_is_told(loaded: Identification, cell: Cell) -> None:
+    assert result_dict(loaded, cell)["safety_rated_speed"] is None
+    declaring = cell.model_copy(update={"safety": Safety(speed_limit=0.2, source="checksum 8A3F")})
+    told = {"value": 0.2, "unit": "m/s", "source": "checksum 8A3F"}
+    assert result_dict(loaded, declaring)["safety_rated_speed"] == told
 
 
 def test_verdict_follows_the_residual(loaded: Identification, cell: Cell) -> None:

@@ -23,10 +23,8 @@ MOST_ROWS, SHOWN_ROWS = 100, 40
 
 STANDARD_GRAVITY = 9.80665
 NOT_STATED = "not stated"
-SPEED = (
-    "limit 250 mm/s at every point, manual mode (CWA 17384, 5.1; EN ISO 10218-1); averaged readings do not show the "
-    "speed, the operator confirms it by signature"
-)
+SPEED = "limit 250 mm/s at every point (CWA 17384, 5.1; EN ISO 10218-1); averaged readings do not show the speed"
+REDUCED = "manual reduced speed only, the operator confirms it by signature; the cell file declares no other limit"
 _ANSWER = {True: "met", False: "not met", None: "cannot be told"}
 
 
@@ -75,6 +73,7 @@ def parameters(result: Identification, cell: Cell) -> tuple[Block, ...]:
         ("Rated load", f"{cell.robot.rated_load:g} kg ({rated_force(cell):,.0f} N)"),
         ("Temperature", _range(readings.temperature, "°C", 1)),
         ("Speed", SPEED),
+        ("Safety-rated speed limit", safety_limit(cell)),
         ("Gravity in base axes", f"({', '.join(fixed(g, 3) for g in cell.robot.gravity)}) m/s²"),
         ("Distance from singularity", f"smallest scaled singular value {nearest:.3f} (0: singular)"),
     ]
@@ -90,6 +89,13 @@ def parameters(result: Identification, cell: Cell) -> tuple[Block, ...]:
             )
         )
     return (Facts(tuple(rows)),)
+
+
+def safety_limit(cell: Cell) -> str:
+    """Return what keeps the speed down besides the suite: the controller's limit as declared, or the operating mode."""
+    if cell.safety is None:
+        return REDUCED
+    return f"{1e3 * cell.safety.speed_limit:g} mm/s, by the controller in every mode; declared by: {cell.safety.source}"
 
 
 def requirements(
