@@ -112,6 +112,9 @@ def _identify(parser: argparse.ArgumentParser) -> None:
 
 def _diagnose(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
+    parser.add_argument(
+        "--simulation", type=Path, metavar="SIM", help="what a simulation says of the same measurement, to compare with"
+    )
     parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
     parser.add_argument("--no-robust", action="store_true", help="use every reading, gross errors too")
 

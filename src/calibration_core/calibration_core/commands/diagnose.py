@@ -28,7 +28,8 @@ def run(arguments: argparse.Namespace) -> str:
     cell = load_cell(arguments.cell)
     readings = observe(arguments.recording, cell)
     test = None if arguments.test is None else observe(arguments.test, cell)
-    found = diagnose(readings, cell, Options(robust=not arguments.no_robust), test)
+    simulation = None if arguments.simulation is None else observe(arguments.simulation, cell)
+    found = diagnose(readings, cell, Options(robust=not arguments.no_robust), test, simulation)
     result = result_json(diagnosis_dict(found, cell))
     model = found.identification.model if found.model is None else found.model
     files: dict[str, Content] = {RESULT: result, "model.yaml": model_text(model, cell).encode()}

@@ -8,16 +8,32 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.absolute import diagnose_absolute
-from calibration_core.diagnosis.finding import Diagnosis, Verdict
+from calibration_core.diagnosis.compare import compare
+from calibration_core.diagnosis.comparison import Comparison
+from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
 from calibration_core.diagnosis.loaded import diagnose_loaded
+from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.loaded import Options
 from calibration_core.timeseries import Bool1D, Readings
 
+NO_PHYSICS = Rest(
+    0.0,
+    False,
+    {},
+    "Recording and simulation differ by what is no physics, and it may be the recording that is mixed up: no physics "
+    "is claimed before this is put right.",
+)
 ENOUGH = 20  # single-step configurations beside loaded ones from which on their absolute positions are searched too
 
 
-def diagnose(readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None) -> Diagnosis:
+def diagnose(
+    readings: Readings,
+    cell: Cell,
+    options: Options | None = None,
+    test: Readings | None = None,
+    simulation: Readings | None = None,
+) -> Diagnosis:
     """Say what the model of a recording leaves out.
 
     A recording may hold configurations with several steps and others with one: the first are searched as loaded data,
@@ -28,10 +44,38 @@ def diagnose(readings: Readings, cell: Cell, options: Options | None = None, tes
         cell: The cell file.
         options: How to evaluate the loaded part.
         test: A second recording of the same kind, predicted but not fitted.
+        simulation: What a simulation says of the same measurement; compared before any physics.
 
     Raises:
         InputError: The input cannot be used; the message names file, place, what was found and what was expected.
     """
+    if simulation is None:
+        return _diagnose(readings, cell, options, test)
+    compared = compare(readings, simulation, cell)
+    try:
+        found = _diagnose(readings, cell, options, test)
+    except EquilibriumError as error:
+        if not compared.recording_spoiled:
+            raise
+        named = next(d for d in compared.differences if d.spoils and d.side != "simulation")
+        raise IdentificationError(
+            readings.provenance.path, named.kind, f"{named.text} There is {error}", "a recording as the cell file says"
+        ) from None
+    return beside(found, compared)
+
+
+def beside(found: Diagnosis, compared: Comparison) -> Diagnosis:
+    """Add the comparison with a simulation; a recording that is mixed up itself lets no physics be claimed."""
+    named = tuple(difference.as_anomaly() for difference in compared.differences)
+    kinds = {anomaly.kind for anomaly in named}
+    anomalies = (*named, *(a for a in found.anomalies if a.kind != "wrong_robot_file" or a.kind not in kinds))
+    found = dataclasses.replace(found, comparison=compared, anomalies=anomalies)
+    if not compared.recording_spoiled:
+        return found
+    return dataclasses.replace(found, verdict="consistent", findings=(), rest=NO_PHYSICS, model=None)
+
+
+def _diagnose(readings: Readings, cell: Cell, options: Options | None, test: Readings | None) -> Diagnosis:
     if not is_loaded(readings):
         return diagnose_absolute(readings, cell, test=test)
     single = _single(readings)

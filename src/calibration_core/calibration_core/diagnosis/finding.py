@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Literal
 
+from calibration_core.diagnosis.comparison import Comparison
 from calibration_core.identification.estimate import Anomaly, Identification, TestResult
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
@@ -133,6 +134,7 @@ class Diagnosis:
         model: The extended model, as it is written to a file; None where there is none.
         aliases: What this kind of recording can never tell apart, in sentences.
         further_figures: More figures of the fit for result.json, by name.
+        comparison: With a simulation of the same measurement, if one was given.
     """
 
     verdict: Verdict
@@ -157,3 +159,4 @@ class Diagnosis:
     model: ModelParameters | None = None
     aliases: tuple[str, ...] = ()
     further_figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    comparison: Comparison | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.comparison import Comparison
 from calibration_core.diagnosis.finding import Diagnosis, Finding
 from calibration_core.report.result import plain, result_dict
 
@@ -54,7 +55,32 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
     content["blocks"] = {kind: {"before": b, "after": a} for kind, (b, a) in diagnosis.blocks.items()}
     content["test"] = None if diagnosis.test is None else vars(diagnosis.test)
     content["aliases"] = list(diagnosis.aliases)
+    content["comparison"] = None if diagnosis.comparison is None else comparison_dict(diagnosis.comparison)
     return {key: plain(value) for key, value in content.items()}
+
+
+def comparison_dict(comparison: Comparison) -> dict[str, Any]:
+    """Return the comparison with a simulation as plain values."""
+    steps = comparison.steps
+    return {
+        "simulation": comparison.simulation,
+        "readings": comparison.readings,
+        "configurations": comparison.configurations,
+        "reproduction": {**vars(comparison.reproduction), "unit": "m"},
+        "differences": [vars(difference) for difference in comparison.differences],
+        "step_by_step": None
+        if steps is None
+        else {
+            "rms": steps.rms,
+            "noise": steps.noise,
+            "slope": steps.slope,
+            "unit": "m",
+            "by_configuration": [vars(part) for part in steps.by_configuration],
+            "by_step": [vars(part) for part in steps.by_step],
+            "by_point": [vars(part) for part in steps.by_point],
+        },
+        "sentences": list(comparison.sentences),
+    }
 
 
 def _stiffness(value: float, std: float) -> dict[str, Any]:

@@ -16,6 +16,8 @@ VERDICTS = {
 def diagnosis_summary(diagnosis: Diagnosis) -> str:
     """Return verdict, findings, anomalies and figures, at most a screen long."""
     lines = [f"verdict: {diagnosis.verdict}: {VERDICTS[diagnosis.verdict]}"]
+    if diagnosis.comparison is not None:
+        lines += [f"simulation: {sentence}" for sentence in diagnosis.comparison.sentences]
     lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in diagnosis.anomalies]
     for number, finding in enumerate(diagnosis.findings, start=1):
         lines.append(f"{number}. {finding.explanation}")
