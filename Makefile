@@ -12,7 +12,7 @@ BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
 STILL := src/calibration_core/test src/calibration_sim/test test
-LIVE := src/calibration/test test/ros/test_ros_end_to_end.py::test_a_short_measurement
+LIVE := src/calibration/test test/ros/test_ros_end_to_end.py
 # Published; for development other seeds were used.
 PROVE_SEED ?= 20261
 CELL := config/cells/demo.cell.yaml

@@ -118,7 +118,7 @@ def test_what_cannot_be_measured_is_refused_before_anything_moves(suite: Any, pl
     from calibration_interfaces.msg import Outcome
 
     suite.start("simulated_cell", FAST, speed=SPEED)
-    suite.start("sequencer", FAST, server_wait=8.0)
+    suite.start("sequencer", FAST, server_wait=5.0)
     content = yaml.safe_load(plan.read_text(encoding="utf-8"))
     content["configurations"][0]["q"][0] = 9.0
     wrong = suite.directory / "wrong.yaml"
@@ -126,7 +126,7 @@ def test_what_cannot_be_measured_is_refused_before_anything_moves(suite: Any, pl
     for path, code, found in (
         (suite.directory / "no.yaml", Outcome.INPUT_UNUSABLE, "no.yaml"),
         (wrong, Outcome.INPUT_UNUSABLE, "joint's limits"),
-        (plan, Outcome.NO_DATA, "tracker/measure"),  # no tracker is there
+        (plan, Outcome.NO_DATA, "no action server tracker/measure; no action server force_torque/measure"),
     ):
         outcome = suite.run(path).result(60.0).outcome
         assert outcome.code == code

@@ -33,10 +33,11 @@ from calibration.clients import Instruments, LoadDevice
 from calibration.conversions import joint_positions, stamp_ns, to_outcome
 from calibration.guard import PULSE_DEADLINE
 from calibration.motion.arrival import Joints
-from calibration.motion.calls import parse_call, succeeded
+from calibration.motion.calls import parse_call
 from calibration.motion.catalogue import make_backend
 from calibration.node import CalibrationNode, run
 from calibration.permission import SILENT, PermissionWatch
+from calibration.preflight import joints_heard, missing, prepared, served
 from calibration.provenance import provenance
 from calibration.robot_state.catalogue import load_type
 from calibration.runner import Call, Runner
@@ -275,9 +276,9 @@ class SequencerNode(CalibrationNode):
         text = Path(request.plan).read_text(encoding="utf-8")
         if not request.resume and (directory / DATABASE).exists():
             raise SessionError(directory, "", "a session", "a new directory, or resume to continue this one")
-        missing = self._missing()
-        if missing:
-            return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, missing))
+        absent = self._missing()
+        if absent:
+            return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, absent))
         open_session = Session.resume if request.resume else Session.create
         with open_session(directory, text, self.cell) as session:
             parameters = {name: self.value(name) for name in sorted(self._table)}
@@ -333,20 +334,14 @@ class SequencerNode(CalibrationNode):
 
     def _missing(self) -> str:
         """Look for everything that a run needs, before anything moves; return what is not there."""
-        wait = self.value("server_wait")
-        for client, request in self._prepare:
-            answer = call_and_wait(self, client, request, wait)
-            if answer is None or not succeeded(answer)[0]:
-                return f"{client.srv_name}: {'no answer' if answer is None else succeeded(answer)[1] or 'refused'}"
-        missing = self._backend.prepare(wait)
         ports = [*self._instruments.ports.values(), *([self._load_device.port] if self._load_device else [])]
-        missing = missing or "; ".join(f"no action server {port.name}" for port in ports if not port.ready(wait))
-        end = time.monotonic() + wait
-        while not missing and self._joints.latest is None:
-            if time.monotonic() > end:
-                missing = f"no joint states on {self.cell.topics.joint_states}"
-            time.sleep(0.02)
-        return missing
+        checks = [
+            prepared(self, self._prepare),
+            self._backend.prepare,
+            *map(served, ports),
+            joints_heard(self._joints, self.cell.topics.joint_states),
+        ]
+        return missing(checks, self.value("server_wait"))
 
     def _record(self, what: str) -> None:
         client = self._recorder.get(what)

@@ -101,12 +101,16 @@ class Spinning:
         return self.add(rclpy.create_node(name, context=self.context))
 
     def stop(self) -> None:
+        from rclpy.action import ActionClient, ActionServer
+
         for node in self.nodes:
             if hasattr(node, "stop"):
                 node.stop()
         self.executor.shutdown(timeout_sec=2.0)
         self._thread.join(2.0)
         for node in self.nodes:
+            for action in [one for one in node.waitables if isinstance(one, ActionClient | ActionServer)]:
+                action.destroy()  # a node does not take its actions down: they would be found by the next test
             node.destroy_node()
         assert self.errors == []
 

@@ -180,9 +180,6 @@ def test_answers_of_drivers(answer: Any, good: bool) -> None:
 # --- back ends -------------------------------------------------------------------------------------------------------
 
 
-DRIVERS: list[Any] = []
-
-
 class Driver:
     """A driver that does with a goal what the test wants."""
 
@@ -195,7 +192,6 @@ class Driver:
             node, MoveTo, "driver/move_to", self._run, callback_group=ReentrantCallbackGroup(),
             goal_callback=self._judge, cancel_callback=self._cancel,
         )  # fmt: skip
-        DRIVERS.append(self.server)
 
     def _judge(self, goal: Any) -> GoalResponse:
         self.goals.append(goal)
@@ -240,10 +236,7 @@ def awake(spinning: Any) -> Any:
     """An executor that looks at its tasks often, as the drivers here wait by looking."""
     node = spinning.plain("driver")
     node.create_timer(0.01, lambda: None)
-    yield node
-    for server in DRIVERS:  # else they are found by the next test
-        server.destroy()
-    DRIVERS.clear()
+    return node
 
 
 def test_a_motion_that_succeeds(spinning: Any, awake: Any, until: Any) -> None:
