@@ -95,17 +95,35 @@ class Cell(Protocol):
         """Tell how far it is."""
 
 
+@dataclasses.dataclass(frozen=True)
+class _Since:
+    """A moment by the cell's clock and by the steady one: a simulation outruns life, and a cell's clock may jump.
+
+    Attributes:
+        cell: s, of the cell.
+        steady: s, of wall time.
+    """
+
+    cell: float
+    steady: float = dataclasses.field(default_factory=time.monotonic)
+
+    def longer(self, now: float, seconds: float) -> bool:
+        """Return whether more than so many seconds have passed by both clocks; `now` is of the cell."""
+        return min(now - self.cell, time.monotonic() - self.steady) > seconds
+
+
 @dataclasses.dataclass(eq=False)
 class _Motion:
     """A motion that was asked for."""
 
     request: int
     goal: Float1D
-    asked: float  # s, cell's time
+    asked: _Since
     trajectory: Trajectory | None = None
+    begun: _Since | None = None
+    allowed: float = math.inf  # s, from its begin to its end
     ended: MotionEnded | None = None
-    ended_at: float = math.inf
-    late_at: float = math.inf
+    ended_at: _Since | None = None
 
 
 class Runner:
@@ -183,7 +201,7 @@ class Runner:
                 event.work()
             case MotionEnded():
                 if self._motion is not None and self._motion.request == event.request:
-                    self._motion.ended, self._motion.ended_at = event, self._cell.seconds()
+                    self._motion.ended, self._motion.ended_at = event, _Since(self._cell.seconds())
             case MeasuredFor():
                 self._on_measured(event)
             case _:
@@ -198,7 +216,7 @@ class Runner:
     def _do(self, command: m.Command) -> None:
         match command:
             case m.Move():
-                self._motion = _Motion(command.request, np.asarray(command.q), self._cell.seconds())
+                self._motion = _Motion(command.request, np.asarray(command.q), _Since(self._cell.seconds()))
             case m.StopMotion():
                 self._stop()
             case m.RequestLoad():
@@ -289,17 +307,17 @@ class Runner:
         elif (motion.ended is not None or not self._backend.answers) and self._joints.arrived(motion.goal):
             self._motion = None
             self._handle(m.Arrived(now, motion.request))
-        elif now - motion.ended_at > LATE:
+        elif motion.ended_at is not None and motion.ended_at.longer(now, LATE):
             off = np.abs(np.asarray(self._joints.latest) - motion.goal).max()
             self._blocked(motion, now, f"the driver says that it is there, but a joint is {off:.4f} rad off")
-        elif now > motion.late_at:
+        elif motion.begun is not None and motion.begun.longer(now, motion.allowed):
             self._stop()
             self._handle(m.Blocked(now, motion.request, "the motion takes too long"))
 
     def _begin(self, motion: _Motion, now: float) -> None:
         where = self._joints.latest
         if where is None or not self._joints.standing() or self._ladder.climbing:
-            if now - motion.asked > CALM:
+            if motion.asked.longer(now, CALM):
                 self._blocked(motion, now, "the robot does not come to rest, or its joint states do not come")
             return
         try:
@@ -313,7 +331,8 @@ class Runner:
         if self._backend.commands:
             scaling = self._cell.scaling()
             pace = scaling if 0.0 < scaling <= 1.0 else 1.0
-            motion.late_at = now + SLACK * motion.trajectory.duration / pace + SLACK_TIME
+            motion.allowed = SLACK * motion.trajectory.duration / pace + SLACK_TIME
+        motion.begun = _Since(now)
         request = motion.request
         self._backend.move(motion.trajectory, lambda how, text: self.post(MotionEnded(request, how, text)))
 

@@ -99,9 +99,10 @@ class Cell:
         self.rungs: list[int] = []
         self.load_works, self.fault, self.refuses = True, "", False
         self.progressed = 0
+        self.leap = 0.0
 
     def seconds(self) -> float:
-        return time.monotonic()
+        return time.monotonic() + self.leap
 
     def measure(self, answered: Callable[[Measured], None]) -> None:
         end = time.monotonic_ns() + 20_000_000  # joint states of the same time are still to come
@@ -218,6 +219,18 @@ def test_success_without_arrival_is_none(bench: Bench) -> None:
     assert bench.cell.confirmed == []
     assert any("rad off" in c.text for c in bench.cell.told if isinstance(c, m.Record))
     assert m.Kind.SPARE_USED in bench.cell.kinds()
+
+
+def test_a_clock_that_leaps_makes_no_motion_late(bench: Bench, until: Any) -> None:
+    """Also a simulation's, which outruns what joint states take to arrive."""
+    runner, thread = bench.start()
+    for count in (1, 2):
+        until(lambda count=count: len(bench.robot.moves) == count)
+        bench.cell.leap += 60.0
+    thread.join(30.0)
+    assert runner.finish is not None
+    assert runner.finish.outcome is m.Outcome.COMPLETED
+    assert m.Kind.CONFIGURATION_RETRIED not in bench.cell.kinds()
 
 
 def test_a_driver_that_refuses(bench: Bench) -> None:
