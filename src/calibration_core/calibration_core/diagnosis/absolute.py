@@ -129,7 +129,7 @@ def diagnose_absolute(readings: Readings, cell: Cell, *, test: Readings | None =
     left = {kind: (null.held_out(partition), extended.held_out(partition)) for kind, partition in kinds.items()}
     physics = tuple(k for k, h in enumerate(hypotheses) if h.family != FAMILY)
     model = extended.parameters.replace(
-        effects=tuple(applied(hypotheses[k], extended.values_of(k)[0]) for k in physics)
+        effects=tuple(applied(hypotheses[k], extended.values_of(k)[0], extended.state) for k in physics)
     )
     return Diagnosis(
         verdict=_verdict(bool(findings), rest),

@@ -177,7 +177,7 @@ def extend(
 def extended_model(parameters: ModelParameters, extended: Extended) -> ModelParameters:
     """Return the identified model with the compliances and effects of the extended one."""
     effects = tuple(
-        applied(extended.design.candidates[index], extended.value[extended.parameters_of(index)])
+        applied(extended.design.candidates[index], extended.value[extended.parameters_of(index)], extended.state)
         for index in extended.accepted
     )
     return parameters.replace(compliance=extended.compliance, effects=effects)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,9 +16,20 @@ from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D
 
 
-def applied(candidate: Candidate, value: Float1D) -> AppliedEffect:
-    """Describe a candidate with its fitted parameters, (k,) in its units."""
+RELATIVE = frozenset({"backlash", "hysteresis", "nonlinear_stiffness", "soft_zone"})  # to the largest torque
+REFERENCE = "reference_torque"
+
+
+def applied(candidate: Candidate, value: Float1D, state: State) -> AppliedEffect:
+    """Describe a candidate with its fitted parameters, (k,) in its units.
+
+    A law that is relative to the largest torque of the recording keeps this torque, so that it stays the same law on
+    another recording.
+    """
     parameters = {p.name: float(v) for p, v in zip(candidate.parameters, value, strict=True)}
+    if candidate.effect in RELATIVE:
+        joint = state.chain.joints.index(str(candidate.location["joint"]))
+        parameters[REFERENCE] = state.largest_torque(joint, candidate.variant)
     return AppliedEffect(candidate.effect, candidate.location, candidate.variant, parameters)
 
 
@@ -50,7 +62,10 @@ def applied_shift(effects: Sequence[AppliedEffect], state: State) -> Float2D:
     """
     shift = np.zeros((state.m, 3))
     for effect in effects:
+        own = state
+        if REFERENCE in effect.parameters:
+            own = dataclasses.replace(state, reference_torque=np.full((2, state.chain.n), effect.parameters[REFERENCE]))
         candidate = restored(effect, state)
         value = np.array([effect.parameters[p.name] for p in candidate.parameters])
-        shift += candidate.columns(state) @ value
+        shift += candidate.columns(own) @ value
     return shift

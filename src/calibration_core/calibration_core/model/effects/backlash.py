@@ -14,7 +14,7 @@ import numpy as np
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.nonlinear_stiffness import carried, torques
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import largest, stacked
+from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
@@ -23,7 +23,7 @@ WIDTHS = (0.003, 0.02, 0.04)  # of the largest torque
 
 def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
     torque = carried(state, joint, of)
-    edge = width * largest(state.load_torque[joint])
+    edge = width * state.largest_torque(joint)
     return stacked(state.joint_column(joint, np.clip(torque / edge, -1.0, 1.0) / 2))
 
 

@@ -2,7 +2,9 @@
 
 M = K_c (1 - s0/s) a L sin(alpha - q2); its slope adds to the joint's stiffness, so that the equivalent compliance
 follows q2.  To first harmonic it is a modulation of C2, which also a pose-dependent stiffness could be: the two are
-told apart by absolute sag only.  In absolute data its torque itself shows, as a harmonic of q2 on the sag.
+told apart by absolute sag only.  In absolute data its torque itself shows, as harmonics of q2 on the sag: with
+s^2 = a^2 + L^2 + 2 a L cos(alpha - q2) the spring's length brings in the second and the third, each weaker by the ratio
+of the triangle's sides.
 Source: Klimchik, Pashkevich et al. on heavy robots with gravity compensators.
 """
 
@@ -21,11 +23,12 @@ from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
 JOINT = 1  # the second joint carries the arm
+HARMONICS = (1.0, 0.2, 0.04)  # of the torque, relative: a triangle with sides of one to four
 
 
 def _sag(state: State) -> Float3D:
     angle = state.q[:, JOINT]
-    waves = (np.cos(angle), np.sin(angle))
+    waves = (wave(k * angle) for k in range(1, len(HARMONICS) + 1) for wave in (np.cos, np.sin))
     return stacked(*(state.joint_column(JOINT, state.compliance[JOINT] * wave) for wave in waves))
 
 
@@ -38,9 +41,13 @@ def _candidates(state: State) -> Iterator[Candidate]:
         pair = (Parameter("modulation_cosine", "1", size), Parameter("modulation_sine", "1", size))
         yield Candidate(EFFECT.name, EFFECT.family, place, "stiffness", pair, partial(modulated, joint=JOINT))
     else:
-        torque = 0.1 * state.rated_load * 9.80665 * state.chain.reach
-        pair = (Parameter("torque_cosine", "N*m", torque), Parameter("torque_sine", "N*m", torque))
-        yield Candidate(EFFECT.name, EFFECT.family, place, "torque", pair, _sag)
+        torque = typical("gravity_compensator_torque", state.rated_load)
+        waves = tuple(
+            Parameter(f"torque_{wave}_{k}", "N*m", share * torque)
+            for k, share in enumerate(HARMONICS, start=1)
+            for wave in ("cosine", "sine")
+        )
+        yield Candidate(EFFECT.name, EFFECT.family, place, "torque", waves, _sag)
 
 
 EFFECT = Effect(

@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import largest, stacked
+from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float2D, Float3D
 
@@ -42,7 +42,7 @@ def stop(torque: Float2D, radius: float, start: float) -> Float2D:
 
 def _columns(state: State, joint: int, start: float) -> Float3D:
     torque = state.load_torque[joint]
-    scale = largest(torque)
+    scale = state.largest_torque(joint)
     return stacked(
         *(
             -state.joint_column(

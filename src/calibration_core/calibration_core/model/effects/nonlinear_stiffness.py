@@ -11,7 +11,7 @@ from functools import partial
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import largest, stacked
+from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float1D, Float3D
 
@@ -28,7 +28,7 @@ def torques(state: State, joint: int) -> tuple[str, ...]:
 
 def _columns(state: State, joint: int, of: str) -> Float3D:
     torque = carried(state, joint, of)
-    curved = state.compliance[joint] * torque * (torque / largest(torque)) ** 2
+    curved = state.compliance[joint] * torque * (torque / state.largest_torque(joint, of)) ** 2
     return stacked(-state.joint_column(joint, curved))
 
 

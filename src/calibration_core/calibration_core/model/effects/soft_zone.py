@@ -14,7 +14,7 @@ import numpy as np
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.nonlinear_stiffness import carried, torques
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import largest, stacked
+from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
@@ -23,7 +23,7 @@ WIDTHS = (0.08, 0.13, 0.2, 0.3)  # of the largest torque
 
 def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
     torque = carried(state, joint, of)
-    edge = width * largest(state.load_torque[joint])
+    edge = width * state.largest_torque(joint)
     return stacked(state.joint_column(joint, state.compliance[joint] * np.clip(torque, -edge, edge)))
 
 

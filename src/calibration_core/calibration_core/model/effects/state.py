@@ -40,6 +40,8 @@ class State:
         temperature: (m,) degrees Celsius, NaN where unknown.
         tracker: (4, 4) pose of the tracker in the base frame.
         rated_load: kg.
+        reference_torque: (2, n) N*m, torque of the load, and with the weight, that laws relative to a largest torque
+            refer to; None: the largest of these readings.
     """
 
     chain: Chain
@@ -63,6 +65,7 @@ class State:
     temperature: Float1D
     tracker: Float2D
     rated_load: float
+    reference_torque: Float2D | None = None
 
     @property
     def m(self) -> int:
@@ -78,6 +81,19 @@ class State:
     def loaded(self) -> bool:
         """Whether any external load acts."""
         return bool(np.any(self.force) or np.any(self.moment))
+
+    def largest_torque(self, joint: int, of: str = "load torque") -> float:
+        """Return the torque, N*m, that a joint's law refers to; at least a tiny number, so that it can divide."""
+        row = 1 if of == "total torque" else 0
+        if self.reference_torque is not None:
+            return float(self.reference_torque[row, joint])
+        values = self.torque[joint] if row else self.load_torque[joint]
+        return max(float(np.abs(values).max(initial=0.0)), 1e-12)
+
+    def largest_torques(self) -> Float2D:
+        """Return the (2, n) N*m that the laws of all joints refer to."""
+        joints = range(self.chain.n)
+        return np.array([[self.largest_torque(j, of) for j in joints] for of in ("load torque", "total torque")])
 
     def joint_column(self, joint: int, deflection: Float1D) -> Float2D:
         """Return the (m, 3) movement of the points for an extra deflection (m,) rad of a joint."""

@@ -209,7 +209,7 @@ def test_effects_come_back_from_their_file_and_predict(cell: Cell, chain: Chain,
         find(state, "wrist_coupling", joint="joint_5"),
         find(state, "thermal_growth", link="link_3"),
     ]
-    effects = tuple(applied(c, 1e-5 * rng.standard_normal(len(c.parameters))) for c in chosen)
+    effects = tuple(applied(c, 1e-5 * rng.standard_normal(len(c.parameters)), state) for c in chosen)
     parameters = nominal_parameters(cell).replace(effects=effects)
     path = tmp_path / "model.yaml"
     path.write_text(model_text(parameters, cell), encoding="utf-8")
@@ -228,7 +228,7 @@ def test_effects_come_back_from_their_file_and_predict(cell: Cell, chain: Chain,
 
 def test_what_a_recording_cannot_carry_is_refused(chain: Chain, q: np.ndarray) -> None:
     state = make_state(chain, q)
-    growth = applied(find(state, "thermal_growth", robot="arm"), np.array([1e-5]))
+    growth = applied(find(state, "thermal_growth", robot="arm"), np.array([1e-5]), state)
     blind = dataclasses.replace(state, temperature=np.full(M, np.nan))
     with pytest.raises(ValueError, match="thermal_growth"):
         restored(growth, blind)

@@ -1,0 +1,53 @@
+"""Effects written into a model mean the same on another recording."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from robots import STIFFNESS, loaded_readings, write_cell
+
+from calibration_core.cell import Cell
+from calibration_core.identification.problem import build_problem, load_of
+from calibration_core.model.effects import candidates
+from calibration_core.model.effects.applied import REFERENCE, RELATIVE, applied, applied_shift
+from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import Readings
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    return write_cell(tmp_path_factory.mktemp("cell"))
+
+
+def state_at(readings: Readings, cell: Cell) -> State:
+    model = nominal_parameters(cell).replace(compliance=1 / np.array(STIFFNESS))
+    problem = build_problem(readings, cell, chain_of(cell), model)
+    points = np.stack([model.points[name] for name in readings.points])[readings.point].T
+    return state_of(
+        chain_of(cell), readings.q, model.compliance, load_of(readings, cell, model), points,
+        point_index=readings.point, wrench=readings.wrench, configuration=problem.configuration, step=readings.step,
+        time=readings.time, temperature=readings.temperature, tracker=model.tracker, rated_load=240.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", sorted(RELATIVE))
+def test_a_law_relative_to_the_largest_torque_stays_the_same_law(cell: Cell, effect: str) -> None:
+    readings = loaded_readings(cell, 1)
+    whole = state_at(readings, cell)
+    joint = {"joint": "joint_2"}
+    candidate = [c for c in candidates(whole) if c.effect == effect and dict(c.location) == joint][-1]
+    value = np.array([p.typical for p in candidate.parameters])
+    known = applied(candidate, value, whole)
+    assert known.parameters[REFERENCE] == whole.largest_torque(1, candidate.variant)
+    weak = np.isin(readings.configuration, readings.configuration[np.argsort(np.abs(whole.load_torque[1]))[:60]])
+    strongest = readings.configuration[np.argmax(np.abs(whole.load_torque[1]))]
+    some = weak & (readings.configuration != strongest)
+    part = state_at(readings.select(some), cell)
+    assert part.largest_torque(1) < whole.largest_torque(1)
+    np.testing.assert_allclose(applied_shift([known], part), (candidate.columns(whole) @ value)[some], atol=1e-12)
+    free = dataclasses.replace(known, parameters={k: v for k, v in known.parameters.items() if k != REFERENCE})
+    assert np.abs(applied_shift([free], part) - (candidate.columns(whole) @ value)[some]).max() > 1e-7
