@@ -196,11 +196,22 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def brisk_plan(plan: Path) -> Path:
+    """The plan with the end of its start-up cycle alone."""
+    return changed(plan, "brisk")
+
+
+@pytest.fixture(scope="session")
 def short_plan(plan: Path) -> Path:
     """The first configurations of the plan, with the end of its start-up cycle alone."""
+    return changed(plan, "short", configurations=FIRST, expected=None)
+
+
+def changed(plan: Path, name: str, configurations: int | None = None, **other: Any) -> Path:
+    """Write a plan with so many configurations and a short start-up cycle beside another one."""
     content = yaml.safe_load(plan.read_text(encoding="utf-8"))
-    content |= {"configurations": content["configurations"][:FIRST], "startup_cycle": content["startup_cycle"][-1:]}
-    content["expected"] = None
-    path = plan.parent / "short.yaml"
+    content |= {"startup_cycle": content["startup_cycle"][-1:], **other}
+    content["configurations"] = content["configurations"][:configurations]
+    path = plan.parent / f"{name}.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path

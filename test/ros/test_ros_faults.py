@@ -19,9 +19,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from calibration_core.procedure.session import Session
+
 BAR = 0.150  # s, from a fault, or from when it can be known, to the command to stop
 STATE_AGE, JOINTS_AGE, PULSE_AGE = 0.5, 0.1, 0.1  # s, as in config/ros.yaml
 PROCESSES = ("guard", "sequencer", "simulated_cell")
+QUIET = 0.5  # s, watched after a stop: nothing moves by itself
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,28 +33,30 @@ class Fault:
 
     Attributes:
         name: Of the constant in `SetFault`, or the process that is killed.
+        reasons: Names of constants in `Permission`, any of which tells of it; of a process that is silent: the words.
         known_after: s, configured age after which it can be known.
         value: Of the fault.
     """
 
     name: str
+    reasons: tuple[str, ...]
     known_after: float = 0.0
     value: float = 0.0
 
 
 FAULTS = (
-    Fault("MODE_FLIP"),
-    Fault("OVER_SPEED", value=2.0),
-    Fault("SERVO_OFF"),
-    Fault("EMERGENCY_STOP"),
-    Fault("MODE_STALE", STATE_AGE),
-    Fault("JOINTS_STALE", JOINTS_AGE),
-    Fault("JOINTS_FROZEN", JOINTS_AGE),
-    Fault("JOINTS_NOT_FINITE"),
-    Fault("CLOCK_JUMP", value=60.0),
-    Fault("guard", PULSE_AGE),
-    Fault("sequencer", PULSE_AGE),
-    Fault("simulated_cell", JOINTS_AGE),
+    Fault("MODE_FLIP", ("MODE_NOT_ALLOWED",)),
+    Fault("OVER_SPEED", ("OVER_SPEED",), value=2.0),
+    Fault("SERVO_OFF", ("DRIVES_OFF",)),
+    Fault("EMERGENCY_STOP", ("SAFETY_STOP",)),
+    Fault("MODE_STALE", ("STATE_STALE",), STATE_AGE),
+    Fault("JOINTS_STALE", ("JOINTS_STALE", "JOINTS_FROZEN"), JOINTS_AGE),
+    Fault("JOINTS_FROZEN", ("JOINTS_FROZEN",), JOINTS_AGE),
+    Fault("JOINTS_NOT_FINITE", ("JOINTS_NOT_FINITE",)),
+    Fault("CLOCK_JUMP", ("CLOCK_JUMPED",), value=60.0),
+    Fault("guard", ("the guard is silent",), PULSE_AGE),
+    Fault("sequencer", ("the sequencer is silent",), PULSE_AGE),
+    Fault("simulated_cell", ("JOINTS_STALE", "JOINTS_FROZEN", "STATE_STALE"), JOINTS_AGE),
 )
 
 
@@ -59,11 +64,20 @@ class Cell:
     """The suite at real time, with a plan under way."""
 
     def __init__(self, suite: Any, plan: Path) -> None:
-        from calibration_interfaces.msg import Permission
+        from calibration_interfaces.msg import Permission, Reading, SessionEvent
+        from diagnostic_msgs.msg import DiagnosticArray
 
         self.suite, self.plan = suite, plan
-        self.heard: list[Any] = []
-        suite.client.create_subscription(Permission, "calibration/permission", self.heard.append, 100)
+        self.heard: list[tuple[int, Any]] = []
+        self.told: list[tuple[int, str]] = []
+        self.readings: list[Any] = []
+        for kind, topic, take in (
+            (Permission, "calibration/permission", self._on_permission),
+            (SessionEvent, "calibration/event", lambda message: self._on_words(message.text)),
+            (DiagnosticArray, "/diagnostics", lambda message: [self._on_words(one.message) for one in message.status]),
+            (Reading, "calibration/reading", self.readings.append),
+        ):
+            suite.client.create_subscription(kind, topic, take, 1000)
         for name in ("cell", "trace", "guard"):
             (suite.directory / f"{name}.csv").touch()
         sim = {"use_sim_time": True}
@@ -79,6 +93,12 @@ class Cell:
             server_wait=30.0,
         )  # fmt: skip
         self.run = suite.run(plan)
+
+    def _on_permission(self, message: Any) -> None:
+        self.heard.append((time.monotonic_ns(), message))
+
+    def _on_words(self, text: str) -> None:
+        self.told.append((time.monotonic_ns(), text))
 
     def events(self, file: str) -> list[tuple[int, str]]:
         """What was written down: (ns, what)."""
@@ -147,14 +167,23 @@ class Cell:
         self.wait(lambda: self.since(files[0], first, files[1]), f"{fault.name}: no stop", 20.0)
         return float(self.since(files[0], first, files[1])[0])
 
-    def reason(self, fault: Fault, begin: float) -> str:
-        """What the guard says, or the sequencer of the guard."""
-        del begin
-        if fault.name == "guard":
-            return "the guard is silent" if "the guard is silent" in self.suite.log("sequencer") else ""
-        if fault.name == "sequencer":
-            return "silent" if "the sequencer is silent" in self.suite.log("guard") else ""
-        return next((p.text for p in reversed(self.heard) if not p.permitted and p.latched), "")
+    def reason(self, fault: Fault, known: float) -> str:
+        """What was published of a fault since it began; empty if nothing that names it was."""
+        from calibration_interfaces.msg import Permission
+
+        begin = known - 1e9 * fault.known_after
+        if fault.name in ("guard", "sequencer"):  # whoever watches it tells
+            return next((text for at, text in self.told if at >= begin and fault.reasons[0] in text), "")
+        codes = {getattr(Permission, name) for name in fault.reasons}
+        since = [one for at, one in self.heard if at >= begin and not one.permitted and one.latched]
+        return next((str(one.text) for one in since if codes & set(one.reasons)), "")
+
+    def lost(self) -> list[tuple[int, int, str]]:
+        """Readings that were announced as confirmed and are not on the disk."""
+        with Session.look(self.suite.session) as session:
+            kept = {(r.configuration, r.step, r.point) for r in session.confirmed(all_attempts=True)}
+        announced = {(r.configuration, r.step, r.point) for r in self.readings}
+        return sorted(announced - kept)
 
     def recover(self, fault: Fault) -> int:
         """End the fault, reset, resume; return from when on motions are meant, ns."""
@@ -184,16 +213,20 @@ def strike_all(suite: Any, plan: Path, repetitions: int, faults: tuple[Fault, ..
             late[fault.name].append((cell.stop_commanded(fault, known) - known) / 1e9)
             cell.wait(lambda fault=fault, known=known: cell.reason(fault, known), f"{fault.name}: no reason")
             quiet = time.monotonic_ns()
-            time.sleep(0.5)
+            time.sleep(QUIET)
             if fault.name != "simulated_cell":  # one that was killed writes nothing
                 assert cell.since("cell", quiet, "motion") == [], f"{fault.name}: moves by itself"
+            assert cell.lost() == [], fault.name
             begin = cell.recover(fault)
+    print(f"\n{len(cell.readings)} readings were confirmed meanwhile")
     return late
 
 
 def judge(late: dict[str, list[float]], share: float) -> None:
+    print(f"{'command to stop after':22s} {'median':>8s} {'99 %':>8s} {'max':>8s}  times")
     for name, values in late.items():
-        print(f"{name:18s} {1e3 * np.median(values):6.0f} ms, at most {1e3 * max(values):6.0f} ms, {len(values)} times")
+        median, most, worst = 1e3 * np.median(values), 1e3 * np.quantile(values, 0.99), 1e3 * max(values)
+        print(f"{name:22s} {median:5.0f} ms {most:5.0f} ms {worst:5.0f} ms  {len(values)}")
     every = np.concatenate([np.array(values) for values in late.values()])
     print(f"within {1e3 * BAR:.0f} ms: {100 * np.mean(every <= BAR):.1f} % of {len(every)}")
     assert np.mean(every <= BAR) >= share
@@ -205,6 +238,6 @@ def test_every_fault_stops_the_motion(suite: Any, plan: Path) -> None:
 
 
 @pytest.mark.slow
-def test_faults_stop_the_motion_in_time(suite: Any, plan: Path) -> None:
+def test_faults_stop_the_motion_in_time(suite: Any, brisk_plan: Path) -> None:
     """The bar: within 150 ms in 99 of 100 cases, 20 times each."""
-    judge(strike_all(suite, plan, 20, FAULTS), share=0.99)
+    judge(strike_all(suite, brisk_plan, 20, FAULTS), share=0.99)

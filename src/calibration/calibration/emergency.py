@@ -12,15 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from action_msgs.srv import CancelGoal
-from rclpy.node import Node
 
+from calibration.node import CalibrationNode
 from calibration.topics import MOTION_PULSE
+
+WATCHED = "the motion under way is permitted and watched"
 
 
 class Emergency:
     """Cancels all goals of one action; times are s of the steady clock."""
 
-    def __init__(self, node: Node, action: str, max_age: float, trace: str) -> None:
+    def __init__(self, node: CalibrationNode, action: str, max_age: float, trace: str) -> None:
         """Listen to the sequencer's sign of life.
 
         Args:
@@ -32,28 +34,36 @@ class Emergency:
         self._node, self._max_age = node, max_age
         self._client = node.create_client(CancelGoal, f"{action}/_action/cancel_goal") if action else None
         self._trace = Path(trace) if trace else None
-        self._moving, self._heard = False, -math.inf
+        self._moving, self._heard, self._told = False, -math.inf, ""
         node.create_subscription(MOTION_PULSE.message, MOTION_PULSE.relative, self._on_pulse, MOTION_PULSE.qos)
 
     def _on_pulse(self, message: Any) -> None:
         self._moving = bool(message.data)
         self._heard = time.monotonic()
 
-    def look(self, now: float, *, permitted: bool) -> str:
-        """Cancel if a motion is under way that is not permitted, or that nobody watches; return why, or nothing."""
+    def look(self, now: float, *, permitted: bool) -> None:
+        """Cancel, and say so, if a motion is under way that is not permitted, or that nobody watches."""
+        fault = self._fault(now, permitted=permitted)
+        if fault:
+            self._moving = False  # until the sequencer says so again
+            self._cancel(now, fault)
+        if fault != self._told and (fault or self._moving):  # what was told stands until a motion is as it should be
+            self._told = fault
+            self._node.diagnostics.report("motion", 2 if fault else 0, fault or WATCHED)
+            if fault:
+                self._node.get_logger().error(fault)
+
+    def _fault(self, now: float, *, permitted: bool) -> str:
         if not self._moving:
             return ""
         if now - self._heard > self._max_age:
-            why = "the sequencer is silent while its motion is under way"
-        elif not permitted:
-            why = "a motion is under way that is not permitted"
-        else:
-            return ""
-        self._moving = False  # until the sequencer says so again
+            return "the sequencer is silent while its motion is under way"
+        return "" if permitted else "a motion is under way that is not permitted"
+
+    def _cancel(self, now: float, why: str) -> None:
         if self._client is None:
-            return why
+            return
         self._client.call_async(CancelGoal.Request())  # no goal's name and no time: all goals
         if self._trace is not None:
             with self._trace.open("a", encoding="utf-8") as file:
                 file.write(f"{round(now * 1e9)},cancel all: {why}\n")
-        return why

@@ -246,10 +246,7 @@ class GuardNode(CalibrationNode):
         elif not self.adapter.sources and self._confirmation is not None:
             self.guard.on_status(report.status, now)
         self._decide(now)
-        cancelled = self._emergency.look(now, permitted=self._last is not None and self._last.permitted)
-        if cancelled:
-            self.diagnostics.report("motion", 2, cancelled)
-            self.get_logger().error(cancelled)
+        self._emergency.look(now, permitted=self._last is not None and self._last.permitted)
 
     def _watch_clock(self) -> None:
         before, self._ros_time = self._ros_time, self.now_ns()
