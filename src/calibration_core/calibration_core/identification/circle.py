@@ -24,6 +24,7 @@ class Circle:
             points' own scatter.
         rms: Root mean square of the distances from the circle, per degree of freedom, m.
         arc: Angle that the points span, rad.
+        tilts: (2, 3) unit vectors in which the normal moves when it tilts by the two angles of `covariance`.
     """
 
     centre: Float1D
@@ -32,6 +33,15 @@ class Circle:
     covariance: Float2D
     rms: float
     arc: float
+    tilts: Float2D
+
+    @property
+    def line_covariance(self) -> Float2D:
+        """(6, 6) covariance of centre (m) and normal (-)."""
+        change = np.zeros((6, 5))
+        change[:3, :3] = np.eye(3)
+        change[3:, 3:] = self.tilts.T
+        return change @ self.covariance[:5, :5] @ change.T
 
 
 def fit_circle(points: Float2D) -> Circle:
@@ -66,7 +76,13 @@ def fit_circle(points: Float2D) -> Circle:
     angles = _angles(points - values[:3], turned)
     sense = 1.0 if np.median(np.diff(angles)) >= 0 else -1.0
     return Circle(
-        values[:3], sense * turned, float(values[5]), covariance, float(np.sqrt(variance)), float(np.ptp(angles))
+        centre=values[:3],
+        normal=sense * turned,
+        radius=float(values[5]),
+        covariance=covariance,
+        rms=float(np.sqrt(variance)),
+        arc=float(np.ptp(angles)),
+        tilts=sense * np.stack([first - turned * (turned @ first), second - turned * (turned @ second)]),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 import numpy as np
@@ -12,12 +12,13 @@ from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.circle import Circle, fit_circle
 from calibration_core.identification.sweeps import Sweep, single_joint_sweeps
-from calibration_core.model.chain import Chain
+from calibration_core.model.chain import Chain, rpy_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Float1D, Float2D, Readings
 
 SHORT_ARC = np.radians(60)  # below it a base frame to 0.1 mm is out of reach at 20 um
+STEP = 1e-6  # m and rad, of the differences by which uncertainties are carried on
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -30,8 +31,7 @@ class Axis:
         direction: (3,) unit vector, in the positive sense of the joint.
         q: (n,) rad, where the other joints stood.
         circles: The circles it was made of, one per measurement point.
-        point_std: m, of the point across the axis.
-        direction_std: rad.
+        covariance: (6, 6) of point (m) and direction (-), from the circles' own scatter.
     """
 
     joint: int
@@ -39,8 +39,23 @@ class Axis:
     direction: Float1D
     q: Float1D
     circles: tuple[Circle, ...]
-    point_std: float
-    direction_std: float
+    covariance: Float2D
+
+    @property
+    def line(self) -> Float1D:
+        """(6,) point and direction."""
+        return np.concatenate([self.point, self.direction])
+
+    @property
+    def point_std(self) -> float:
+        """M, of the point across the axis: root mean square of the two directions."""
+        across = np.eye(3) - np.outer(self.direction, self.direction)
+        return float(np.sqrt(np.trace(across @ self.covariance[:3, :3]) / 2))
+
+    @property
+    def direction_std(self) -> float:
+        """Rad: root mean square of the two tilts."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:]) / 2))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -49,21 +64,34 @@ class BaseFrame:
 
     Attributes:
         tracker: (4, 4) pose of the tracker frame in the base frame.
+        covariance: (6, 6) of its x, y, z (m), roll, pitch, yaw (rad).
         origin: (3,) m, tracker frame: foot of joint 2's circle on the axis of joint 1, as the standard defines it.
-        position_std: m.
-        orientation_std: rad.
         axis_angle_error: rad, angle between the axes of joints 1 and 2 less its nominal value.
         axes: The two axes.
         warnings: What limits the result.
     """
 
     tracker: Float2D
+    covariance: Float2D
     origin: Float1D
-    position_std: float
-    orientation_std: float
     axis_angle_error: float
     axes: tuple[Axis, Axis]
     warnings: tuple[str, ...]
+
+    @property
+    def std(self) -> Float1D:
+        """(6,) m and rad, of x, y, z, roll, pitch, yaw."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def position_std(self) -> float:
+        """M, length of the three standard deviations of the position."""
+        return float(np.linalg.norm(self.std[:3]))
+
+    @property
+    def orientation_std(self) -> float:
+        """Rad, length of the three standard deviations of the orientation."""
+        return float(np.linalg.norm(self.std[3:]))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,12 +102,14 @@ class AxisGeometry:
         base: The base coordinate system.
         geometry: (n, 6) corrections x, y, z (m), rx, ry, rz (rad) of the frame before each joint; what circles do not
             show (position along an axis, joint zeros, joints that did not move) stays zero: nominal.
+        std: (n, 6) one standard deviation; zero of what stays nominal.
         axes: Joint name -> axis.
         not_observed: Joints whose axes stay nominal.
     """
 
     base: BaseFrame
     geometry: Float2D
+    std: Float2D
     axes: Mapping[str, Axis]
     not_observed: tuple[str, ...]
 
@@ -98,13 +128,7 @@ def identify_base_frame(readings: Readings, cell: Cell) -> BaseFrame:
         IdentificationError: No sweep of joint 1 or 2 with five poses on a circle.
     """
     chain = chain_of(cell)
-    axes = _axes(readings, chain)
-    for joint in (0, 1):
-        if joint not in axes:
-            raise IdentificationError(
-                readings.provenance.path, chain.joints[joint], "no sweep", "five or more poses in which only it moves"
-            )
-    return _base(chain, axes[0], axes[1])
+    return _base(readings, chain, _axes(readings, chain))
 
 
 def identify_axes(readings: Readings, cell: Cell) -> AxisGeometry:
@@ -114,22 +138,46 @@ def identify_axes(readings: Readings, cell: Cell) -> AxisGeometry:
         IdentificationError: As `identify_base_frame`.
     """
     chain = chain_of(cell)
-    base = identify_base_frame(readings, cell)
     axes = _axes(readings, chain)
-    rotation, shift = base.tracker[:3, :3], base.tracker[:3, 3]
+    base = _base(readings, chain, axes)
+    used = tuple(axes.values())
+
+    def corrections(lines: Float2D) -> Float1D:
+        return _corrections(chain, used, lines).ravel()
+
+    lines = np.stack([axis.line for axis in used])
+    variance = np.diag(_carried(corrections, lines, [axis.covariance for axis in used])).copy()
+    variance[corrections(lines) == 0.0] = 0.0
+    missing = tuple(name for joint, name in enumerate(chain.joints) if joint not in axes)
+    return AxisGeometry(
+        base=base,
+        geometry=_corrections(chain, used, lines),
+        std=np.sqrt(variance).reshape(chain.n, 6),
+        axes={chain.joints[joint]: axis for joint, axis in axes.items()},
+        not_observed=missing,
+    )
+
+
+def _corrections(chain: Chain, axes: tuple[Axis, ...], lines: Float2D) -> Float2D:
+    """Return the corrections (n, 6) that put every joint from the second on its line.
+
+    Args:
+        chain: The nominal robot.
+        axes: Which joints the lines are of, and where the other joints stood; joints 1 and 2 first.
+        lines: (k, 6) points (m) and directions, tracker frame.
+    """
+    base, _ = _pose(chain, axes[1].q, lines[0], lines[1])
+    rotation, shift = base[:3, :3], base[:3, 3]
     geometry = np.zeros((chain.n, 6))
-    for joint in range(1, chain.n):
-        if joint not in axes:
-            continue
-        axis = axes[joint]
+    for axis, line in zip(axes[1:], lines[1:], strict=True):
+        joint = axis.joint
         at = posture(chain.corrected(geometry), axis.q[None, :])
         frame, origin = at.before[joint][:, :, 0].T, at.origin[joint][:, 0]
-        direction = frame.T @ (rotation @ axis.direction)
-        point = frame.T @ (rotation @ axis.point + shift - origin)
+        direction = frame.T @ (rotation @ line[3:]) / np.linalg.norm(line[3:])
+        point = frame.T @ (rotation @ line[:3] + shift - origin)
         foot = point - direction * point[2] / direction[2]
         geometry[joint] = [foot[0], foot[1], 0.0, np.arctan2(-direction[1], direction[2]), np.arcsin(direction[0]), 0.0]
-    missing = tuple(name for joint, name in enumerate(chain.joints) if joint not in axes)
-    return AxisGeometry(base, geometry, {chain.joints[joint]: axis for joint, axis in axes.items()}, missing)
+    return geometry
 
 
 def _axes(readings: Readings, chain: Chain) -> dict[int, Axis]:
@@ -151,32 +199,45 @@ def _axis(readings: Readings, joint: int, sweeps: list[Sweep]) -> Axis:
             path = readings.provenance.path
             raise IdentificationError(path, f"joint {joint + 1}", str(error), "points on a circle") from None
         turns = np.sign(np.median(np.diff(readings.q[sweep.rows, joint])))
-        circles.append(dataclasses.replace(circle, normal=turns * circle.normal))
+        circles.append(dataclasses.replace(circle, normal=turns * circle.normal, tilts=turns * circle.tilts))
     weights = np.array([1 / max(np.trace(c.covariance[3:5, 3:5]), 1e-30) for c in circles])
+    weights = weights / weights.sum()
     direction = np.einsum("k,ki->i", weights, np.stack([c.normal for c in circles]))
-    best = min(circles, key=lambda c: float(np.trace(c.covariance[:3, :3])))
+    best = int(np.argmin([float(np.trace(c.covariance[:3, :3])) for c in circles]))
+    covariance = np.zeros((6, 6))
+    for k, (weight, circle) in enumerate(zip(weights, circles, strict=True)):
+        share = np.diag(np.repeat([float(k == best), weight], 3))
+        covariance += share @ circle.line_covariance @ share
     return Axis(
         joint=joint,
-        point=best.centre,
+        point=circles[best].centre,
         direction=direction / np.linalg.norm(direction),
         q=home,
         circles=tuple(circles),
-        point_std=float(np.sqrt(np.trace(best.covariance[:3, :3]) / 2)),
-        direction_std=float(np.sqrt(1 / weights.sum() / 2)),
+        covariance=covariance,
     )
 
 
-def _base(chain: Chain, first: Axis, second: Axis) -> BaseFrame:
-    at = posture(chain, second.q[None, :])
-    nominal = [(at.axis(joint)[:, 0], at.origin[joint][:, 0]) for joint in (0, 1)]
-    seen_frame, seen_foot = _triad(first.direction, first.point, second.direction, second.point)
-    frame, foot = _triad(*nominal[0], *nominal[1])
-    rotation = frame @ seen_frame.T
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    pose[:3, 3] = foot - rotation @ seen_foot
-    angle = np.arccos(np.clip(first.direction @ second.direction, -1, 1))
-    expected = np.arccos(np.clip(nominal[0][0] @ nominal[1][0], -1, 1))
+def _base(readings: Readings, chain: Chain, axes: dict[int, Axis]) -> BaseFrame:
+    for joint in (0, 1):
+        if joint not in axes:
+            raise IdentificationError(
+                readings.provenance.path, chain.joints[joint], "no sweep", "five or more poses in which only it moves"
+            )
+    first, second = axes[0], axes[1]
+
+    lines = np.stack([first.line, second.line])
+    pose, foot = _pose(chain, second.q, *lines)
+    angles = rpy_of(pose[:3, :3])
+
+    def vector(moved: Float2D) -> Float1D:
+        there, _ = _pose(chain, second.q, moved[0], moved[1])
+        turned = rpy_of(there[:3, :3])
+        return np.concatenate([there[:3, 3], turned - 2 * np.pi * np.round((turned - angles) / (2 * np.pi))])
+
+    nominal = posture(chain, second.q[None, :])
+    expected = float(nominal.axis(0)[:, 0] @ nominal.axis(1)[:, 0])
+    found = float(first.direction @ second.direction)
     arcs = {1: max(c.arc for c in first.circles), 2: max(c.arc for c in second.circles)}
     warnings = tuple(
         f"joint {joint} turned by {np.degrees(arc):.0f} degrees only: its arc decides the uncertainty"
@@ -185,13 +246,53 @@ def _base(chain: Chain, first: Axis, second: Axis) -> BaseFrame:
     )
     return BaseFrame(
         tracker=pose,
-        origin=seen_foot,
-        position_std=float(np.hypot(first.point_std, second.point_std)),
-        orientation_std=float(np.hypot(first.direction_std, second.direction_std)),
-        axis_angle_error=float(angle - expected),
+        covariance=_carried(vector, lines, [first.covariance, second.covariance]),
+        origin=foot,
+        axis_angle_error=float(np.arccos(np.clip(found, -1, 1)) - np.arccos(np.clip(expected, -1, 1))),
         axes=(first, second),
         warnings=warnings,
     )
+
+
+def _pose(chain: Chain, q: Float1D, first: Float1D, second: Float1D) -> tuple[Float2D, Float1D]:
+    """Return the pose (4, 4) of the tracker frame in the base frame, and the foot (3,) m in the tracker frame.
+
+    Args:
+        chain: The nominal robot.
+        q: (n,) rad, where it stood when joint 2 was swept.
+        first: (6,) point (m) and direction of the axis of joint 1, tracker frame.
+        second: (6,) the same of joint 2.
+    """
+    at = posture(chain, q[None, :])
+    nominal = [(at.axis(joint)[:, 0], at.origin[joint][:, 0]) for joint in (0, 1)]
+    directions = [line[3:] / np.linalg.norm(line[3:]) for line in (first, second)]
+    seen_frame, seen_foot = _triad(directions[0], first[:3], directions[1], second[:3])
+    frame, foot = _triad(*nominal[0], *nominal[1])
+    pose = np.eye(4)
+    pose[:3, :3] = frame @ seen_frame.T
+    pose[:3, 3] = foot - pose[:3, :3] @ seen_foot
+    return pose, seen_foot
+
+
+def _carried(function: Callable[[Float2D], Float1D], lines: Float2D, covariances: list[Float2D]) -> Float2D:
+    """Return the covariance of a function of independent lines, to first order, by central differences.
+
+    Args:
+        function: Lines (k, 6) -> values (p,).
+        lines: (k, 6).
+        covariances: k of (6, 6).
+    """
+    size = len(function(lines))
+    total = np.zeros((size, size))
+    for k, covariance in enumerate(covariances):
+        columns = []
+        for i in range(6):
+            step = np.zeros_like(lines)
+            step[k, i] = STEP
+            columns.append((function(lines + step) - function(lines - step)) / (2 * STEP))
+        slope = np.column_stack(columns)
+        total += slope @ covariance @ slope.T
+    return total
 
 
 def _triad(axis: Float1D, point: Float1D, other: Float1D, there: Float1D) -> tuple[Float2D, Float1D]:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from calibration_core.identification.standard_geometry import StandardGeometry
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Note, Readings
 
@@ -344,6 +345,7 @@ class Identification:
         model: The identified model, as `predict` uses it.
         test: Result on a second recording, if one was given.
         notes: Further remarks, those of the readings included.
+        standard: Base frame, joint axes and wrist centre by the standard's methods; None for a loaded recording.
     """
 
     kind: Literal["loaded", "absolute"]
@@ -366,3 +368,4 @@ class Identification:
     model: ModelParameters
     test: TestResult | None = None
     notes: tuple[Note, ...] = ()
+    standard: StandardGeometry | None = None

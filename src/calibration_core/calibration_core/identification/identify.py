@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.absolute import identify_absolute
 from calibration_core.identification.estimate import Identification
 from calibration_core.identification.loaded import Options, identify_loaded
+from calibration_core.identification.standard_geometry import standard_geometry
 from calibration_core.timeseries import Note, Readings
 
 
@@ -35,7 +38,9 @@ def identify(
     if is_loaded(readings):
         return identify_loaded(readings, cell, options, test)
     readings = readings.with_notes(*_without_effect(options))
-    return identify_absolute(readings, cell, robust=options.robust, test=test, readmit=options.readmit)
+    found = identify_absolute(readings, cell, robust=options.robust, test=test, readmit=options.readmit)
+    names, covariance = found.names, found.covariance
+    return dataclasses.replace(found, standard=standard_geometry(readings, cell, found.model.points, names, covariance))
 
 
 def _without_effect(options: Options) -> tuple[Note, ...]:

@@ -35,17 +35,17 @@ def single_joint_sweeps(q: Float2D, point: Int1D) -> tuple[Sweep, ...]:
     found = []
     for name in np.unique(point):
         rows = np.flatnonzero(point == name)
-        start = 0
-        while start < len(rows) - 1:
-            moving = np.abs(q[rows[start + 1]] - q[rows[start]]) > STILL
+        moved = np.abs(np.diff(q[rows], axis=0)) > STILL
+        passed = 0
+        for start in map(int, np.flatnonzero(moved.sum(axis=1) == 1)):
+            if start < passed:
+                continue
             end = start + 1
-            while end + 1 < len(rows) and _still(q[rows[start]], q[rows[end + 1]], moving):
+            while end + 1 < len(rows) and _still(q[rows[start]], q[rows[end + 1]], moved[start]):
                 end += 1
-            if moving.sum() == 1 and end - start + 1 >= LEAST:
-                found.append(Sweep((int(np.argmax(moving)),), rows[start : end + 1]))
-                start = end
-            else:
-                start += 1
+            if end - start + 1 >= LEAST:
+                found.append(Sweep((int(np.argmax(moved[start])),), rows[start : end + 1]))
+                passed = end
     return tuple(found)
 
 

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.sphere import Sphere, fit_sphere, trilaterate
-from calibration_core.identification.sweeps import wrist_sweep
+from calibration_core.identification.sweeps import Sweep, wrist_sweep
 from calibration_core.model.robot import chain_of
-from calibration_core.timeseries import Float1D, Readings
+from calibration_core.observations.covariance import position_covariance
+from calibration_core.timeseries import Float1D, Float2D, Readings
 
 WRIST = 3  # joints
+CORNERS = 3  # points that trilateration takes
+STEP = 1e-6  # m, of the differences by which uncertainties are carried on
+OFF = 2.0  # times the tracker's noise that points may lie off their spheres
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -21,35 +26,54 @@ class WristCentre:
     """The point where the wrist axes meet.
 
     Attributes:
-        position: (3,) m, tracker frame, by trilateration.
+        position: (3,) m, tracker frame, by trilateration, where the arm stood during the wrist motion.
+        flange: (3,) m, flange frame, by trilateration from the points on the flange.
+        covariance: (3, 3) m^2, of `flange`: from the spheres' radii and from the points.
         sphere_centres: Measurement point -> (3,) m: each sphere's own centre, for comparison.
         spread: m, root mean square distance of the sphere centres from `position`: how far the wrist is from spherical,
             and how well the points determine it.
         spheres: One per measurement point.
-        std: m, per coordinate.
+        warnings: What limits the result.
     """
 
     position: Float1D
-    sphere_centres: dict[str, Float1D]
+    flange: Float1D
+    covariance: Float2D
+    sphere_centres: Mapping[str, Float1D]
     spread: float
     spheres: tuple[Sphere, ...]
-    std: float
+    warnings: tuple[str, ...]
+
+    @property
+    def std(self) -> Float1D:
+        """(3,) m, of `flange`."""
+        return np.sqrt(np.diag(self.covariance))
 
 
-def identify_wrist_centre(readings: Readings, cell: Cell) -> WristCentre:
+def identify_wrist_centre(
+    readings: Readings, cell: Cell, points: Mapping[str, Float1D], covariance: Float2D | None = None
+) -> WristCentre:
     """Fit one sphere per measurement point while the wrist joints move and the arm stands, then trilaterate.
 
-    The spheres' radii are distances from the points to the wrist centre; with the three points of one pose as centres
-    they meet in two places, of which the one near the spheres' own centres is the wrist centre.  The mean over all
-    poses is taken.
+    The spheres' radii are distances from the points to the wrist centre.  With the three points of one pose as centres
+    they meet in two places, of which the one near the spheres' own centres is the wrist centre; the mean over all
+    poses is taken.  With the points on the flange as centres they meet on the same side of them in the flange frame.
+
+    Args:
+        readings: The recording.
+        cell: The cell file.
+        points: Measurement point -> (3,) m, flange frame.
+        covariance: (3 k, 3 k) m^2 of the points in the order of the readings' points; None: taken as exact.
 
     Raises:
-        IdentificationError: Fewer than three points, or no stretch in which only the wrist moves.
+        IdentificationError: Fewer than three points, no stretch in which only the wrist moves, or no wrist at all.
     """
     path = readings.provenance.path
     n = chain_of(cell).n
+    if n <= WRIST:
+        raise IdentificationError(path, "joints", f"{n}", f"more than {WRIST}: an arm that carries a wrist")
     sweeps = wrist_sweep(readings.q, readings.point, tuple(range(n - WRIST, n)))
-    if len(sweeps) < 3:
+    if len(sweeps) < CORNERS:
         raise IdentificationError(
             path,
             "points",
@@ -58,24 +82,65 @@ def identify_wrist_centre(readings: Readings, cell: Cell) -> WristCentre:
         )
     try:
         spheres = [fit_sphere(readings.position[sweep.rows]) for sweep in sweeps]
+        position, side = _mean(readings, sweeps[:CORNERS], spheres)
+        indices = [int(readings.point[sweep.rows[0]]) for sweep in sweeps]
+        names = [readings.points[index] for index in indices]
+        corners = np.stack([points[name] for name in names[:CORNERS]])
+        radii = np.array([sphere.radius for sphere in spheres[:CORNERS]])
+        flange = trilaterate(corners, radii)[side]
     except ValueError as error:
-        raise IdentificationError(
-            path, "wrist motion", str(error), "poses spread over all three wrist joints"
-        ) from None
-    near = np.mean([sphere.centre for sphere in spheres], axis=0)
-    radii = np.array([sphere.radius for sphere in spheres[:3]])
-    common = min(len(sweep.rows) for sweep in sweeps[:3])
-    found = []
-    for k in range(common):
-        corners = np.stack([readings.position[sweep.rows[k]] for sweep in sweeps[:3]])
-        try:
-            both = trilaterate(corners, radii)
-        except ValueError as error:
-            raise IdentificationError(path, "points", str(error), "three points at the corners of a triangle") from None
-        found.append(both[np.argmin(np.linalg.norm(both - near, axis=1))])
-    position = np.mean(found, axis=0)
-    names = [readings.points[int(readings.point[sweep.rows[0]])] for sweep in sweeps]
+        expected = "three points that are no line, and poses spread over all three wrist joints"
+        raise IdentificationError(path, "wrist motion", str(error), expected) from None
     centres = {name: sphere.centre for name, sphere in zip(names, spheres, strict=True)}
     spread = float(np.sqrt(np.mean([np.sum((centre - position) ** 2) for centre in centres.values()])))
-    scatter = float(np.sqrt(np.mean(np.var(found, axis=0)) / common))
-    return WristCentre(position, centres, spread, tuple(spheres), scatter)
+    return WristCentre(
+        position=position,
+        flange=flange,
+        covariance=_covariance(corners, radii, side, spheres, _of_corners(covariance, indices[:CORNERS])),
+        sphere_centres=centres,
+        spread=spread,
+        spheres=tuple(spheres),
+        warnings=_warnings(readings, cell, sweeps, spheres),
+    )
+
+
+def _mean(readings: Readings, sweeps: tuple[Sweep, ...], spheres: list[Sphere]) -> tuple[Float1D, int]:
+    """Return the mean place where the spheres about the points of one pose meet, (3,) m, and which of the two it is."""
+    near = np.mean([sphere.centre for sphere in spheres], axis=0)
+    radii = np.array([sphere.radius for sphere in spheres[:CORNERS]])
+    found, sides = [], []
+    for k in range(min(len(sweep.rows) for sweep in sweeps)):
+        both = trilaterate(np.stack([readings.position[sweep.rows[k]] for sweep in sweeps]), radii)
+        side = int(np.argmin(np.linalg.norm(both - near, axis=1)))
+        sides.append(side)
+        found.append(both[side])
+    return np.mean(found, axis=0), int(np.round(np.mean(sides)))
+
+
+def _of_corners(covariance: Float2D | None, indices: list[int]) -> Float2D:
+    rows = np.concatenate([3 * index + np.arange(3) for index in indices])
+    return np.zeros((len(rows), len(rows))) if covariance is None else covariance[np.ix_(rows, rows)]
+
+
+def _covariance(corners: Float2D, radii: Float1D, side: int, spheres: list[Sphere], of_corners: Float2D) -> Float2D:
+    """Carry the uncertainty of corners and radii through the trilateration, to first order."""
+    values = np.concatenate([corners.ravel(), radii])
+
+    def place(moved: Float1D) -> Float1D:
+        return np.asarray(trilaterate(moved[:9].reshape(3, 3), moved[9:])[side])
+
+    slope = np.column_stack([(place(values + h) - place(values - h)) / (2 * STEP) for h in STEP * np.eye(len(values))])
+    total = np.zeros((len(values), len(values)))
+    total[:9, :9] = of_corners
+    total[9:, 9:] = np.diag([sphere.covariance[3, 3] for sphere in spheres[:CORNERS]])
+    return np.asarray(slope @ total @ slope.T)
+
+
+def _warnings(readings: Readings, cell: Cell, sweeps: tuple[Sweep, ...], spheres: list[Sphere]) -> tuple[str, ...]:
+    rows = np.concatenate([sweep.rows for sweep in sweeps])
+    noise = float(np.sqrt(np.einsum("mii->m", position_covariance(readings, cell)[rows]).mean() / 3))
+    off = float(np.sqrt(np.mean([sphere.rms**2 for sphere in spheres])))
+    if off <= OFF * noise:
+        return ()
+    text = f"the points keep to their spheres to {1e6 * off:.0f} µm (tracker: {1e6 * noise:.0f} µm)"
+    return (f"{text}: the wrist axes may not meet in one point",)

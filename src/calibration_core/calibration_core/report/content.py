@@ -22,8 +22,9 @@ from calibration_core.report.document import (
 from calibration_core.report.rendering import document_number
 from calibration_core.report.result import result_dict, result_json, tested
 from calibration_core.report.rounding import counted, length_unit, listed, shortened, significant, spread
-from calibration_core.report.sections import procedure, records, residuals, stiffness, uncertainty
+from calibration_core.report.sections import procedure, records, residuals, standard, stiffness, uncertainty
 from calibration_core.report.shown import shown
+from calibration_core.report.standard_result import standard_rows
 from calibration_core.report.verdict import Rest, rest
 
 TITLE = "Elastostatic compliance calibration"
@@ -177,6 +178,9 @@ def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, 
         sections.append(
             Section("Frames, points and geometry", "7.1 to 7.5", uncertainty.parameter_section(result.parameters))
         )
+    if result.standard is not None and standard_rows(result.standard, cell):
+        blocks = standard.standard_section(result.standard, cell)
+        sections.append(Section("Base frame, joint axes and wrist centre", "7.1 to 7.3", blocks))
     sections += [
         Section("Readings not used", "", records.exclusion_section(result)),
         Section("Anomalies and remarks", "", records.remark_section(result)),

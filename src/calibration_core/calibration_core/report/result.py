@@ -14,6 +14,8 @@ from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification, JointStiffness
 from calibration_core.report.output import RESULT, write_files
 from calibration_core.report.provenance import digests, software
+from calibration_core.report.scene import space_dict
+from calibration_core.report.standard_result import standard_dict
 from calibration_core.report.verdict import rest
 
 SCHEMA = 1
@@ -145,6 +147,8 @@ def _further(result: Identification, cell: Cell) -> dict[str, Any]:
             "software": software(),
         },
         "safety_rated_speed": safety_rated_speed(cell),
+        "operating_space": space_dict(result.space),
+        "standard_geometry": standard_dict(result.standard, cell),
     }
 
 

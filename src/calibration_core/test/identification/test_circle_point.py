@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from calibration_core.errors import IdentificationError
 from calibration_core.identification.circle import _jacobian, _residual, fit_circle
 from calibration_core.identification.circle_point import identify_axes, identify_base_frame
 from calibration_core.identification.sphere import fit_sphere, trilaterate
+from calibration_core.identification.sweeps import single_joint_sweeps
 from calibration_core.identification.wrist_centre import identify_wrist_centre
-from calibration_core.model.chain import Chain
+from calibration_core.model.chain import Chain, rpy_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
@@ -132,12 +134,63 @@ def test_wrist_centre_is_found(tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
     q = np.tile(HOME, (25, 1))
     q[:, 3:] += rng.uniform(-1.2, 1.2, (25, 3))
-    found = identify_wrist_centre(_readings(cell, chain, q, SIGMA), cell)
+    found = identify_wrist_centre(_readings(cell, chain, q, SIGMA), cell, nominal_parameters(cell).points)
     truth = nominal_parameters(cell).tracker
     centre = posture(chain, HOME[None]).origin[4][:, 0]
     expected = truth[:3, :3].T @ (centre - truth[:3, 3])
     np.testing.assert_allclose(found.position, expected, atol=6e-5)
     assert found.spread < 1e-4
+    assert not found.warnings
+    np.testing.assert_array_less(np.abs(found.flange - [0.0, 0.0, -0.23]), 4 * found.std)
+
+
+def test_a_wrist_whose_axes_do_not_meet_is_called_so(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    geometry = np.zeros((6, 6))
+    geometry[5, 0] = 5e-3
+    chain = chain_of(cell).corrected(geometry)
+    q = np.tile(HOME, (25, 1))
+    q[:, 3:] += np.random.default_rng(6).uniform(-1.2, 1.2, (25, 3))
+    found = identify_wrist_centre(_readings(cell, chain, q, SIGMA), cell, nominal_parameters(cell).points)
+    assert "may not meet in one point" in found.warnings[0]
+
+
+def test_uncertain_points_make_an_uncertain_wrist_centre(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    q = np.tile(HOME, (25, 1))
+    q[:, 3:] += np.random.default_rng(6).uniform(-1.2, 1.2, (25, 3))
+    points = nominal_parameters(cell).points
+    readings = _readings(cell, chain_of(cell), q, SIGMA)
+    together = np.kron(np.ones((3, 3)), 1e-8 * np.eye(3))  # all points off alike: so is the centre
+    exact, found = (identify_wrist_centre(readings, cell, points, c).covariance for c in (None, together))
+    np.testing.assert_allclose(found - exact, 1e-8 * np.eye(3), atol=1e-12)
+
+
+def test_uncertainties_of_frame_and_axes_are_right(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    chain, truth = chain_of(cell), nominal_parameters(cell).tracker
+    pose, axes, centre = [], [], []
+    for seed in range(40):
+        found = identify_axes(_readings(cell, chain, _sweeps(range(6)), SIGMA, seed), cell)
+        base, seen = found.base, found.std > 1e-12
+        error = np.r_[base.tracker[:3, 3] - truth[:3, 3], rpy_of(base.tracker[:3, :3]) - rpy_of(truth[:3, :3])]
+        pose.append(error / base.std)
+        axes.append(found.geometry[seen] / found.std[seen])
+        q = np.tile(HOME, (25, 1))
+        q[:, 3:] += np.random.default_rng(seed).uniform(-1.2, 1.2, (25, 3))
+        wrist = identify_wrist_centre(_readings(cell, chain, q, SIGMA, seed), cell, nominal_parameters(cell).points)
+        centre.append((wrist.flange - [0.0, 0.0, -0.23]) / wrist.std)
+    assert np.shape(axes) == (40, 18)
+    for errors in (pose, axes, centre):
+        assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
+
+
+def test_sweeps_are_found_in_long_recordings_at_once(tmp_path: Path) -> None:
+    q = np.concatenate([np.random.default_rng(0).uniform(-1, 1, (20_000, 6)), _sweeps(range(1))])
+    began = time.process_time()
+    found = single_joint_sweeps(q, np.zeros(len(q), dtype=np.int64))
+    assert time.process_time() - began < 2.0
+    assert [(sweep.joints, len(sweep.rows)) for sweep in found] == [((0,), 25)]
 
 
 @pytest.mark.parametrize(
@@ -155,7 +208,7 @@ def test_a_wrist_that_does_not_move_is_refused(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
     readings = _readings(cell, chain_of(cell), np.tile(HOME, (9, 1)), SIGMA)
     with pytest.raises(IdentificationError):
-        identify_wrist_centre(readings, cell)
+        identify_wrist_centre(readings, cell, nominal_parameters(cell).points)
 
 
 @pytest.mark.parametrize("points", [np.zeros((3, 3)), np.outer(np.arange(6.0), [1, 2, 3])])

@@ -1,0 +1,91 @@
+"""What the standard's own methods make of a recording: base frame, joint axes, wrist centre (CWA 17384, 7.1 to 7.3)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TypeVar
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.errors import IdentificationError
+from calibration_core.identification.circle_point import AxisGeometry, BaseFrame, identify_axes, identify_base_frame
+from calibration_core.identification.terms import AXES
+from calibration_core.identification.wrist_centre import WristCentre, identify_wrist_centre
+from calibration_core.timeseries import Float1D, Float2D, Readings
+
+BASE_FRAME, JOINT_AXES, WRIST_CENTRE = "base_frame", "joint_axes", "wrist_centre"
+LEAST_AXES = 3  # joints 1 and 2 make the base frame; geometry begins with the next
+
+Found = TypeVar("Found")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StandardGeometry:
+    """Results of the standard's methods, each where the recording follows its protocol.
+
+    Attributes:
+        base: Base coordinate system by circle points; None if joints 1 and 2 were not swept alone.
+        axes: Joint axes by circle points; None if no joint beyond the second was swept as well.
+        wrist: Wrist centre by spheres; None if the wrist was not moved while the arm stood.
+        points_fitted: Whether the wrist centre stands on points that this recording determined, not on nominal ones.
+        reasons: `base_frame`, `joint_axes`, `wrist_centre` -> why there is none.
+    """
+
+    base: BaseFrame | None
+    axes: AxisGeometry | None
+    wrist: WristCentre | None
+    points_fitted: bool
+    reasons: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        """Freeze the mapping."""
+        object.__setattr__(self, "reasons", MappingProxyType(dict(self.reasons)))
+
+
+def standard_geometry(
+    readings: Readings, cell: Cell, points: Mapping[str, Float1D], names: tuple[str, ...], covariance: Float2D
+) -> StandardGeometry:
+    """Apply the standard's methods to an absolute recording.
+
+    Args:
+        readings: The recording.
+        cell: The cell file.
+        points: Measurement point -> (3,) m, flange frame, as identified.
+        names: Names of the rows of `covariance`, `mp1 x` among them where that was fitted.
+        covariance: (p, p) of everything that was fitted.
+    """
+    reasons: dict[str, str] = {}
+
+    def attempt(name: str, method: Callable[[], Found]) -> Found | None:
+        try:
+            return method()
+        except IdentificationError as error:
+            reasons[name] = str(error)
+            return None
+
+    rows = [names.index(name) if name in names else -1 for point in readings.points for name in _coordinates(point)]
+    fitted = np.array(rows) >= 0
+    of_points = np.where(np.outer(fitted, fitted), covariance[np.ix_(rows, rows)], 0.0) if fitted.any() else None
+    base = attempt(BASE_FRAME, lambda: identify_base_frame(readings, cell))
+    axes = None if base is None else attempt(JOINT_AXES, lambda: identify_axes(readings, cell))
+    if base is None:
+        reasons[JOINT_AXES] = reasons[BASE_FRAME]
+    elif axes is not None and len(axes.axes) < LEAST_AXES:
+        place, found = ", ".join(axes.not_observed), "no sweep"
+        expected = "five or more poses in which only one of them moves"
+        reasons[JOINT_AXES] = str(IdentificationError(readings.provenance.path, place, found, expected))
+        axes = None
+    return StandardGeometry(
+        base=base,
+        axes=axes,
+        wrist=attempt(WRIST_CENTRE, lambda: identify_wrist_centre(readings, cell, points, of_points)),
+        points_fitted=bool(fitted.all()),
+        reasons=reasons,
+    )
+
+
+def _coordinates(point: str) -> tuple[str, ...]:
+    return tuple(f"{point} {axis}" for axis in AXES)
