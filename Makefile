@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup lint test demo bench bench-peers prove clean
+.PHONY: help setup lint test demo record bench bench-peers prove clean
 
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
@@ -11,6 +11,7 @@ JOBS ?= 2
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
+RECORD := build/record
 STILL := src/calibration_core/test src/calibration_sim/test test
 LIVE := src/calibration/test test/ros/test_ros_end_to_end.py
 # Published; for development other seeds were used.
@@ -22,7 +23,8 @@ found = $(eval found := $$(shell .ci/prerequisites "$(PYTHON)"))$(found)
 python = $(if $(filter ok,$(firstword $(found))),$(wordlist 2,99,$(found)),$(error $(found)))
 
 help:
-	@echo "make demo     simulate a loaded recording, identify it, name the report"
+	@echo "make demo     the whole suite on a simulated cell: measured, identified live and offline, diagnosed"
+	@echo "make record   without nodes: simulate a loaded recording, identify it, name the report"
 	@echo "make test     lint, types and all tests"
 	@echo "make setup    virtual environment, packages, messages"
 	@echo "make lint     ruff and mypy alone"
@@ -49,9 +51,12 @@ prove: setup
 	@$(BIN)/calibration-prove --seed $(PROVE_SEED) --out build/prove/$(PROVE_SEED) --jobs $(JOBS) --batch
 
 demo: setup
-	@rm -rf $(DEMO)
-	@$(BIN)/calibration-sim record --cell $(CELL) --out $(DEMO)/recording --seed 1
-	@$(BIN)/calibration identify $(DEMO)/recording --cell $(CELL) --out $(DEMO)/identify
+	@set +u; source install/setup.bash; exec $(BIN)/python .ci/demo.py $(DEMO)
+
+record: setup
+	@rm -rf $(RECORD)
+	@$(BIN)/calibration-sim record --cell $(CELL) --out $(RECORD)/recording --seed 1
+	@$(BIN)/calibration identify $(RECORD)/recording --cell $(CELL) --out $(RECORD)/identify
 
 bench-peers: setup
 	@.ci/peers "$(python)"

@@ -1,14 +1,16 @@
-"""The whole suite at work: a simulated cell with a concealed fault is measured, identified live, and replayed.
+"""The whole suite at work: a simulated cell with a concealed fault is measured, identified live, replayed, diagnosed.
 
     source install/setup.bash && .venv/bin/python .ci/demo.py OUT
 
 Starts the installed executables, has a plan measured, asks the identification service, identifies the recorded bag
-once more without ROS, compares the two to the bit, and lets the diagnosis look for what was concealed.
+once more without ROS, compares the two to the bit, and lets the diagnosis look for what was concealed, of which it
+is told nothing.  No process is left behind, however it ends.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import shutil
@@ -16,6 +18,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,33 +27,83 @@ from calibration_interfaces.action import RunPlan
 from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import IdentifyStiffness
 from rclpy.action import ActionClient
+from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
+
+from calibration_core.procedure.session import Session
+from calibration_core.timeseries import NANOSECONDS
 
 ROOT = Path(__file__).resolve().parents[1]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 PARAMETERS = [ROOT / "config" / name for name in ("ros.yaml", "simulation.yaml")]
 NODES = ("guard", "tracker", "force_torque", "sequencer", "recorder", "identification")
 SPEED = 25.0  # times real time, if the machine can
-CONCEALED = ("joint_2", 3.0e-7)  # a bearing that tilts, rad/(N*m)
+EFFECT, JOINT, COMPLIANCE = "off_axis_compliance", "joint_2", 3.0e-7  # concealed: a bearing that tilts, rad/(N*m)
 PATIENCE = 300.0  # s
+GRACE = 10.0  # s, a process may take to end
 LEVELS = (0.0, 0.333, 0.667, 1.0)  # shares of the full pull, per step
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class DemonstrationError(Exception):
+    """The demonstration cannot go on."""
+
+
+class Processes:
+    """Whatever was started; each in a group of its own, so that what it starts ends with it."""
+
+    def __init__(self) -> None:
+        """Nothing is started yet."""
+        self._running: list[subprocess.Popen[str]] = []
+
+    def start(self, command: list[str], **streams: Any) -> subprocess.Popen[str]:
+        """Start one."""
+        process = subprocess.Popen(command, start_new_session=True, text=True, **streams)
+        self._running.append(process)
+        return process
+
+    def run(self, command: list[str]) -> str:
+        """Run one to its end; return what it prints."""
+        process = self.start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        told, faults = process.communicate()
+        self._running.remove(process)
+        if process.returncode:
+            raise DemonstrationError(f"{' '.join(command)}: {faults.strip()}")
+        return told
+
+    def stop(self) -> None:
+        """End all, and wait for them; signals have no effect meanwhile."""
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        for process in self._running:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGINT)
+        end = time.monotonic() + GRACE
+        for process in self._running:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(max(0.0, end - time.monotonic()))
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # what is left of its group
+            process.wait()
+        self._running.clear()
 
 
 class Cell:
-    """The processes, and what is asked of them."""
+    """The suite's processes, and a node to talk to them."""
 
-    def __init__(self, out: Path) -> None:
-        self.out, self.bag = out, out / "session" / "bag"
-        self.processes: list[subprocess.Popen[bytes]] = []
+    def __init__(self, out: Path, processes: Processes) -> None:
+        """Start them."""
+        self._out, self._processes = out, processes
+        self.session, self.bag = out / "session", out / "session" / "bag"
+        concealed = {"speed": SPEED, "concealed_joint": JOINT, "concealed_compliance": COMPLIANCE}
+        self._start("calibration_sim", "simulated_cell", concealed)
         own: dict[str, dict[str, object]] = {
             "recorder": {"out": self.bag},
             "identification": {"recording": self.bag},
         }
-        joint, compliance = CONCEALED
-        concealed = {"speed": SPEED, "concealed_joint": joint, "concealed_compliance": compliance}
-        self._start("calibration_sim", "simulated_cell", concealed)
         for name in NODES:
             self._start("calibration", name, own.get(name, {}))
+        self._node = rclpy.create_node("demo")
 
     def _start(self, package: str, name: str, own: dict[str, object]) -> None:
         command = [str(ROOT / "install" / package / "lib" / package / name), "--ros-args"]
@@ -58,61 +111,120 @@ class Cell:
             command += ["--params-file", str(file)]
         for key, value in ({"cell": CELL} | own).items():
             command += ["-p", f"{key}:={value}"]
-        with (self.out / f"{name}.log").open("wb") as log:
-            self.processes.append(subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT))
+        with (self._out / f"{name}.log").open("w", encoding="utf-8") as log:
+            self._processes.start(command, stdout=log, stderr=subprocess.STDOUT)
 
-    def stop(self) -> None:
-        """End every process, and wait for it."""
-        for process in self.processes:
-            process.send_signal(signal.SIGINT)
-        for process in self.processes:
-            try:
-                process.wait(15.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
+    def _wait(self, future: Any, what: str) -> Any:
+        end = time.monotonic() + PATIENCE
+        while not future.done():
+            if time.monotonic() > end:
+                raise DemonstrationError(f"{what}: no answer within {PATIENCE:.0f} s; see {self._out / what}.log")
+            rclpy.spin_once(self._node, timeout_sec=0.05)
+        return future.result()
+
+    def measure(self, plan: Path) -> Any:
+        """Have the plan measured, with a progress bar."""
+        client = ActionClient(self._node, RunPlan, "sequencer/run")
+        if not client.wait_for_server(60.0):
+            raise DemonstrationError(f"the sequencer does not come up: see {self._out / 'sequencer.log'}")
+        with tqdm(total=100, desc="measuring", bar_format="{l_bar}{bar}| [{elapsed}{postfix}]") as bar:
+
+            def on_feedback(message: Any) -> None:
+                told = message.feedback
+                bar.n = round(100 * told.share_done)
+                bar.set_postfix_str(f"configuration {told.configuration}, step {told.step}")
+
+            goal = RunPlan.Goal(plan=str(plan), session=str(self.session))
+            handle = self._wait(client.send_goal_async(goal, feedback_callback=on_feedback), "sequencer")
+            result = self._wait(handle.get_result_async(), "sequencer").result
+            if result.outcome.code != Outcome.OK:
+                raise DemonstrationError(result.outcome.text)
+            bar.n = 100
+            bar.set_postfix_str("")
+        return result
+
+    def identify(self, out: Path) -> Any:
+        """Ask the service for the joint stiffness."""
+        client = self._node.create_client(IdentifyStiffness, "identification/identify_stiffness")
+        if not client.wait_for_service(30.0):
+            raise DemonstrationError(f"the identification does not come up: see {self._out / 'identification.log'}")
+        request = IdentifyStiffness.Request(cell=str(CELL), out=str(out))
+        answer = self._wait(client.call_async(request), "identification")
+        if answer.outcome.code != Outcome.OK:
+            raise DemonstrationError(answer.outcome.text)
+        return answer
 
 
-def wait(node: Any, future: Any, what: str) -> Any:
-    """Spin until an answer is there."""
+@contextlib.contextmanager
+def stage(what: str) -> Iterator[None]:
+    """Say what is being done, and how long it took."""
+    print(f"{what} ...", end=" ", flush=True)
+    began = time.monotonic()
+    yield
+    print(f"{time.monotonic() - began:.1f} s", flush=True)
+
+
+def program(processes: Processes, out: Path, *arguments: object) -> tuple[str, dict[str, Any]]:
+    """Run the program `calibration`, which needs no ROS; return what it prints, and its result."""
+    command = [str(Path(sys.executable).parent / "calibration"), *map(str, arguments)]
+    told = processes.run([*command, "--cell", str(CELL), "--out", str(out)])
+    return told, dict(json.loads((out / "result.json").read_text(encoding="utf-8")))
+
+
+def cell_seconds(session: Path) -> float:
+    """Return how long a measurement took by the cell's clock, s."""
+    with Session.look(session) as found:
+        times = [event.time for event in found.events]
+    return (max(times) - min(times)) / NANOSECONDS
+
+
+def named(found: dict[str, Any]) -> bool:
+    """Whether the diagnosis names what was concealed, first."""
+    first = next(iter(found["findings"]), {"effect": "", "location": {}})
+    return (first["effect"], first["location"]) == (EFFECT, {"joint": JOINT})
+
+
+def demonstrate(out: Path, processes: Processes) -> bool:
+    """Run everything; return whether live and replayed results are the same and the concealed effect is named."""
+    with stage("planning"):
+        program(processes, out / "plan", "plan", "--load-levels", *LEVELS)
+    cell = Cell(out, processes)
+    began = time.monotonic()
+    result = cell.measure(out / "plan" / "plan.yaml")
+    factor = cell_seconds(cell.session) / (time.monotonic() - began)
+    print(f"{result.outcome.text}, {result.readings} readings; {factor:.0f} times faster than life")
+    with stage("identifying, by the service"):
+        answer = cell.identify(out / "identify")
+    for joint, value, std in zip(answer.joints, answer.stiffness, answer.std, strict=True):
+        print(f"  {joint:10s} {value / 1e6:8.3f} ± {std / 1e6:.3f} 10⁶ N·m/rad")
+    with stage("identifying the recorded bag, without ROS"):
+        _, replayed = program(processes, out / "replay", "identify", cell.bag, "--no-report")
+    live = json.loads(answer.result_json)
+    same = all(live[key] == replayed[key] for key in live if key != "recording")
+    print(f"live and replayed results are {'the same to the bit' if same else 'DIFFERENT'}")
+    with stage("diagnosing the recorded bag, blind"):
+        told, found = program(processes, out / "diagnose", "diagnose", cell.bag)
+    print("".join(f"  {line}\n" for line in told.splitlines() if not line.startswith("report:")), end="")
+    print(f"what was concealed: a bearing of {JOINT} that tilts ({EFFECT}, {COMPLIANCE:g} rad/(N·m))")
+    print(f"the diagnosis {'names it' if named(found) else 'does NOT name it'}")
+    report = Path(answer.report_path)
     end = time.monotonic() + PATIENCE
-    while not future.done():
+    while not report.exists():  # drawn after the answer
         if time.monotonic() > end:
-            sys.exit(f"{what}: no answer within {PATIENCE:.0f} s")
-        rclpy.spin_once(node, timeout_sec=0.05)
-    return future.result()
+            raise DemonstrationError(f"{report} is not drawn; see {out / 'identification.log'}")
+        time.sleep(0.1)
+    for what, path in (("plan", out / "plan"), ("stiffness", report.parent), ("diagnosis", out / "diagnose")):
+        print(f"report, {what}: {path / 'report.html'}")
+    return same and named(found)
 
 
-def measure(node: Any, plan: Path, session: Path) -> Any:
-    """Have the plan measured, with a progress bar."""
-    client = ActionClient(node, RunPlan, "sequencer/run")
-    if not client.wait_for_server(60.0):
-        sys.exit("the sequencer does not come up: see its log")
-    with tqdm(total=100, desc="measuring", bar_format="{l_bar}{bar}| [{elapsed}{postfix}]") as bar:
-
-        def on_feedback(message: Any) -> None:
-            told = message.feedback
-            bar.n = round(100 * told.share_done)
-            bar.set_postfix_str(f"configuration {told.configuration}, step {told.step}")
-
-        goal = RunPlan.Goal(plan=str(plan), session=str(session))
-        handle = wait(node, client.send_goal_async(goal, feedback_callback=on_feedback), "sequencer")
-        result = wait(node, handle.get_result_async(), "sequencer").result
-        bar.n = 100 if result.outcome.code == Outcome.OK else bar.n
-    return result
-
-
-def offline(out: Path, *arguments: object) -> dict[str, Any]:
-    """Run the program `calibration`, which needs no ROS; return its result."""
-    program = str(Path(sys.executable).parent / "calibration")
-    command = [program, *map(str, arguments), "--cell", str(CELL), "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        sys.exit(f"{' '.join(command)}: {done.stderr.strip()}")
-    return dict(json.loads((out / "result.json").read_text(encoding="utf-8"))) if (out / "result.json").exists() else {}
+def leave(number: int, _frame: object) -> None:
+    """End by a signal, in order."""
+    raise SystemExit(128 + number)
 
 
 def main() -> int:
-    """Run the demonstration; 0 if live and replayed results are the same to the bit."""
+    """Run the demonstration; 0 if live and replayed results are the same to the bit and the diagnosis is right."""
     parser = argparse.ArgumentParser(description="Measure a simulated cell with everything that a real one needs.")
     parser.add_argument("out", type=Path, help="directory, replaced")
     out = parser.parse_args().out.resolve()
@@ -121,37 +233,18 @@ def main() -> int:
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    offline(out / "plan", "plan", "--load-levels", *LEVELS)
-    rclpy.init()
-    node = rclpy.create_node("demo")
-    cell = Cell(out)
+    for number in SIGNALS:
+        signal.signal(number, leave)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    processes = Processes()
     try:
-        result = measure(node, out / "plan" / "plan.yaml", out / "session")
-        print(f"{result.outcome.text}, {result.readings} readings")
-        if result.outcome.code != Outcome.OK:
-            return 1
-        client = node.create_client(IdentifyStiffness, "identification/identify_stiffness")
-        client.wait_for_service(30.0)
-        request = IdentifyStiffness.Request(cell=str(CELL), out=str(out / "identify"))
-        answer = wait(node, client.call_async(request), "identification")
-    finally:
-        cell.stop()
-        node.destroy_node()
-        rclpy.try_shutdown()
-    if answer.outcome.code != Outcome.OK:
-        print(answer.outcome.text)
+        return 0 if demonstrate(out, processes) else 1
+    except DemonstrationError as failure:
+        print(f"\n{failure}", file=sys.stderr)
         return 1
-    live, replayed = json.loads(answer.result_json), offline(out / "replay", "identify", cell.bag)
-    same = all(live[key] == replayed[key] for key in live if key != "recording")
-    for joint, value, std in zip(answer.joints, answer.stiffness, answer.std, strict=True):
-        print(f"  {joint:10s} {value / 1e6:8.3f} ± {std / 1e6:.3f} 10⁶ N·m/rad")
-    print(f"live and replayed results are {'the same to the bit' if same else 'DIFFERENT'}")
-    found = offline(out / "diagnose", "diagnose", cell.bag)
-    effects = [f"{entry['effect']} {entry['location']}" for entry in found.get("findings", [])]
-    print(f"concealed: a tilting bearing of {CONCEALED[0]}; found: {', '.join(effects) or 'nothing'}")
-    for name in ("identify", "replay", "diagnose"):
-        print(f"report: {out / name / 'report.html'}")
-    return 0 if same else 1
+    finally:
+        processes.stop()
+        rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

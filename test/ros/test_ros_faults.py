@@ -123,7 +123,7 @@ class Cell:
             again = time.monotonic() + 3.0
             while time.monotonic() < again and not self.since("cell", begin, "motion"):
                 time.sleep(0.01)
-            if begin and not self.since("cell", begin, "motion"):
+            if not self.since("cell", begin, "motion"):
                 self.allow()
 
     def move_for(self, seconds: float, begin: int) -> None:
