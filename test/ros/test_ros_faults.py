@@ -117,7 +117,7 @@ class Cell:
 
     def wait_for_motion(self, begin: int) -> None:
         """Wait until the robot moves; on a busy machine the guard may find something stale and want another reset."""
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + 150.0  # the steps of a configuration are measured in between
         while not self.since("cell", begin, "motion"):
             assert time.monotonic() < end, self.suite.log("sequencer")[-2000:]
             again = time.monotonic() + 3.0
@@ -141,8 +141,12 @@ class Cell:
         from calibration_interfaces.srv import ResetGuard
         from std_srvs.srv import Trigger
 
-        if self.suite.call(ResetGuard, "guard/reset", operator_name="test").permission.permitted:
-            self.suite.call(Trigger, "sequencer/resume")
+        end = time.monotonic() + 2.0  # the guard hears of the end of a fault a little later
+        while not self.suite.call(ResetGuard, "guard/reset", operator_name="test").permission.permitted:
+            if time.monotonic() > end:
+                return
+            time.sleep(0.05)
+        self.suite.call(Trigger, "sequencer/resume")
 
     def strike(self, fault: Fault) -> float:
         """Make a fault happen; return when it was known at the earliest, ns."""

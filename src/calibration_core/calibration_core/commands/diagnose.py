@@ -7,11 +7,13 @@ import dataclasses
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.common import report_line
+from calibration_core.commands.offers import offers_for, proposed_plan
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.finding import Diagnosis
 from calibration_core.identification.loaded import Options
 from calibration_core.model.model_file import model_text
 from calibration_core.observations.observe import observe
+from calibration_core.procedure.plan_file import plan_text
 from calibration_core.report.diagnosis_result import diagnosis_dict
 from calibration_core.report.diagnosis_summary import diagnosis_summary
 from calibration_core.report.output import RESULT, Content, write_files
@@ -29,10 +31,14 @@ def run(arguments: argparse.Namespace) -> str:
     readings = observe(arguments.recording, cell)
     test = None if arguments.test is None else observe(arguments.test, cell)
     simulation = None if arguments.simulation is None else observe(arguments.simulation, cell)
-    found = diagnose(readings, cell, Options(robust=not arguments.no_robust), test, simulation)
+    found = diagnose(
+        readings, cell, Options(robust=not arguments.no_robust), test, simulation, offers_for(readings, cell)
+    )
     result = result_json(diagnosis_dict(found, cell))
     model = found.identification.model if found.model is None else found.model
     files: dict[str, Content] = {RESULT: result, "model.yaml": model_text(model, cell).encode()}
+    if found.next_measurements:
+        files["next.yaml"] = plan_text(proposed_plan(found.next_measurements, cell)).encode()
     files |= table_files(dataclasses.replace(found.identification, model=model))
     if arguments.report:
         files |= _report(found, cell, result)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from calibration_core.diagnosis.compare import compare
 from calibration_core.diagnosis.comparison import Comparison
 from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
 from calibration_core.diagnosis.loaded import diagnose_loaded
+from calibration_core.diagnosis.next_offers import Offer
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.loaded import Options
@@ -24,6 +26,7 @@ NO_PHYSICS = Rest(
     "Recording and simulation differ by what is no physics, and it may be the recording that is mixed up: no physics "
     "is claimed before this is put right.",
 )
+SLACK = 0.02  # of the largest force: less is none
 ENOUGH = 20  # single-step configurations beside loaded ones from which on their absolute positions are searched too
 
 
@@ -33,11 +36,13 @@ def diagnose(
     options: Options | None = None,
     test: Readings | None = None,
     simulation: Readings | None = None,
+    offers: Sequence[Offer] | None = None,
 ) -> Diagnosis:
     """Say what the model of a recording leaves out.
 
-    A recording may hold configurations with several steps and others with one: the first are searched as loaded data,
-    the second as absolute positions, and the findings stand together.
+    A recording may hold configurations with several steps and others with one: the first are searched as loaded data;
+    the second, with the first steps of the others where nothing pulls, as absolute positions.  The findings stand
+    together.
 
     Args:
         readings: The recording.
@@ -45,15 +50,16 @@ def diagnose(
         options: How to evaluate the loaded part.
         test: A second recording of the same kind, predicted but not fitted.
         simulation: What a simulation says of the same measurement; compared before any physics.
+        offers: What could be measured next; None: nothing is proposed.
 
     Raises:
         InputError: The input cannot be used; the message names file, place, what was found and what was expected.
     """
     if simulation is None:
-        return _diagnose(readings, cell, options, test)
+        return _diagnose(readings, cell, options, test, offers)
     compared = compare(readings, simulation, cell)
     try:
-        found = _diagnose(readings, cell, options, test)
+        found = _diagnose(readings, cell, options, test, offers)
     except EquilibriumError as error:
         if not compared.recording_spoiled:
             raise
@@ -75,14 +81,20 @@ def beside(found: Diagnosis, compared: Comparison) -> Diagnosis:
     return dataclasses.replace(found, verdict="consistent", findings=(), rest=NO_PHYSICS, model=None)
 
 
-def _diagnose(readings: Readings, cell: Cell, options: Options | None, test: Readings | None) -> Diagnosis:
+def _diagnose(
+    readings: Readings,
+    cell: Cell,
+    options: Options | None,
+    test: Readings | None,
+    offers: Sequence[Offer] | None,
+) -> Diagnosis:
     if not is_loaded(readings):
         return diagnose_absolute(readings, cell, test=test)
     single = _single(readings)
     if len(np.unique(readings.configuration[single])) < ENOUGH or cell.measurements.points == "displacement":
-        return diagnose_loaded(readings, cell, options, test)
-    loaded = diagnose_loaded(readings.select(~single), cell, options, test)
-    still = dataclasses.replace(readings.select(single), wrench=None)
+        return diagnose_loaded(readings, cell, options, test, offers)
+    loaded = diagnose_loaded(readings.select(~single), cell, options, test, offers)
+    still = dataclasses.replace(readings.select(single | _unloaded_start(readings)), wrench=None)
     return together(loaded, diagnose_absolute(still, cell))
 
 
@@ -106,6 +118,14 @@ def together(loaded: Diagnosis, absolute: Diagnosis) -> Diagnosis:
         rest=rest,
         located=(*loaded.located, *absolute.located),
     )
+
+
+def _unloaded_start(readings: Readings) -> Bool1D:
+    """Return the rows of first steps at which next to nothing pulls, (m,)."""
+    if readings.wrench is None:
+        return np.zeros(len(readings), dtype=bool)
+    force = np.linalg.norm(readings.wrench[:, :3], axis=1)
+    return np.asarray((readings.step == 0) & (force < SLACK * force.max()))
 
 
 def _single(readings: Readings) -> Bool1D:

@@ -102,11 +102,19 @@ class Measurement:
         q: Joint angles, rad.
         wrench: Base axes at the wrench point, N and N*m.
         why: What it would decide, and by how much.
+        steps: The wrenches of its load steps, the first unloaded.
+        gain: What it is expected to bring.
+        gain_at_random: What a configuration taken at random is expected to bring (median).
+        gain_unit: `nats` of log Bayes factor, or `%` of a value's standard deviation.
     """
 
     q: tuple[float, ...]
     wrench: tuple[float, ...]
     why: str
+    steps: tuple[tuple[float, ...], ...] = ()
+    gain: float = 0.0
+    gain_at_random: float = 0.0
+    gain_unit: str = ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -135,6 +143,7 @@ class Diagnosis:
         aliases: What this kind of recording can never tell apart, in sentences.
         further_figures: More figures of the fit for result.json, by name.
         comparison: With a simulation of the same measurement, if one was given.
+        next_text: What no further measurement of this kind can decide, or why none is proposed.
     """
 
     verdict: Verdict
@@ -160,3 +169,4 @@ class Diagnosis:
     aliases: tuple[str, ...] = ()
     further_figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
     comparison: Comparison | None = None
+    next_text: str = ""

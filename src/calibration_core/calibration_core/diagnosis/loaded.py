@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from calibration_core.diagnosis.extended import Extended, design_at, extend, ext
 from calibration_core.diagnosis.finding import Diagnosis, Verdict
 from calibration_core.diagnosis.held_out import held_out_errors, lengths
 from calibration_core.diagnosis.naming import findings_of
+from calibration_core.diagnosis.next_measurements import NONE_ASKED, propose
+from calibration_core.diagnosis.next_offers import Offer
 from calibration_core.diagnosis.noise import Scatter, claimed, directions, scatter, with_noise
 from calibration_core.diagnosis.registration import registration_findings
 from calibration_core.diagnosis.rest import held_out_error, weighted_rest, what_remains
@@ -60,7 +63,11 @@ class Attempt:
 
 
 def diagnose_loaded(
-    readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None
+    readings: Readings,
+    cell: Cell,
+    options: Options | None = None,
+    test: Readings | None = None,
+    offers: Sequence[Offer] | None = None,
 ) -> Diagnosis:
     """Say what the model of a loaded recording leaves out.
 
@@ -69,6 +76,7 @@ def diagnose_loaded(
         cell: The cell file.
         options: As for `identify_loaded`.
         test: A second recording, predicted but not fitted.
+        offers: What could be measured next; None: nothing is proposed.
 
     Raises:
         InputError: As `identify_loaded`.
@@ -88,12 +96,16 @@ def diagnose_loaded(
     noise = identification.noise.claimed * seen.total
     joints = prepared.problem.chain.joints
     model = extended_model(prepared.parameters, extended)
+    proposals = NONE_ASKED
+    if offers is not None and checked.usable:
+        proposals = propose(extended, selection, offers, cell, seen, prepared.frames)
     return Diagnosis(
         verdict=_verdict(bool(findings), rest.significant and checked.usable),
         findings=findings,
         anomalies=anomalies,
         rest=rest,
-        next_measurements=(),
+        next_measurements=proposals.measurements,
+        next_text=proposals.text,
         identification=identification,
         stiffness={
             joint: (1 / c, s / c**2) if c > 0 else (np.inf, np.inf)
@@ -200,7 +212,7 @@ def _attempt(
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
-    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE) if usable else NOTHING
+    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE, seen.freedom) if usable else NOTHING
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     return Attempt(seen, design, selection, extended, _rms(used, prepared))
 

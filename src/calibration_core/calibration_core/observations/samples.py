@@ -19,6 +19,7 @@ from calibration_core.timeseries import NANOSECONDS, Float1D
 
 LEARNING = 10  # intervals from which the usual one is known
 REMEMBERED = 101
+BACK_SECONDS, BACK_SAMPLES = 1.0, 3  # so many samples in order, so far behind: the clock itself went back
 ROTATION_TOLERANCE = 1e-3  # of the norm of a quaternion
 
 
@@ -101,6 +102,7 @@ class StreamCheck:
         self.problem = Problem.FINE
         self.gap_before = self.break_before = False
         self._time: int | None = None  # of the last sample in order
+        self._behind: list[int] = []  # stamps in order among themselves, far behind that one
         self._last: tuple[int, Float1D] | None = None  # the last sample accepted
         self._bytes = b""
         self._alike = 0
@@ -136,8 +138,9 @@ class StreamCheck:
         return self.problem
 
     def _judge(self, time: int, values: Float1D, frame: str, rotation: Float1D | None) -> Problem:
-        if self._time is not None and time <= self._time:
+        if self._time is not None and time <= self._time and not self._clock_went_back(time, self._time):
             return Problem.OUT_OF_ORDER
+        self._behind.clear()
         self._count_gap(time)
         if not np.isfinite(values).all() or not (rotation is None or np.isfinite(rotation).all()):
             return Problem.NOT_FINITE
@@ -154,6 +157,16 @@ class StreamCheck:
             if _beyond((values - self._last[1]) / seconds, self.limits.fastest):
                 return Problem.JUMP
         return Problem.FINE
+
+    def _clock_went_back(self, time: int, latest: int) -> bool:
+        """Whether this is no straggler but the stream's clock, set back; the stream then begins anew."""
+        in_order = not self._behind or time > self._behind[-1]
+        far = latest - time >= BACK_SECONDS * NANOSECONDS
+        self._behind = [*(self._behind if in_order else ()), time] if far else []
+        if len(self._behind) < BACK_SAMPLES:
+            return False
+        self._time = self._last = None
+        return True
 
     def _is_frozen(self, values: Float1D, rotation: Float1D | None) -> bool:
         content = values.tobytes() + (b"" if rotation is None else rotation.tobytes())

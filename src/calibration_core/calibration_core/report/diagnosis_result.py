@@ -47,9 +47,18 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
         "text": rest.text,
     }
     content["next_measurements"] = [
-        {"q": list(proposal.q), "wrench": list(proposal.wrench), "why": proposal.why}
+        {
+            "q": list(proposal.q),
+            "wrench": list(proposal.wrench),
+            "why": proposal.why,
+            "steps": [list(step) for step in proposal.steps],
+            "gain": proposal.gain,
+            "gain_at_random": proposal.gain_at_random,
+            "gain_unit": proposal.gain_unit,
+        }
         for proposal in diagnosis.next_measurements
     ]
+    content["next_text"] = diagnosis.next_text
     content["located"] = list(diagnosis.located)
     content["small_effects"] = {"signal_to_noise": diagnosis.level}
     content["blocks"] = {kind: {"before": b, "after": a} for kind, (b, a) in diagnosis.blocks.items()}

@@ -31,6 +31,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
     if diagnosis.next_measurements:
         lines.append(f"next: {counted(len(diagnosis.next_measurements), 'measurement')} proposed")
         lines += [f"   {proposal.why}" for proposal in diagnosis.next_measurements]
+    lines.append(diagnosis.next_text)
     return "\n".join(line for line in lines if line)
 
 

@@ -94,6 +94,26 @@ def test_stamps_must_increase(step: int) -> None:
     assert check.counts.gaps == 0
 
 
+def test_a_clock_that_goes_back_begins_anew() -> None:
+    check = StreamCheck(Limits(interval=0.01, fastest=(1.0,)))
+    for k in range(20):
+        check.add(START + 10 * MS * k, np.full(3, 1e-3 * k))
+    back = [check.add(START - 60_000 * MS + 10 * MS * k, np.full(3, 5.0)) for k in range(6)]
+    assert back == [Problem.OUT_OF_ORDER] * 2 + [Problem.FINE] * 4
+    assert (check.counts.gaps, check.counts.missing) == (0, 0)
+
+
+def test_stragglers_do_not_set_the_clock_back() -> None:
+    check = StreamCheck(Limits(interval=0.01))
+    found = []
+    for k in range(10):
+        assert check.add(START + 10 * MS * k, np.full(3, float(k))) is Problem.FINE
+        found += [check.add(START - 60_000 * MS + 10 * MS * (2 * k + m), np.zeros(3)) for m in range(2)]
+    found += [check.add(START - 60_000 * MS, np.zeros(3)) for _ in range(5)]
+    assert set(found) == {Problem.OUT_OF_ORDER}
+    assert check.counts.gaps == 0
+
+
 def test_torque_has_its_own_limit() -> None:
     check = StreamCheck(Limits(largest=(1000.0, 100.0)))
     assert check.add(START, np.array([900.0, 0, 0, 90.0, 0, 0])) is Problem.FINE

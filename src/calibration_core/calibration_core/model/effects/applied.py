@@ -15,7 +15,6 @@ from calibration_core.model.effects.transmission_error import harmonic, order_of
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D
 
-
 RELATIVE = frozenset({"backlash", "hysteresis", "nonlinear_stiffness", "soft_zone"})  # to the largest torque
 REFERENCE = "reference_torque"
 

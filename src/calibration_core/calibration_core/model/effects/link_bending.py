@@ -20,6 +20,7 @@ from calibration_core.timeseries import Float2D, Float3D
 
 SHORTEST = 0.05  # m: shorter links do not bend
 UNIT = "1/(N*m^2)"
+ACROSS = 1e-6  # cosine: axes so near to right angles are equally so
 TURNED = 0.3  # typical size of the compliance between the two planes over that in them
 
 
@@ -33,8 +34,9 @@ def _axes(state: State, link: int) -> tuple[Float2D, Float2D, Float2D]:
     start, tip = _ends(state, link)
     along = (tip - start) / np.linalg.norm(tip - start, axis=0)
     body = state.at.body[link]
-    inner = [abs(float(np.mean(np.sum(body[k] * along, axis=0)))) for k in range(3)]
-    across = cross(along, body[int(np.argmin(inner))])
+    inner = np.array([abs(float(np.mean(np.sum(body[k] * along, axis=0)))) for k in range(3)])
+    first = int(np.flatnonzero(inner < inner.min() + ACROSS)[0])  # not by rounding errors: the same in all recordings
+    across = cross(along, body[first])
     across = across / np.linalg.norm(across, axis=0)
     return across, cross(along, across), along
 

@@ -1,0 +1,64 @@
+"""Configurations and loads that a cell could measure next: fit to be measured, within rated load and what was used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.finding import Measurement
+from calibration_core.diagnosis.next_offers import Offer, largest_force, levels_of
+from calibration_core.identification.identify import is_loaded
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.procedure.loads import LoadRules, full_pulls, wrench_steps
+from calibration_core.procedure.plan import Plan, PlannedConfiguration
+from calibration_core.procedure.space import Site, SpaceRules, joint_range, measurable
+from calibration_core.timeseries import Readings
+
+POSTURES = 400
+DIRECTIONS = 3
+BATCH, BATCHES = 4000, 30
+
+
+def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ...] | None:
+    """Draw what could be measured next.
+
+    No joint goes beyond its limits, no force beyond the rated load or the largest of the recording (the sensor has
+    proven that range), and the steps are those of the recording.
+
+    Args:
+        readings: The recording.
+        cell: The cell file.
+        seed: The same seed gives the same offers.
+
+    Returns:
+        The offers; none if no posture is fit; None where loads mean nothing (no load, or no wrench point to pull at).
+    """
+    if not is_loaded(readings) or cell.frames.wrench_point is None:
+        return None
+    parameters = nominal_parameters(cell)
+    site = Site.of(chain_of(cell), parameters, tracker_known=cell.frames.tracker is not None)
+    rng = np.random.default_rng([seed, 0])
+    low, high = joint_range(site.chain, SpaceRules())
+    found = np.empty((0, site.chain.n))
+    for _ in range(BATCHES):
+        drawn = rng.uniform(low, high, (BATCH, site.chain.n))
+        found = np.vstack([found, drawn[measurable(site, drawn, SpaceRules())]])[:POSTURES]
+        if len(found) == POSTURES:
+            break
+    rules = LoadRules(directions=DIRECTIONS, largest_force=largest_force(readings))
+    pulls = full_pulls(cell, parameters, rules, len(found), rng)
+    levels = levels_of(readings)
+    pairs = [(q, pull) for q, several in zip(found, pulls, strict=True) for pull in several]
+    return tuple(Offer(k, q, wrench_steps(pull, levels)) for k, (q, pull) in enumerate(pairs, start=1))
+
+
+def proposed_plan(measurements: Sequence[Measurement], cell: Cell) -> Plan:
+    """Return proposals as a plan, which `simulate` and the sequencer read."""
+    configurations = tuple(
+        PlannedConfiguration(number, np.array(proposal.q), np.array(proposal.steps))
+        for number, proposal in enumerate(measurements, start=1)
+    )
+    return Plan(cell.robot.name, cell.robot.joints, configurations, np.empty((0, len(cell.robot.joints))))
