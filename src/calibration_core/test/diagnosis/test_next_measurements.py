@@ -1,0 +1,134 @@
+"""Proposals: the expected gain is what sampling gives, the limits are kept, and aliases are not promised to part."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robots import loaded_readings, write_cell
+
+from calibration_core.cell import Cell
+from calibration_core.commands.offers import offers_for, proposed_plan
+from calibration_core.diagnosis.loaded import diagnose_loaded
+from calibration_core.diagnosis.next_knowledge import Knowledge, expected_log_bayes_factor
+from calibration_core.diagnosis.next_offers import levels_of
+from calibration_core.identification.problem import build_problem, load_of
+from calibration_core.model.effects import candidates
+from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.procedure.plan_file import plan_text, read_plan
+from calibration_core.timeseries import Readings
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    return write_cell(tmp_path_factory.mktemp("cell"))
+
+
+def state_at(readings: Readings, cell: Cell) -> State:
+    model = nominal_parameters(cell)
+    problem = build_problem(readings, cell, chain_of(cell), model)
+    points = np.stack([model.points[name] for name in readings.points])[readings.point].T
+    return state_of(
+        chain_of(cell), readings.q, model.compliance, load_of(readings, cell, model), points,
+        point_index=readings.point, wrench=readings.wrench, configuration=problem.configuration, step=readings.step,
+        time=readings.time, temperature=readings.temperature, tracker=model.tracker, rated_load=240.0,
+    )  # fmt: skip
+
+
+def with_effect(cell: Cell, seed: int, effect: str, variant: str, values: list[float], **location: object) -> Readings:
+    readings = loaded_readings(cell, seed)
+    state = state_at(readings, cell)
+    chosen = next(
+        c
+        for c in candidates(state)
+        if (c.effect, c.variant) == (effect, variant) and all(c.location[k] == v for k, v in location.items())
+    )
+    shift = chosen.columns(state) @ np.array(values) @ nominal_parameters(cell).tracker[:3, :3]
+    return dataclasses.replace(readings, position=readings.position + shift)
+
+
+def test_the_expected_log_bayes_factor_is_what_sampling_gives() -> None:
+    rng = np.random.default_rng(0)
+    recorded = [rng.standard_normal((30, 3)) for _ in range(2)]
+    residual = recorded[0] @ [0.5, -0.2, 1.0] + rng.standard_normal(30)
+    known = [Knowledge.of(columns, residual, 1) for columns in recorded]
+    further = rng.standard_normal((2, 4, 3))
+    first, second = (k.predict(further[[i]]) for i, k in enumerate(known))
+    expected = expected_log_bayes_factor(first, second)[0]
+    drawn = rng.multivariate_normal(first.mean[0], first.covariance[0], 200_000)
+
+    def log_density(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        apart = drawn - mean
+        squares = np.einsum("ki,ij,kj->k", apart, np.linalg.inv(covariance), apart)
+        return -0.5 * (squares + np.linalg.slogdet(covariance)[1])
+
+    sampled = log_density(first.mean[0], first.covariance[0]) - log_density(second.mean[0], second.covariance[0])
+    assert expected == pytest.approx(float(sampled.mean()), abs=5 * float(sampled.std()) / 447)
+
+
+def test_knowledge_after_a_measurement_is_that_of_both_together() -> None:
+    rng = np.random.default_rng(1)
+    columns, residual = rng.standard_normal((40, 4)), rng.standard_normal(40)
+    apart = Knowledge.of(columns[:30], residual[:30], 2).after(columns[30:], residual[30:])
+    weight = columns.T @ columns + np.diag([0.0, 0.0, 1.0, 1.0])
+    np.testing.assert_allclose(apart.mean, np.linalg.solve(weight, columns.T @ residual), rtol=1e-6)
+    np.testing.assert_allclose(apart.covariance, np.linalg.inv(weight), rtol=1e-6)
+    before = Knowledge.of(columns[:30], residual[:30], 2)
+    np.testing.assert_allclose(
+        before.variances_after(columns[None, 30:], [0, 2])[0], np.diag(apart.covariance)[[0, 2]], rtol=1e-6
+    )
+
+
+def test_offers_keep_the_limits(cell: Cell) -> None:
+    readings = loaded_readings(cell, 1)
+    offers = offers_for(readings, cell)
+    assert offers
+    assert levels_of(readings) == (0.0, 0.5, 1.0, 0.5, 0.0)
+    largest = np.linalg.norm(np.array(readings.wrench)[:, :3], axis=1).max()
+    for offer in offers:
+        assert np.abs(offer.q).max() < 3.0
+        force = np.linalg.norm(offer.steps[:, :3], axis=1)
+        assert force[0] == 0.0
+        assert force.max() <= min(240 * 9.80665, largest) + 1e-6
+        np.testing.assert_allclose(force, force.max() * np.array([0.0, 0.5, 1.0, 0.5, 0.0]))
+
+
+def test_an_ambiguous_finding_gets_a_proposal_that_the_sequencer_can_read(cell: Cell, tmp_path: Path) -> None:
+    readings = with_effect(cell, 11, "backlash", "load torque, within 4 %", [2e-4], joint="joint_4")
+    found = diagnose_loaded(readings, cell, offers=offers_for(readings, cell))
+    ambiguous = [f for f in found.findings if f.cannot_be_told_from]
+    assert ambiguous
+    first = found.next_measurements[0]
+    assert first.gain_unit == "nats"
+    assert first.gain > first.gain_at_random
+    assert ambiguous[0].effect.replace("_", " ") in first.why
+    path = tmp_path / "next.yaml"
+    path.write_text(plan_text(proposed_plan(found.next_measurements, cell)))
+    plan = read_plan(path, cell)
+    np.testing.assert_allclose(plan.configurations[0].q, first.q)
+    np.testing.assert_allclose(plan.configurations[0].steps, first.steps)
+
+
+def test_nothing_is_expected_to_part_exact_aliases() -> None:
+    rng = np.random.default_rng(2)
+    columns, residual, further = rng.standard_normal((30, 3)), rng.standard_normal(30), rng.standard_normal((5, 6, 3))
+    turned = np.linalg.qr(rng.standard_normal((2, 2)))[0]  # the same space, other parameters
+    mixed = np.eye(3)
+    mixed[1:, 1:] = turned
+    first = Knowledge.of(columns, residual, 1).predict(further)
+    second = Knowledge.of(columns @ mixed, residual, 1).predict(further @ mixed)
+    np.testing.assert_allclose(expected_log_bayes_factor(first, second), 0.0, atol=1e-9)
+
+
+def test_without_a_finding_the_worst_stiffness_is_made_more_certain(cell: Cell) -> None:
+    readings = loaded_readings(cell, 1)
+    found = diagnose_loaded(readings, cell, offers=offers_for(readings, cell))
+    assert found.findings == ()
+    worst = max(found.stiffness, key=lambda joint: found.stiffness[joint][1] / found.stiffness[joint][0])
+    assert len(found.next_measurements) == 3
+    assert worst in found.next_measurements[0].why
+    assert found.next_measurements[0].gain >= found.next_measurements[0].gain_at_random > 0
