@@ -2,16 +2,18 @@
 
 The work is done by the same code as the command line's, in a process beside the callbacks: the same files, the same
 numbers.  One evaluation at a time; whoever comes meanwhile is told so.  A service answers as soon as the numbers are
-there; the report is drawn by a second process and follows within seconds.  The action waits for it.
+there; the report is drawn by a second process and follows within seconds.  The action draws it before it answers.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,34 +26,56 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from calibration import results
 from calibration.background import Background
 from calibration.conversions import to_outcome
+from calibration.markers import Look, to_markers
 from calibration.node import CalibrationNode, Declared, run
+from calibration.topics import MARKERS
 from calibration.worker import CancelledError, Worker
+from calibration_core.cell import load_cell
+from calibration_core.errors import InputError
+from calibration_core.report.scene import scene_of
 
 PARAMETERS = (
     Declared("cell", "", "The cell file taken where a request names none.", read_only=False),
     Declared("recording", "", "Recording of the current session.", read_only=False),
     Declared("out", "", "Directory for results; empty: beside the recording.", read_only=False),
     Declared("feedback_period", 0.2, "Time between two reports of progress, s.", low=0.01),
+    Declared("markers.scale", 200.0, "Deflections are drawn so many times as long.", low=0.0, read_only=False),
+    Declared("markers.size", 0.02, "m, diameter of a point.", low=1e-4, high=1.0, read_only=False),
+    Declared("markers.base", "", "Name of the robot's base frame; empty: the cell file's, or base_link."),
+    Declared("markers.flange", "", "Name of the robot's flange frame; empty: the cell file's, or flange."),
 )
 ERRORS = {
     "InputError": Outcome.INPUT_UNUSABLE,
     "IdentificationError": Outcome.NOT_IDENTIFIABLE,
 }
-COMMANDS = {
-    Identify.Goal.STIFFNESS: "identify",
-    Identify.Goal.BASE_FRAME: "identify",
-    Identify.Goal.GEOMETRY: "identify",
-    Identify.Goal.WRIST_CENTRE: "",
-    Identify.Goal.POINTS: "identify",
-    Identify.Goal.DIAGNOSIS: "diagnose",
-}
-SERVICES = {
-    "identify_stiffness": (srv.IdentifyStiffness, Identify.Goal.STIFFNESS, results.fill_stiffness),
-    "identify_base_frame": (srv.IdentifyBaseFrame, Identify.Goal.BASE_FRAME, results.fill_base_frame),
-    "identify_geometry": (srv.IdentifyGeometry, Identify.Goal.GEOMETRY, results.fill_geometry),
-    "identify_wrist_centre": (srv.IdentifyWristCentre, Identify.Goal.WRIST_CENTRE, results.fill_nothing),
-    "identify_points": (srv.IdentifyPoints, Identify.Goal.POINTS, results.fill_points),
-    "diagnose": (srv.Diagnose, Identify.Goal.DIAGNOSIS, results.fill_diagnosis),
+
+
+@dataclasses.dataclass(frozen=True)
+class Offer:
+    """One thing that can be asked for.
+
+    Attributes:
+        name: Of the service.
+        kind: Its type.
+        command: The command of the command line that does it.
+        fill: Fills the service's answer from result.json, and says what is lacking in it.
+    """
+
+    name: str
+    kind: Any
+    command: str
+    fill: Callable[[Any, str], str]
+
+
+OFFERS = {
+    Identify.Goal.STIFFNESS: Offer("identify_stiffness", srv.IdentifyStiffness, "identify", results.fill_stiffness),
+    Identify.Goal.BASE_FRAME: Offer("identify_base_frame", srv.IdentifyBaseFrame, "identify", results.fill_base_frame),
+    Identify.Goal.GEOMETRY: Offer("identify_geometry", srv.IdentifyGeometry, "identify", results.fill_geometry),
+    Identify.Goal.WRIST_CENTRE: Offer(
+        "identify_wrist_centre", srv.IdentifyWristCentre, "identify", results.fill_wrist_centre
+    ),
+    Identify.Goal.POINTS: Offer("identify_points", srv.IdentifyPoints, "identify", results.fill_points),
+    Identify.Goal.DIAGNOSIS: Offer("diagnose", srv.Diagnose, "diagnose", results.fill_diagnosis),
 }
 
 
@@ -67,10 +91,11 @@ class Evaluated:
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """One evaluation: the command line without `--no-report`, and the directory of its results."""
+    """One evaluation: the command line without `--no-report`, the directory of its results, and the cell file."""
 
     arguments: tuple[str, ...]
     out: Path
+    cell: str
 
 
 class IdentificationNode(CalibrationNode):
@@ -86,94 +111,98 @@ class IdentificationNode(CalibrationNode):
         self._busy = threading.Lock()
         self._stopping = threading.Event()
         group = ReentrantCallbackGroup()
-        for name, (kind, what, fill) in SERVICES.items():
-            self.create_service(kind, f"~/{name}", self._service(what, fill), callback_group=group)
+        for offer in OFFERS.values():
+            self.create_service(offer.kind, f"~/{offer.name}", self._service(offer), callback_group=group)
         self._action = ActionServer(
             self, Identify, "~/identify", self._on_goal, callback_group=group,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT,
         )  # fmt: skip
+        self._markers = self.create_publisher(MARKERS.message, MARKERS.relative, MARKERS.qos)
+        if self.value("cell"):
+            self._show(self.value("cell"), None)
         self.diagnostics.report("evaluation", 0, "idle")
 
-    def _service(self, what: int, fill: Callable[[Any, str], str]) -> Callable[[Any, Any], Any]:
+    def _show(self, cell_file: str, space: Mapping[str, Any] | None) -> None:
+        """Show the points of a cell, and the operating space of a result; say why if the cell cannot be read."""
+        try:
+            cell = load_cell(cell_file)
+        except InputError as error:
+            self.get_logger().warning(f"nothing to show: {error}")
+            return
+        look = Look.of(cell, *(self.value(f"markers.{name}") for name in ("base", "flange", "size")))
+        scene = None if space is None else scene_of(space, self.value("markers.scale"))
+        self._markers.publish(to_markers(cell, scene, look))
+
+    def _service(self, offer: Offer) -> Callable[[Any, Any], Any]:
         async def answer(request: Any, response: Any) -> Any:
-            job = self._job(what, request)
-            done = await self._evaluated(job, self._stopping.is_set)
+            job = self._job(offer, request)
+            done = await self._evaluated(job, self._stopping.is_set, report=False)
             if isinstance(job, Job) and done.code == Outcome.OK:
                 Background(self, lambda: self._draw(job, self._stopping.is_set))
-            response.result_json, response.report_path = done.result_json, done.report
-            lacking = fill(response, done.result_json) if done.code == Outcome.OK else ""
-            code, text = (Outcome.NOT_IDENTIFIABLE, lacking) if lacking else (done.code, done.text)
-            response.outcome = to_outcome(code, text)
-            return response
+            return _filled(offer, response, done)
 
         return answer
 
     async def _on_goal(self, goal: Any) -> Any:
-        if goal.request.what not in COMMANDS:
+        offer = OFFERS.get(goal.request.what)
+        if offer is None:
             goal.abort()
             text = f"found what = {goal.request.what}, expected one of the constants"
             return Identify.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, text))
-        began, last = time.monotonic(), [0.0]
+        began, told = time.monotonic(), [-math.inf]
 
         def cancelled() -> bool:
             elapsed = time.monotonic() - began
-            if elapsed - last[0] >= self.value("feedback_period"):
-                last[0] = elapsed
-                text = f"{COMMANDS[goal.request.what]}: {elapsed:.1f} s"
-                goal.publish_feedback(Identify.Feedback(share_done=0.0, text=text))
+            if elapsed - told[0] >= self.value("feedback_period"):
+                told[0] = elapsed
+                now = self._worker.progress
+                goal.publish_feedback(Identify.Feedback(share_done=now.share, text=f"{now.text}: {elapsed:.1f} s"))
             return bool(goal.is_cancel_requested) or self._stopping.is_set()
 
-        job = self._job(goal.request.what, goal.request)
-        done = await self._evaluated(job, cancelled)
-        if isinstance(job, Job) and done.code == Outcome.OK:
-            goal.publish_feedback(Identify.Feedback(share_done=0.5, text="drawing the report"))
-            drawn = await Background(self, lambda: self._draw(job, cancelled))
-            done = done if drawn.code == Outcome.OK else drawn
-        if done.code == Outcome.OK:
+        done = await self._evaluated(self._job(offer, goal.request), cancelled, report=True)
+        answer = _filled(offer, offer.kind.Response(), done)
+        if answer.outcome.code == Outcome.OK:
             goal.publish_feedback(Identify.Feedback(share_done=1.0, text="done"))
             goal.succeed()
-        elif done.code == Outcome.CANCELLED and goal.is_cancel_requested:
+        elif answer.outcome.code == Outcome.CANCELLED and goal.is_cancel_requested:
             goal.canceled()
         else:
             goal.abort()
-        outcome = to_outcome(done.code, done.text)
-        return Identify.Result(outcome=outcome, result_json=done.result_json, report_path=done.report)
+        return Identify.Result(outcome=answer.outcome, result_json=answer.result_json, report_path=answer.report_path)
 
-    def _job(self, what: int, request: Any) -> Job | Evaluated:
-        command = COMMANDS[what]
-        if not command:
-            return Evaluated(Outcome.NOT_AVAILABLE, "this version cannot identify the wrist centre")
+    def _job(self, offer: Offer, request: Any) -> Job | Evaluated:
         cell, recording = request.cell or self.value("cell"), request.recording or self.value("recording")
         for name, value in (("cell", cell), ("recording", recording)):
             if not value:
                 text = f"{name}: found nothing, expected one in the request or as parameter of the node"
                 return Evaluated(Outcome.INPUT_UNUSABLE, text)
-        out = request.out or self.value("out") or str(Path(recording).absolute().parent / command)
+        out = request.out or self.value("out") or str(Path(recording).absolute().parent / offer.command)
         test = ("--test", request.test) if request.test else ()
-        return Job((command, recording, "--cell", cell, "--out", out, *test), Path(out).absolute())
+        return Job((offer.command, recording, "--cell", cell, "--out", out, *test), Path(out).absolute(), cell)
 
-    async def _evaluated(self, job: Job | Evaluated, cancelled: Callable[[], bool]) -> Evaluated:
-        """Compute the numbers of a job."""
+    async def _evaluated(self, job: Job | Evaluated, cancelled: Callable[[], bool], *, report: bool) -> Evaluated:
+        """Compute the numbers of a job, and draw its report if wanted."""
         if isinstance(job, Evaluated):
             return job
         if not self._busy.acquire(blocking=False):
             return Evaluated(Outcome.BUSY, "another evaluation is under way")
         try:
             self.diagnostics.report("evaluation", 0, " ".join(job.arguments[:2]))
-            return await Background(self, lambda: self._compute(job, cancelled))
+            return await Background(self, lambda: self._compute(job, cancelled, report=report))
         finally:
             self.diagnostics.report("evaluation", 0, "idle")
             self._busy.release()
 
-    def _compute(self, job: Job, cancelled: Callable[[], bool]) -> Evaluated:
+    def _compute(self, job: Job, cancelled: Callable[[], bool], *, report: bool) -> Evaluated:
         """Compute, beside the executor; a report that is still being drawn for the same directory is given up."""
         earlier = self._drawings.get(job.out)
         if earlier is not None:
             earlier.set()
-        done = self._run(self._worker, (*job.arguments, "--no-report"), cancelled)
+        done = self._run(self._worker, job.arguments if report else (*job.arguments, "--no-report"), cancelled)
         if done.code != Outcome.OK:
             return done
         text = (job.out / "result.json").read_text("utf-8")
+        self._show(job.cell, json.loads(text)["operating_space"])
         return dataclasses.replace(done, result_json=text, report=str(job.out / "report.html"))
 
     def _draw(self, job: Job, cancelled: Callable[[], bool]) -> Evaluated:
@@ -212,6 +241,15 @@ class IdentificationNode(CalibrationNode):
         self._worker.close()
         if self._drawer is not None:
             self._drawer.close()
+
+
+def _filled(offer: Offer, response: Any, done: Evaluated) -> Any:
+    """Return a service's answer: what was found, and how it ended."""
+    response.result_json, response.report_path = done.result_json, done.report
+    lacking = offer.fill(response, done.result_json) if done.code == Outcome.OK else ""
+    code, text = (Outcome.NOT_IDENTIFIABLE, lacking) if lacking else (done.code, done.text)
+    response.outcome = to_outcome(code, text)
+    return response
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -25,8 +25,8 @@ def fill_stiffness(response: Any, result_json: str) -> str:
 
 
 def fill_base_frame(response: Any, result_json: str) -> str:
-    """Fill the tracker's pose in the base frame."""
-    rows = _parameters(result_json, "tracker")
+    """Fill the tracker's pose in the base frame: by circle points (CWA 17384, 7.1), else as fitted to all readings."""
+    rows = _by_standard(result_json, "base_frame") or _parameters(result_json, "tracker")
     if not all(f"tracker {name}" in rows for name in POSE):
         return "the recording determines no tracker frame: absolute points of unloaded configurations are needed"
     x, y, z, roll, pitch, yaw = (_number(rows[f"tracker {name}"]["value"]) for name in POSE)
@@ -38,8 +38,9 @@ def fill_base_frame(response: Any, result_json: str) -> str:
 
 
 def fill_geometry(response: Any, result_json: str) -> str:
-    """Fill names, values, std and units of the geometry that was fitted."""
-    rows = [row for row in _parameters(result_json, "geometry").values() if row["fitted"]]
+    """Fill names, values, std and units of the geometry: by circle points (7.2), else as fitted to all readings."""
+    fitted = [row for row in _parameters(result_json, "geometry").values() if row["fitted"]]
+    rows = list(_by_standard(result_json, "joint_axes").values()) or fitted
     response.parameters = [row["name"] for row in rows]
     response.values = [_number(row["value"]) for row in rows]
     response.std = [_number(row["std"]) for row in rows]
@@ -69,9 +70,16 @@ def fill_diagnosis(response: Any, result_json: str) -> str:
     return ""
 
 
-def fill_nothing(_response: Any, _result_json: str) -> str:
-    """Fill nothing: there is no core for it."""
-    return "this version cannot identify it"
+def fill_wrist_centre(response: Any, result_json: str) -> str:
+    """Fill the wrist centre in the flange frame, by spheres and trilateration (7.3)."""
+    rows = _by_standard(result_json, "wrist_centre")
+    if not rows:
+        reasons = (json.loads(result_json).get("standard_geometry") or {}).get("reasons", {})
+        return str(reasons.get("wrist_centre", "the recording determines no wrist centre: it has loads"))
+    x, y, z = (rows[f"wrist centre {axis}"] for axis in "xyz")
+    response.centre = Point(x=_number(x["value"]), y=_number(y["value"]), z=_number(z["value"]))
+    response.std = [_number(row["std"]) for row in (x, y, z)]
+    return ""
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -85,6 +93,12 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
+
+
+def _by_standard(result_json: str, group: str) -> dict[str, dict[str, Any]]:
+    """Return the rows that one of the standard's methods gave; none where the recording does not follow it."""
+    found = (json.loads(result_json).get("standard_geometry") or {}).get(group) or {}
+    return {row["name"]: row for row in found.get("parameters", [])}
 
 
 def _parameters(result_json: str, group: str) -> dict[str, dict[str, Any]]:

@@ -79,6 +79,8 @@ TARE = Topic("/calibration/tare", "calibration_interfaces/msg/TareEvent", Qualit
 SAMPLE_CHECK = Topic("/calibration/sample_check", "calibration_interfaces/msg/SampleCheck", Quality.SAMPLES)
 LOAD_STATE = Topic("/calibration/load_state", "calibration_interfaces/msg/LoadState", Quality.STATE)
 MOTION_PULSE = Topic("/calibration/motion_pulse", "std_msgs/msg/Bool", Quality.PULSE)
+MARKERS = Topic("/calibration/markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
+PLAN_MARKERS = Topic("/calibration/plan_markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
 RAW_WRENCH = Topic("/force_torque/raw", Kind.WRENCH.value, Quality.SAMPLES)
 
 OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, TARE, SAMPLE_CHECK, LOAD_STATE, RAW_WRENCH)

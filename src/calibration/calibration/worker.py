@@ -37,11 +37,24 @@ class CancelledError(Exception):
     """The command was cancelled, and its process ended."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """What a command is doing: share of its stages that are done, 0 to 1, and what it does next."""
+
+    share: float = 0.0
+    text: str = "getting ready"
+
+
 class Worker:
-    """The process, and the one command that it may be doing."""
+    """The process, and the one command that it may be doing.
+
+    Attributes:
+        progress: What it last said of that command.
+    """
 
     def __init__(self) -> None:
         """Start the process; it gets ready while others go on."""
+        self.progress = Progress()
         self._commands: tuple[str, ...] = ()
         self._process = self._start()
 
@@ -75,6 +88,7 @@ class Worker:
             CancelledError: It was cancelled.
             RuntimeError: The process died.
         """
+        self.progress = Progress()
         self.commands_when_ready(cancelled)
         answer = self._beside(lambda: self._ask({"arguments": list(arguments)}), cancelled)
         return Finished(str(answer["kind"]), str(answer["text"]), str(answer["trace"]))
@@ -106,8 +120,12 @@ class Worker:
         return self._read()
 
     def _read(self) -> dict[str, Any] | None:
-        line = _pipe(self._process.stdout).readline()
-        return json.loads(line) if line else None
+        for line in _pipe(self._process.stdout):
+            answer: dict[str, Any] = json.loads(line)
+            if "share" not in answer:
+                return answer
+            self.progress = Progress(float(answer["share"]), str(answer["text"]))
+        return None
 
     def _replace(self, thread: threading.Thread) -> None:
         self._process.kill()
@@ -134,8 +152,12 @@ def _pipe(stream: IO[str] | None) -> IO[str]:
 # --- the other side -----------------------------------------------------------------------------------------------
 
 
-def perform(arguments: list[str]) -> dict[str, Any]:
+def perform(arguments: list[str], tell: Callable[[float, str], None]) -> dict[str, Any]:
     """Run one command of the command line.
+
+    Args:
+        arguments: The command line, the command's name first.
+        tell: Told the share of the command's stages that are done, and what it does next.
 
     Returns:
         `kind`: the class of the error that ended it, empty if none did; `text`: its summary, or the error's line;
@@ -147,6 +169,7 @@ def perform(arguments: list[str]) -> dict[str, Any]:
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
             options = cli.parse(arguments)
+            options.tell = tell
             text = commands.command(options.command)(options)
     except SystemExit:  # wrong arguments
         lines = printed.getvalue().strip().splitlines()
@@ -166,10 +189,13 @@ def serve() -> None:
     from calibration_core.commands import identify  # noqa: F401  # loaded before the first question
 
     answers = sys.stdout
-    print(json.dumps({"commands": list(commands.NAMES)}), file=answers, flush=True)
+
+    def say(**words: object) -> None:
+        print(json.dumps(words), file=answers, flush=True)
+
+    say(commands=list(commands.NAMES))
     for line in sys.stdin:
-        answer = perform(json.loads(line)["arguments"])
-        print(json.dumps(answer), file=answers, flush=True)
+        say(**perform(json.loads(line)["arguments"], lambda share, text: say(share=share, text=text)))
 
 
 if __name__ == "__main__":

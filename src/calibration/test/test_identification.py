@@ -112,27 +112,6 @@ def test_input_that_cannot_be_used(
     assert not out.exists()
 
 
-def test_what_a_loaded_recording_does_not_determine(spinning: Any, node: Any, tmp_path: Path) -> None:
-    client = spinning.plain()
-    fields = {"recording": str(BAG), "out": str(tmp_path)}
-    for kind, name in (
-        (srv.IdentifyBaseFrame, "identify_base_frame"),
-        (srv.IdentifyGeometry, "identify_geometry"),
-        (srv.IdentifyPoints, "identify_points"),
-    ):
-        answer = ask(client, kind, name, **fields)
-        lacking = results.fill_nothing if answer.outcome.code == Outcome.OK else None
-        expected = "group" if lacking else "the recording determines no"
-        assert expected in (answer.result_json if lacking else answer.outcome.text)
-        assert answer.outcome.code in (Outcome.OK, Outcome.NOT_IDENTIFIABLE)
-
-
-def test_what_there_is_no_core_for(spinning: Any, node: Any) -> None:
-    answer = ask(spinning.plain(), srv.IdentifyWristCentre, "identify_wrist_centre", recording=str(BAG))
-    assert answer.outcome.code == Outcome.NOT_AVAILABLE
-    assert "wrist centre" in answer.outcome.text
-
-
 def test_diagnose_answers_what_the_command_line_can(spinning: Any, node: Any, tmp_path: Path) -> None:
     from calibration_core import commands
 

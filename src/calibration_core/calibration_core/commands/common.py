@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,19 @@ from calibration_core.model.statics import Load
 from calibration_core.recording.source import sha256_of
 from calibration_core.report.output import REPORT_HTML, REPORT_PDF, RESULT
 from calibration_core.timeseries import Provenance, Readings
+
+
+def tell(arguments: argparse.Namespace, share: float, text: str) -> None:
+    """Tell who started the command, and wants to know (`arguments.tell`), what it does next.
+
+    Args:
+        arguments: Options of the command.
+        share: Share of the command's stages that are done, 0 to 1.
+        text: What is done next.
+    """
+    listener: Callable[[float, str], None] | None = getattr(arguments, "tell", None)
+    if listener is not None:
+        listener(share, text)
 
 
 def report_line(arguments: argparse.Namespace) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.commands.common import report_line
+from calibration_core.commands.common import report_line, tell
 from calibration_core.errors import InputError, quoted
 from calibration_core.identification.identify import identify
 from calibration_core.identification.loaded import Options
@@ -22,6 +22,7 @@ def run(arguments: argparse.Namespace) -> str:
     Raises:
         InputError: The input cannot be used, or the output cannot be written.
     """
+    tell(arguments, 0.0, "reading the recording")
     cell = load_cell(arguments.cell)
     readings = observe(arguments.recording, cell)
     test = None if arguments.test is None else observe(arguments.test, cell)
@@ -32,7 +33,9 @@ def run(arguments: argparse.Namespace) -> str:
         robust=not arguments.no_robust,
         readmit=frozenset(_reading(text, cell) for text in arguments.readmit),
     )
+    tell(arguments, 1 / 3, "identifying")
     found = identify(readings, cell, options, test)
+    tell(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
     model = {"model.yaml": model_text(found.model, cell).encode()}
     write_identification(found, cell, arguments.out, model, report=arguments.report)
     return f"{summary(found)}\n{report_line(arguments)}"

@@ -40,7 +40,7 @@ def identify(
     readings = readings.with_notes(*_without_effect(options))
     found = identify_absolute(readings, cell, robust=options.robust, test=test, readmit=options.readmit)
     names, covariance = found.names, found.covariance
-    return dataclasses.replace(found, standard=standard_geometry(readings, cell, found.model.points, names, covariance))
+    return dataclasses.replace(found, standard=standard_geometry(readings, cell, found.model, names, covariance))
 
 
 def _without_effect(options: Options) -> tuple[Note, ...]:

@@ -11,10 +11,14 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
+from calibration_core.identification.absolute_problem import absolute_problem
 from calibration_core.identification.circle_point import AxisGeometry, BaseFrame, identify_axes, identify_base_frame
 from calibration_core.identification.terms import AXES
 from calibration_core.identification.wrist_centre import WristCentre, identify_wrist_centre
-from calibration_core.timeseries import Float1D, Float2D, Readings
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.robot import chain_of
+from calibration_core.observations.covariance import position_covariance
+from calibration_core.timeseries import Float2D, Readings
 
 BASE_FRAME, JOINT_AXES, WRIST_CENTRE = "base_frame", "joint_axes", "wrist_centre"
 LEAST_AXES = 3  # joints 1 and 2 make the base frame; geometry begins with the next
@@ -46,14 +50,16 @@ class StandardGeometry:
 
 
 def standard_geometry(
-    readings: Readings, cell: Cell, points: Mapping[str, Float1D], names: tuple[str, ...], covariance: Float2D
+    readings: Readings, cell: Cell, model: ModelParameters, names: tuple[str, ...], covariance: Float2D
 ) -> StandardGeometry:
     """Apply the standard's methods to an absolute recording.
+
+    Circles and spheres are those of a rigid robot: what the model says of the bending is taken off the positions first.
 
     Args:
         readings: The recording.
         cell: The cell file.
-        points: Measurement point -> (3,) m, flange frame, as identified.
+        model: What was identified, and believed of the rest.
         names: Names of the rows of `covariance`, `mp1 x` among them where that was fitted.
         covariance: (p, p) of everything that was fitted.
     """
@@ -66,6 +72,7 @@ def standard_geometry(
             reasons[name] = str(error)
             return None
 
+    readings = _unbent(readings, cell, model)
     rows = [names.index(name) if name in names else -1 for point in readings.points for name in _coordinates(point)]
     fitted = np.array(rows) >= 0
     of_points = np.where(np.outer(fitted, fitted), covariance[np.ix_(rows, rows)], 0.0) if fitted.any() else None
@@ -81,10 +88,18 @@ def standard_geometry(
     return StandardGeometry(
         base=base,
         axes=axes,
-        wrist=attempt(WRIST_CENTRE, lambda: identify_wrist_centre(readings, cell, points, of_points)),
+        wrist=attempt(WRIST_CENTRE, lambda: identify_wrist_centre(readings, cell, model.points, of_points)),
         points_fitted=bool(fitted.all()),
         reasons=reasons,
     )
+
+
+def _unbent(readings: Readings, cell: Cell, model: ModelParameters) -> Readings:
+    """Return the readings as a rigid robot would have given them: bending by its own weight and by loads taken off."""
+    problem = absolute_problem(readings, cell, chain_of(cell), model, position_covariance(readings, cell))
+    rigid = model.replace(compliance=np.zeros_like(model.compliance))
+    bending = problem.view(model).target - problem.view(rigid).target
+    return dataclasses.replace(readings, position=readings.position - (model.tracker[:3, :3].T @ bending).T)
 
 
 def _coordinates(point: str) -> tuple[str, ...]:

@@ -1,16 +1,18 @@
-"""What of a result can be shown in space: points, deflections under load, operating space; base frame, m."""
+"""What can be shown in space of a plan or a result: points, deflections under load, operating space; base frame, m."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.timeseries import Float2D
+
+if TYPE_CHECKING:  # numerics that whoever only shows a result can do without
+    from calibration_core.identification.estimate import OperatingSpace
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,7 +24,7 @@ class Scene:
         wrench_point: (k, 3) m; no rows where no wrench acts.
         arrows: (k, 2, 3) m, from the first measurement point to where it goes under the largest load, enlarged; no rows
             for a recording without loads.
-        box: (2, 3) m, lowest and highest corner of the operating space of the measurement points.
+        box: (2, 3) m, centre and edge lengths of the box around all measurement points: the operating space.
     """
 
     points: Mapping[str, Float2D]
@@ -46,25 +48,25 @@ def space_dict(space: OperatingSpace) -> dict[str, Any]:
     }
 
 
-def scene_of(content: Mapping[str, Any], scale: float) -> Scene:
-    """Return what a result.json shows in space.
+def scene_of(space: Mapping[str, Any], scale: float) -> Scene:
+    """Return what an operating space shows.
 
     Args:
-        content: The parsed file.
+        space: As `space_dict` gives it, or as it stands in result.json.
         scale: Deflections are drawn so many times as long.
     """
-    space = content["operating_space"]
     points = {name: _rows(rows) for name, rows in space["points"].items()}
     everywhere = np.concatenate(list(points.values()))
+    low, high = everywhere.min(axis=0), everywhere.max(axis=0)
     deflection = _rows(space["deflection"])
     start = next(iter(points.values()))[: len(deflection)]
     return Scene(
         points=points,
         wrench_point=_rows(space["wrench_point"]),
         arrows=np.stack([start, start + scale * deflection], axis=1),
-        box=np.stack([everywhere.min(axis=0), everywhere.max(axis=0)]),
+        box=np.stack([(low + high) / 2, high - low]),
     )
 
 
 def _rows(values: Any) -> Float2D:
-    return np.array(values or [], dtype=np.float64).reshape(-1, 3)
+    return np.zeros((0, 3)) if values is None else np.asarray(values, dtype=np.float64).reshape(-1, 3)

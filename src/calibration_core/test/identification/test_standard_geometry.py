@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -13,14 +14,24 @@ from test_circle_point import HOME, SIGMA, _readings, _sweeps
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.identify import identify
-from calibration_core.identification.standard_geometry import StandardGeometry
+from calibration_core.identification.standard_geometry import StandardGeometry, standard_geometry
 from calibration_core.identification.wrist_centre import identify_wrist_centre
 from calibration_core.model.chain import rpy_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
+from calibration_core.model.simulate import simulate_plan
 from calibration_core.report.content import build
 from calibration_core.report.result import result_dict
 from calibration_core.report.standard_result import standard_rows
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """A configuration without load."""
+
+    number: int
+    q: np.ndarray
+    steps: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((1, 6)))
 
 
 def _wrist(poses: int = 25) -> np.ndarray:
@@ -61,6 +72,25 @@ def test_everything_from_one_recording(tmp_path: Path) -> None:
     assert content["wrist_centre"]["points"] == "identified"
     document = build(answer, cell)
     assert "Results by circle points and spheres" in [table.caption for table in document.tables()]
+
+
+def test_bending_by_weight_is_taken_off(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    q = np.concatenate([_sweeps(range(6)), _wrist()])
+    poses = [Pose(number, row) for number, row in enumerate(q, start=1)]
+    model = nominal_parameters(cell)
+    found = identify(simulate_plan(poses, cell, model, seed=1), cell).standard
+    assert found is not None
+    rows = {row.name: row for row in standard_rows(found, cell)}
+    errors = [rows[name].value / rows[name].std for name in rows if rows[name].group == "joint_axes"]
+    assert len(errors) == 18
+    assert np.abs(errors).max() < 5
+    assert np.abs([rows["wrist centre x"].value, rows["wrist centre y"].value]).max() < 2e-4
+    bent = standard_geometry(
+        simulate_plan(poses, cell, model, seed=1), cell, model.replace(compliance=np.zeros(6)), (), np.zeros((0, 0))
+    )
+    errors = [row.value / row.std for row in standard_rows(bent, cell) if row.group == "joint_axes"]
+    assert np.abs(errors).max() > 10
 
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:

@@ -29,7 +29,8 @@ def standard_section(found: StandardGeometry, cell: Cell) -> tuple[Block, ...]:
     )
     note = (
         "Tracker: pose in the base frame. Joint axes: corrections to the nominal geometry. Wrist centre: flange frame, "
-        f"from {'identified' if found.points_fitted else 'nominal'} measurement points."
+        f"from {'identified' if found.points_fitted else 'nominal'} measurement points. "
+        "Bending by weight and loads was taken off the positions as the model has it."
     )
     warned = [*(found.base.warnings if found.base else ()), *(found.wrist.warnings if found.wrist else ())]
     missing = [f"no {GROUPS[name]}: {reason}" for name, reason in found.reasons.items()]

@@ -1,0 +1,125 @@
+"""Markers for RViz: what is shown, in which frame, how large; and over DDS, for whoever comes late."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from calibration_interfaces import srv
+from calibration_interfaces.msg import Outcome
+from rclpy.parameter import Parameter
+from test_identification import BAG, CELL, ask
+from visualization_msgs.msg import Marker, MarkerArray
+
+from calibration.identification import IdentificationNode
+from calibration.markers import Look, to_markers
+from calibration.topics import MARKERS
+from calibration_core.cell import load_cell
+from calibration_core.report.scene import Scene
+
+DEMO = CELL.with_name("demo.cell.yaml")
+LOOK = Look("base_link", "flange", 0.02)
+
+
+def by_space(markers: MarkerArray) -> dict[str, list[Marker]]:
+    """Markers by namespace; the first one of all clears what was there."""
+    assert markers.markers[0].action == Marker.DELETEALL
+    found: dict[str, list[Marker]] = {}
+    for marker in markers.markers[1:]:
+        assert marker.action == Marker.ADD
+        assert marker.color.a > 0
+        found.setdefault(marker.ns, []).append(marker)
+    for same in found.values():
+        assert [marker.id for marker in same] == list(range(same[0].id, same[0].id + len(same)))
+    return found
+
+
+def places(points: Any) -> np.ndarray:
+    return np.array([[point.x, point.y, point.z] for point in points])
+
+
+def scene(loads: int) -> Scene:
+    first, second = np.arange(6.0).reshape(2, 3), np.arange(6.0).reshape(2, 3) + 0.5
+    arrows = np.stack([first, first + 0.1], axis=1)[:loads]
+    wrench = np.ones((loads, 3))
+    return Scene({"mp1": first, "mp2": second}, wrench, arrows, np.array([[1.75, 2.75, 3.75], [3.5, 3.5, 3.5]]))
+
+
+def test_points_stand_on_the_flange() -> None:
+    cell = load_cell(DEMO)
+    found = by_space(to_markers(cell, None, LOOK))
+    assert set(found) == {"measurement_points", "measurement_points_names", "wrench_point", "wrench_point_names"}
+    spheres = found["measurement_points"]
+    assert {marker.header.frame_id for marker in spheres} == {"flange"}
+    expected = list(cell.frames.measurement_points.values())
+    np.testing.assert_array_equal(places(marker.pose.position for marker in spheres), expected)
+    assert [marker.text for marker in found["measurement_points_names"]] == list(cell.points)
+    assert {marker.scale.x for marker in spheres} == {0.02}
+    assert tuple(places([found["wrench_point"][0].pose.position])[0]) == cell.frames.wrench_point
+
+
+def test_space_and_deflections_stand_in_the_base_frame() -> None:
+    shown = scene(loads=2)
+    found = by_space(to_markers(load_cell(DEMO), shown, LOOK))
+    for name in ("mp1", "mp2"):
+        (marker,) = found[f"space_{name}"]
+        assert (marker.type, marker.header.frame_id) == (Marker.SPHERE_LIST, "base_link")
+        np.testing.assert_array_equal(places(marker.points), shown.points[name])
+    np.testing.assert_array_equal(places(found["space_wrench_point"][0].points), shown.wrench_point)
+    arrows = found["deflection"]
+    assert {(marker.type, marker.header.frame_id) for marker in arrows} == {(Marker.ARROW, "base_link")}
+    np.testing.assert_array_equal([places(marker.points) for marker in arrows], shown.arrows)
+    (box,) = found["operating_space"]
+    np.testing.assert_array_equal(places([box.pose.position]), shown.box[:1])
+    assert (box.type, box.scale.x, box.color.a < 0.5) == (Marker.CUBE, 3.5, True)
+
+
+def test_without_loads_there_are_neither_arrows_nor_wrench_points() -> None:
+    found = by_space(to_markers(load_cell(DEMO), scene(loads=0), LOOK))
+    assert not {"deflection", "space_wrench_point"} & set(found)
+
+
+def test_names_of_frames() -> None:
+    urdf, dh = load_cell(DEMO), load_cell(CELL)
+    assert Look.of(urdf, "", "", 0.02) == Look("base_link", "flange", 0.02)
+    assert Look.of(dh, "", "", 0.02) == Look("base_link", "flange", 0.02)
+    assert Look.of(dh, "robot_base", "tool0", 0.02) == Look("robot_base", "tool0", 0.02)
+
+
+def test_a_result_is_shown_to_whoever_comes_late(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
+    given = {"cell": str(CELL), "markers.scale": 500.0, "markers.size": 0.01, "markers.base": "robot_base"}
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    spinning.add(IdentificationNode(context=spinning.context, parameter_overrides=overrides))
+    client = spinning.plain()
+    heard: list[MarkerArray] = []
+    client.create_subscription(MARKERS.message, f"/{MARKERS.relative}", heard.append, MARKERS.qos)
+    until(lambda: heard)
+    assert "operating_space" not in by_space(heard[-1])
+    answer = ask(client, srv.IdentifyStiffness, "identify_stiffness", recording=str(BAG), out=str(tmp_path))
+    assert answer.outcome.code == Outcome.OK, answer.outcome.text
+    late: list[MarkerArray] = []
+    spinning.plain("late").create_subscription(MARKERS.message, f"/{MARKERS.relative}", late.append, MARKERS.qos)
+    until(lambda: late)
+    found = by_space(late[-1])
+    space = json.loads(answer.result_json)["operating_space"]
+    arrows = np.array([places(marker.points) for marker in found["deflection"]])
+    np.testing.assert_allclose(arrows[:, 0], space["points"]["mp1"], rtol=1e-12)
+    np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], 500.0 * np.array(space["deflection"]), rtol=1e-9)
+    assert found["deflection"][0].header.frame_id == "robot_base"
+    assert found["space_mp1"][0].scale.x == 0.01
+
+
+def test_a_cell_that_cannot_be_read_shows_nothing(spinning: Any, until: Callable[..., None]) -> None:
+    overrides = [Parameter("cell", value="/no/such/cell.yaml")]
+    node = spinning.add(IdentificationNode(context=spinning.context, parameter_overrides=overrides))
+    answer = ask(spinning.plain(), srv.IdentifyStiffness, "identify_stiffness", recording=str(BAG))
+    assert answer.outcome.code == Outcome.INPUT_UNUSABLE
+    assert "/no/such/cell.yaml" in answer.outcome.text
+    assert node.count_publishers(MARKERS.relative) == 1
