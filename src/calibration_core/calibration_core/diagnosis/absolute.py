@@ -147,6 +147,7 @@ def diagnose_absolute(readings: Readings, cell: Cell, *, test: Readings | None =
         level=0.0,
         located=(*selection.refused, *(f"{words}: too small to be named" for words in selection.small)),
         residual=extended.residual,
+        residual_before=null.residual,
         shift=extended.shift(extended.state, physics),
         compliance=extended.parameters.compliance,
         blocks={kind: (_rms3(before), _rms3(after)) for kind, (before, after) in left.items()},

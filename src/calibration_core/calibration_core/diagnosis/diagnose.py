@@ -13,6 +13,7 @@ from calibration_core.diagnosis.compare import compare
 from calibration_core.diagnosis.comparison import Comparison
 from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
 from calibration_core.diagnosis.loaded import diagnose_loaded
+from calibration_core.diagnosis.locate import locate
 from calibration_core.diagnosis.next_offers import Offer
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.identify import is_loaded
@@ -56,7 +57,7 @@ def diagnose(
         InputError: The input cannot be used; the message names file, place, what was found and what was expected.
     """
     if simulation is None:
-        return _diagnose(readings, cell, options, test, offers)
+        return with_location(_diagnose(readings, cell, options, test, offers), cell)
     compared = compare(readings, simulation, cell)
     try:
         found = _diagnose(readings, cell, options, test, offers)
@@ -67,7 +68,18 @@ def diagnose(
         raise IdentificationError(
             readings.provenance.path, named.kind, f"{named.text} There is {error}", "a recording as the cell file says"
         ) from None
-    return beside(found, compared)
+    return beside(with_location(found, cell), compared)
+
+
+def with_location(found: Diagnosis, cell: Cell) -> Diagnosis:
+    """Add where recording and null model differ, without a hypothesis."""
+    null = found.identification
+    if found.residual_before is None or len(found.residual_before) != len(null.readings):
+        return found
+    where = locate(null.readings, found.residual_before, cell, null.model)
+    if where is None:
+        return found
+    return dataclasses.replace(found, where=where, located=(*where.sentences, *found.located))
 
 
 def beside(found: Diagnosis, compared: Comparison) -> Diagnosis:

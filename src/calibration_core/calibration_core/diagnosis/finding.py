@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from calibration_core.diagnosis.comparison import Comparison
+from calibration_core.diagnosis.locate import Located
 from calibration_core.identification.estimate import Anomaly, Identification, TestResult
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
@@ -143,6 +144,8 @@ class Diagnosis:
         aliases: What this kind of recording can never tell apart, in sentences.
         further_figures: More figures of the fit for result.json, by name.
         comparison: With a simulation of the same measurement, if one was given.
+        residual_before: (m, 3) m, what the null model leaves, without offsets where these are free.
+        where: The location without a hypothesis, in numbers.
         next_text: What no further measurement of this kind can decide, or why none is proposed.
     """
 
@@ -169,4 +172,6 @@ class Diagnosis:
     aliases: tuple[str, ...] = ()
     further_figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
     comparison: Comparison | None = None
+    residual_before: Float2D | None = None
+    where: Located | None = None
     next_text: str = ""

@@ -118,7 +118,8 @@ def diagnose_loaded(
         noise=noise,
         level=selection.level,
         located=(),
-        residual=extended.residual,
+        residual=without_offsets(_kept_rows(extended), extended.raw),
+        residual_before=_before(prepared, extended),
         shift=extended.shift,
         compliance=extended.compliance,
         test=None if test is None else tested_on(test, cell, prepared.problem.chain, prepared.fit.compliance, model),
@@ -168,6 +169,11 @@ def _kept_rows(extended: Extended) -> Rows:
     return dataclasses.replace(rows, noise=rows.noise * np.where(aside, SET_ASIDE, 1.0)[:, None, None])
 
 
+def _before(prepared: PreparedLoaded, extended: Extended) -> Float2D:
+    """Return (m, 3) m, what the refitted null model leaves of all readings, offsets taken out."""
+    return without_offsets(_kept_rows(extended), prepared.problem.linearise(prepared.fit.compliance).residual)
+
+
 def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Checked) -> Attempt:
     """Select and extend until operating point, readings used and noise stand still.
 
@@ -212,7 +218,7 @@ def _attempt(
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
-    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE, seen.freedom) if usable else NOTHING
+    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE) if usable else NOTHING
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     return Attempt(seen, design, selection, extended, _rms(used, prepared))
 

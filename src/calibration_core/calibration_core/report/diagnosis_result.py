@@ -7,6 +7,7 @@ from typing import Any
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison import Comparison
 from calibration_core.diagnosis.finding import Diagnosis, Finding
+from calibration_core.diagnosis.locate import Located
 from calibration_core.report.result import plain, result_dict
 
 
@@ -60,6 +61,7 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
     ]
     content["next_text"] = diagnosis.next_text
     content["located"] = list(diagnosis.located)
+    content["where"] = None if diagnosis.where is None else where_dict(diagnosis.where)
     content["small_effects"] = {"signal_to_noise": diagnosis.level}
     content["blocks"] = {kind: {"before": b, "after": a} for kind, (b, a) in diagnosis.blocks.items()}
     content["test"] = None if diagnosis.test is None else vars(diagnosis.test)
@@ -89,6 +91,20 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
             "by_point": [vars(part) for part in steps.by_point],
         },
         "sentences": list(comparison.sentences),
+    }
+
+
+def where_dict(where: Located) -> dict[str, Any]:
+    """Return the location without a hypothesis as plain values."""
+    return {
+        "rms": where.rms,
+        "turn": where.turn,
+        "shift": where.shift,
+        "units": {"rms": "m", "turn": "rad", "shift": "m"},
+        "joints": [vars(share) for share in where.shares],
+        "dependences": [vars(dependence) for dependence in where.dependences],
+        "levels": [vars(level) for level in where.levels],
+        "memory": {"rms": where.memory, "chance": where.memory_chance, "unit": "m"},
     }
 
 
