@@ -162,12 +162,6 @@ def grid(seed: int) -> tuple[Scenario, ...]:
     )
 
 
-def _scenario(number: int, row: _Row, rng: np.random.Generator) -> Scenario:
-    seed = int(rng.integers(2**31))
-    noise = _noise(rng, row)
-    return Scenario(number, row.group, row.robot, row.protocol, seed, row.planned, row.clutter, noise)
-
-
 def sample(scenarios: Sequence[Scenario], count: int | None, only: Sequence[str] = ()) -> tuple[Scenario, ...]:
     """Choose scenarios.
 

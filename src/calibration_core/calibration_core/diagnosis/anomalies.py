@@ -176,7 +176,8 @@ def _unsettled(
     groups = left_over(prepared.problem, state, prepared.screened.used & steady)
     if len(groups) < 4:
         return None
-    power = np.array([float((g.rest.mean(axis=1) ** 2).mean()) for g in groups])
+    common = [np.median(g.rest, axis=1) for g in groups]  # one wild reading of three points does not count
+    power = np.array([float((rest**2).mean()) for rest in common])
     freedom = np.array([3 * len(g.rest) for g in groups])
     quiet = float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)]))
     ratio = power / quiet

@@ -19,7 +19,7 @@ from calibration_core.model.effects.state import State
 from calibration_core.observations.covariance import sight_axes
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
 
-SHARE = 2 / 3  # of the steps of a configuration that smooth functions may take up
+SHARE = 0.8  # of the steps of a configuration that smooth functions may take up
 TRUSTED = 30  # degrees of freedom from which on the scatter sets the noise
 CONVINCING = 3.0  # nats by which a shared part must be more likely than none
 LEAST, MOST = 0.2, 20.0  # bounds of the factor on the claim
@@ -209,10 +209,14 @@ def _load(readings: Readings, index: Int1D) -> Float1D:
 
 
 def _smooth(level: Float1D) -> Float2D:
-    """Return an orthonormal basis of what physics may do along the steps: level, branch, and their products."""
+    """Return an orthonormal basis of what physics may do along the steps: level, branch, and their products.
+
+    The first step belongs to the branch that it begins, so that loading alone shows no branch.
+    """
     steps = len(level)
-    branch = np.sign(np.round(np.diff(level, prepend=level[:1]), 2))
-    shapes = [np.ones(steps), level, branch, level**2, branch * level, level**3]
+    branch = np.sign(np.round(np.diff(level), 2))
+    branch = np.concatenate([branch[:1], branch])
+    shapes = [np.ones(steps), level, level**2, branch, branch * level, level**3]
     basis: list[Float1D] = []
     most = max(2, int(SHARE * steps))
     for shape in shapes:

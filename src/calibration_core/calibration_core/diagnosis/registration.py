@@ -19,8 +19,7 @@ from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float1D, Float2D, Readings
 
-BEYOND = 4.5  # times how well cells are set up, for points
-TURNED = 5.5  # the same for the tracker; errors of the geometry can look like a turn
+BEYOND = 4.5  # times how well cells are set up, doubt included
 
 
 def registration_findings(
@@ -43,12 +42,12 @@ def registration_findings(
     found = []
     turn = _rotation_vector(frames.tracker[:3, :3] @ nominal[:3, :3].T)
     usual = typical("registration_rotation", state.rated_load)
-    if _beyond(turn, usual, covariance[3:6, 3:6], TURNED):
+    if _beyond(turn, usual, covariance[3:6, 3:6]):
         found.append(_finding("tracker_frame_misalignment", turn, usual, covariance[3:6, 3:6], state, readings, None))
     point, shift = _odd_point(frames, cell, readings)
     usual = typical("registration_point", state.rated_load)
     rows = slice(6 + 3 * point, 9 + 3 * point)
-    if _beyond(shift, usual, covariance[rows, rows], BEYOND):
+    if _beyond(shift, usual, covariance[rows, rows]):
         found.append(_finding("measurement_point_offset", shift, usual, covariance[rows, rows], state, readings, point))
     return tuple(found)
 
@@ -63,9 +62,9 @@ def _odd_point(frames: FrameFit, cell: Cell, readings: Readings) -> tuple[int, F
     return point, shift[point]
 
 
-def _beyond(value: Float1D, usual: float, covariance: Float2D, times: float) -> bool:
-    doubt = float(np.sqrt(np.trace(covariance) / 3))
-    return bool(np.linalg.norm(value) > times * np.hypot(usual, doubt))
+def _beyond(value: Float1D, usual: float, covariance: Float2D) -> bool:
+    """Return whether (3,) values lie beyond usual care and doubt, as a distance of Mahalanobis."""
+    return bool(value @ np.linalg.solve(covariance + usual**2 * np.eye(3), value) > BEYOND**2)
 
 
 def _finding(

@@ -82,12 +82,13 @@ class Selection:
 NOTHING = Selection((), (), 0.0, 0.0, "no physics is searched in this recording")
 
 
-def select(design: Design, levels: tuple[float, ...] = LEVELS) -> Selection:
+def select(design: Design, levels: tuple[float, ...] = LEVELS, freedom: int = 0) -> Selection:
     """Search greedily, with refinement, threshold and gate.
 
     Args:
         design: The whitened model.
         levels: Of the small effects, to choose from.
+        freedom: Degrees of freedom on which the noise rests; 0: it is known.
     """
     base = base_of(design)
     accepted: tuple[int, ...] = ()
@@ -97,11 +98,12 @@ def select(design: Design, levels: tuple[float, ...] = LEVELS) -> Selection:
         now = best_field(several)
         scores, at = profile(several)
         _close_taken(design, scores, accepted)
-        limit = max(threshold(now), LEAST)
+        limit = max(threshold(now, freedom), LEAST)
         found, rejected = _first_that_passes(several, now, scores, at, limit)
-        if found is None or len(accepted) == MOST:
+        more = _together(base, accepted, limit, levels) if found is None else (found,)
+        if not more or len(accepted) + len(more) > MOST:
             break
-        refined = _refined(base, (*accepted, found), limit, levels)
+        refined = _refined(base, (*accepted, *more), limit, levels)
         if set(refined) == set(accepted):
             break
         accepted = refined
@@ -125,14 +127,44 @@ def _first_that_passes(
     for index in order:
         if scores[index] <= limit or scores[index] < best - WITHIN:
             break
-        here = several[int(at[index])]
-        if visible_size(here, int(index)) < STANDS_OUT * here.level:
-            continue
-        other = without_kin(here, int(index))
-        if passes(log_predictive_density(other), log_predictive_density(other, (int(index),))):
+        if _proven(several[int(at[index])], int(index)):
             return int(index), ""
     name = now.design.candidates[int(order[0])].effect
     return None, f"{name}: log Bayes factor {best:.1f}, but no gain on configurations left out, or no larger than many"
+
+
+def _proven(here: Field, index: int) -> bool:
+    """Return whether a candidate stands out from the small effects and predicts configurations left out."""
+    if visible_size(here, index) < STANDS_OUT * here.level:
+        return False
+    other = without_kin(here, index)
+    return passes(log_predictive_density(other), log_predictive_density(other, (index,)))
+
+
+def _together(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]) -> tuple[int, ...]:
+    """Return candidates that pass beside each other, though none does alone; empty if there are none.
+
+    Several strong effects make each other look like two of a crowd.
+    """
+    trial = accepted
+    while len(trial) < MOST:
+        scores, _ = profile(fields(base, trial, law_share(base, trial), levels))
+        _close_taken(base.design, scores, trial)
+        best = int(np.argmax(scores))
+        if scores[best] <= limit:
+            break
+        trial = (*trial, best)
+        more = trial[len(accepted) :]
+        if len(more) > 1 and all(_passes_beside(base, trial, index, limit, levels) for index in more):
+            return more
+    return ()
+
+
+def _passes_beside(base: Base, trial: tuple[int, ...], index: int, limit: float, levels: tuple[float, ...]) -> bool:
+    others = tuple(other for other in trial if other != index)
+    several = fields(base, others, law_share(base, others), levels)
+    scores, at = profile(several)
+    return bool(scores[index] > limit) and _proven(several[int(at[index])], index)
 
 
 def _refined(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]) -> tuple[int, ...]:

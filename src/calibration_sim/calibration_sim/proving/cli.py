@@ -65,7 +65,7 @@ def _prove(options: argparse.Namespace) -> str:
 
 
 def _settings(options: argparse.Namespace) -> Settings:
-    command = tuple(shlex.split(options.command)) if options.command else (_program(), "diagnose")
+    command = tuple(shlex.split(options.command)) if options.command else (_program(), "diagnose", "--no-report")
     return Settings(command, ENTRY if options.batch else "", options.jobs, options.limit)
 
 

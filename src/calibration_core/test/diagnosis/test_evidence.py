@@ -1,0 +1,177 @@
+"""Bayes factors, levels and left-out predictions against dense computations of the same joint normal distribution."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+from calibration_core.diagnosis.cross_validation import FLAT, log_predictive_density, passes
+from calibration_core.diagnosis.design import Design
+from calibration_core.diagnosis.evidence import (
+    base_of,
+    best_field,
+    estimates,
+    field,
+    fields,
+    log_bayes_factors,
+    log_positive,
+    posterior,
+    profile,
+    threshold,
+)
+from calibration_core.diagnosis.kin import are_kin
+from calibration_core.diagnosis.selection import select
+from calibration_core.model.effects.candidate import Candidate, Parameter
+
+ROWS, CONFIGURATIONS = 120, 12
+
+
+def candidate(effect: str, joint: int, count: int, *, positive: bool = False) -> Candidate:
+    parameters = tuple(Parameter(f"p{k}", "1", 1.0, positive=positive) for k in range(count))
+    return Candidate(effect, "structure", {"joint": f"joint_{joint}"}, "law", parameters, lambda _: np.zeros((1, 3, 1)))
+
+
+def design(seed: int, truth: dict[int, float] | None = None, *, positive: bool = False, places: int = 8) -> Design:
+    """Return a random design of candidates with two columns each at far apart joints, with some columns planted."""
+    rng = np.random.default_rng(seed)
+    candidates = tuple(candidate(f"effect_{k}", 3 * k + 1, 2, positive=positive) for k in range(places))
+    own = 2 * places
+    null, columns = 30 * rng.standard_normal((ROWS, 3)), 2 * rng.standard_normal((ROWS, own + 2))
+    residual = rng.standard_normal(ROWS) + null @ [0.5, -1.0, 2.0]
+    for column, value in (truth or {}).items():
+        residual += columns[:, column] * value
+    return Design(
+        residual=residual, null=null, columns=columns,
+        configuration=np.repeat(np.arange(CONFIGURATIONS), ROWS // CONFIGURATIONS),
+        candidates=candidates, blocks=tuple(slice(2 * k, 2 * k + 2) for k in range(places)), prior=np.ones(own + 2),
+        positive=np.array([positive] * own + [False] * 2), nuisances=slice(own, own + 2),
+    )  # fmt: skip
+
+
+def dense(d: Design, weights: np.ndarray, flat: float = 50.0) -> float:
+    covariance = np.eye(ROWS) + (d.columns * weights**2) @ d.columns.T + flat**2 * d.null @ d.null.T
+    return float(multivariate_normal.logpdf(d.residual, np.zeros(ROWS), covariance, allow_singular=False))
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, 3.0])
+def test_bayes_factors_are_ratios_of_marginal_likelihoods(level: float) -> None:
+    d = design(1, {4: 1.0})
+    f = field(base_of(d), (5,), level)
+    scores = log_bayes_factors(f)
+    for index in (0, 2, 7):
+        more = f.weights.copy()
+        more[d.blocks[index]] = np.hypot(more[d.blocks[index]], 1.0)
+        assert scores[index] == pytest.approx(dense(d, more) - dense(d, f.weights), abs=1e-3)
+
+
+def test_levels_are_compared_by_their_marginal_likelihood() -> None:
+    d = design(2)
+    one, two = (field(base_of(d), (), level) for level in (0.5, 3.0))
+    assert one.likelihood - two.likelihood == pytest.approx(dense(d, one.weights) - dense(d, two.weights), abs=1e-3)
+
+
+def test_what_is_negative_speaks_against_an_effect_that_cannot_be() -> None:
+    signs = {}
+    for value in (0.5, -0.5):
+        d = design(3, {4: value, 5: value}, positive=True)
+        signs[value] = log_bayes_factors(field(base_of(d), (), 0.0))[2]
+    assert signs[0.5] > 20
+    assert signs[-0.5] < 0
+
+
+def test_the_share_of_a_posterior_that_is_positive_counts_all_parameters_together() -> None:
+    covariance = np.array([[1.0, 0.7, -0.3], [0.7, 2.0, 0.2], [-0.3, 0.2, 0.5]])
+    means = np.array([[0.5, -1.0, 0.3], [2.0, 1.0, -0.5], [-1.0, -1.5, 0.2]])
+    seen = log_positive(means.T, covariance)
+    exact = [multivariate_normal(np.zeros(3), covariance).cdf(mean) for mean in means]
+    np.testing.assert_allclose(seen, np.log(exact), atol=0.15)
+    apart = np.diag([1.0, 4.0])
+    np.testing.assert_allclose(log_positive(means[:, :2].T, apart), norm.logcdf(means[:, :2] / [1, 2]).sum(axis=1))
+
+
+def test_a_threshold_is_higher_where_the_noise_is_known_badly() -> None:
+    f = field(base_of(design(4)), (), 0.0)
+    assert threshold(f, 20) > threshold(f, 200) > threshold(f, 0) - 0.5
+
+
+def test_the_threshold_is_passed_by_chance_in_one_of_a_hundred() -> None:
+    above = 0
+    for seed in range(300):
+        d = design(1000 + seed)
+        now = best_field(fields(base_of(d), ()))
+        scores, _ = profile(fields(base_of(d), ()))
+        above += bool(scores.max() > threshold(now, seed=seed))
+    assert above <= 12  # 1 % expected, 12 of 300 has a chance below 1e-4; choosing the level costs a little
+
+
+def test_estimates_are_those_of_generalised_least_squares() -> None:
+    d = design(5, {4: 1.0, 5: -0.5})
+    value, covariance = estimates(field(base_of(d), (2,), 0.0))
+    columns = np.column_stack([d.null, d.columns[:, 4:6], d.columns[:, 16:]])
+    prior = np.diag([0.0] * 3 + [1.0] * 4)
+    inverse = np.linalg.inv(columns.T @ columns + prior)
+    np.testing.assert_allclose(value, (inverse @ columns.T @ d.residual)[:5], rtol=1e-6)
+    np.testing.assert_allclose(covariance, inverse[:5, :5], rtol=1e-5, atol=1e-10)
+    mean, _ = posterior(field(base_of(d), (), 0.0), 2)
+    np.testing.assert_allclose(mean, value[3:], rtol=1e-6)
+
+
+def test_left_out_densities_are_conditional_densities() -> None:
+    d = design(6, {4: 0.6})
+    f = field(base_of(d), (), 1.0)
+    seen = log_predictive_density(f, (2,))
+    weights = f.weights.copy()
+    weights[4:6] = np.hypot(weights[4:6], 1.0)
+    null = d.null / np.linalg.norm(d.null, axis=0) * FLAT
+    covariance = np.eye(ROWS) + null @ null.T + (d.columns * weights**2) @ d.columns.T
+    expected = []
+    for k in range(CONFIGURATIONS):
+        out, rest = np.flatnonzero(d.configuration == k), np.flatnonzero(d.configuration != k)
+        gain = covariance[np.ix_(out, rest)] @ np.linalg.inv(covariance[np.ix_(rest, rest)])
+        conditional = covariance[np.ix_(out, out)] - gain @ covariance[np.ix_(rest, out)]
+        density = multivariate_normal(gain @ d.residual[rest], (conditional + conditional.T) / 2)
+        expected.append(density.logpdf(d.residual[out]) + 0.5 * len(out) * np.log(2 * np.pi))
+    np.testing.assert_allclose(seen, expected, atol=1e-4)
+    assert passes(np.zeros(5), np.full(5, 1.0))
+    assert not passes(np.zeros(5), np.array([9.0, -1.0, -1.0, -1.0, -1.0]))  # one configuration alone
+
+
+def test_two_planted_effects_are_selected_and_nothing_else() -> None:
+    d = design(7, {4: 1.2, 12: -1.5}, places=24)
+    assert set(select(d).accepted) == {2, 6}
+    assert select(design(8, places=24)).accepted == ()
+
+
+def test_one_large_effect_does_not_raise_the_level_and_hide() -> None:
+    chosen = select(design(9, {4: 6.0, 5: 4.0}))
+    assert chosen.accepted == (2,)
+    assert chosen.level <= 1.0
+
+
+def test_a_crowd_of_small_effects_is_no_finding() -> None:
+    rng = np.random.default_rng(3)
+    named = 0
+    for seed in range(20):
+        d = design(50 + seed)
+        unit = base_of(d).unit[:16]
+        crowd = d.columns[:, :16] @ (3 * unit * rng.standard_normal(16))
+        named += bool(select(dataclasses.replace(d, residual=d.residual + crowd)).accepted)
+    assert named <= 3
+
+
+def test_kin_are_laws_of_one_joint_and_neighbours_of_the_structure() -> None:
+    def place(effect: str, family: str, **location: object) -> Candidate:
+        return Candidate(effect, family, location, "law", (Parameter("p", "1", 1.0),), lambda _: np.zeros((1, 3, 1)))  # type: ignore[arg-type]
+
+    soft, gap = (place(e, "joint law", joint="joint_2") for e in ("soft_zone", "backlash"))
+    assert are_kin(soft, gap)
+    assert not are_kin(soft, place("backlash", "joint law", joint="joint_3"))
+    assert not are_kin(soft, place("hysteresis", "joint law", joint="joint_2"))
+    second = place("off_axis_compliance", "structure", joint="joint_2")
+    assert are_kin(second, place("link_bending", "structure", link="link_2"))
+    assert not are_kin(second, place("off_axis_compliance", "structure", joint="joint_5"))
+    assert are_kin(place("wrench_gain", "load chain", sensor="s"), place("wrench_crosstalk", "load chain", sensor="s"))
+    assert not are_kin(second, soft)

@@ -1,0 +1,171 @@
+"""Diagnosis of loaded recordings: what was planted is found and measured, nothing is found where nothing is."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from loaded_cases import TRUE, planted, true_state
+from robots import STIFFNESS, loaded_readings, write_cell
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.loaded import diagnose_loaded
+from calibration_core.identification.predict import from_step_zero, predict_readings
+from calibration_core.model.model_file import model_text, read_model
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.timeseries import Readings
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    return write_cell(tmp_path_factory.mktemp("cell"))
+
+
+@pytest.mark.parametrize(("seed", "noise"), [(1, 0.7), (2, 1.0), (5, 1.5)])
+def test_nothing_is_found_where_nothing_is_whatever_the_noise(cell: Cell, seed: int, noise: float) -> None:
+    found = diagnose_loaded(loaded_readings(cell, seed, noise=noise), cell)
+    assert found.verdict == "consistent"
+    assert found.findings == ()
+    assert found.noise == pytest.approx(noise * 2e-5, rel=0.25)  # five steps leave little to see it by: 9 %
+    assert found.rms_after == pytest.approx(found.rms_before, rel=0.05)
+    kinds = {anomaly.kind for anomaly in found.anomalies}
+    assert kinds == ({"noise_understated"} if noise > 1 else set())
+
+
+def test_an_off_axis_compliance_is_named_measured_and_gives_the_stiffnesses_back(cell: Cell) -> None:
+    truth = [2.5e-7, 1.2e-7, 0.5e-7]
+    readings = planted(cell, 5, "off_axis_compliance", "before", truth, joint="joint_2")
+    found = diagnose_loaded(readings, cell)
+    assert found.verdict == "missing_physics"
+    assert [(f.effect, dict(f.location)) for f in found.findings] == [("off_axis_compliance", {"joint": "joint_2"})]
+    finding = found.findings[0]
+    if finding.variant == "before":
+        for parameter, value in zip(finding.parameters, truth, strict=True):
+            assert abs(parameter.value - value) < 4 * parameter.std
+    before = [joint.value for joint in found.identification.stiffness]
+    after = [value for value, _ in found.stiffness.values()]
+    assert max(abs(np.array(after) / STIFFNESS - 1)) < 0.5 * max(abs(np.array(before) / STIFFNESS - 1))
+    assert found.held_out_after < 1.15 * found.noise < 0.6 * found.held_out_before
+    assert finding.held_out_gain > 0.5
+    assert "joint_2" in finding.explanation
+
+
+@pytest.mark.parametrize(
+    ("effect", "variant", "values", "location"),
+    [
+        ("backlash", "load torque, within 2 %", [4e-4], {"joint": "joint_1"}),
+        ("nonlinear_stiffness", "total torque", [0.25], {"joint": "joint_3"}),
+        ("joint_coupling", "symmetric", [3e-7], {"joints": ("joint_4", "joint_5")}),
+        ("wrench_gain", "fy", [0.05], {"sensor": "force_torque"}),
+    ],
+)
+def test_other_effects_are_named_with_their_place(
+    cell: Cell, effect: str, variant: str, values: list[float], location: dict[str, object]
+) -> None:
+    found = diagnose_loaded(planted(cell, 11, effect, variant, values, 18, **location), cell)
+    assert [(f.effect, dict(f.location)) for f in found.findings] == [(effect, location)]
+    assert found.verdict == "missing_physics"
+
+
+def test_exact_aliases_are_said_even_where_the_prior_decides(cell: Cell) -> None:
+    readings = planted(cell, 21, "base_compliance", "rocking", [6e-8, 5e-8, 0.0], base="base")
+    finding = diagnose_loaded(readings, cell).findings[0]
+    said = {(finding.effect, *finding.location.values())}
+    said |= {(other.effect, *other.location.values()) for other in finding.cannot_be_told_from}
+    assert {("base_compliance", "base"), ("off_axis_compliance", "joint_1")} <= said
+
+
+def test_the_extended_model_is_read_back_and_predicts_another_recording(cell: Cell, tmp_path: Path) -> None:
+    truth = [2.5e-7, 1.2e-7, 0.5e-7]
+    readings, other = (planted(cell, seed, "off_axis_compliance", "before", truth, joint="joint_2") for seed in (5, 6))
+    found = diagnose_loaded(readings, cell, test=other)
+    assert found.test is not None
+    assert found.test.rms < 1.2 * found.noise < 0.5 * found.test.rms_before
+    path = tmp_path / "model.yaml"
+    assert found.model is not None
+    path.write_text(model_text(found.model, cell))
+    model = read_model(path, cell)
+    plain = model.replace(effects=(), compliance=found.identification.model.compliance)
+    with_effect, without = (
+        np.sqrt(np.mean(from_step_zero(other, other.position - predict_readings(other, cell, m)) ** 2))
+        for m in (model, plain)
+    )
+    assert with_effect < 0.6 * without
+
+
+def test_gross_errors_under_a_strong_effect_are_named_and_good_readings_kept(cell: Cell) -> None:
+    readings = planted(cell, 5, "off_axis_compliance", "before", [5e-7, 3e-7, 0.0], joint="joint_2")
+    position = readings.position.copy()
+    wild = [40, 111]
+    position[wild] += [[4e-4, -3e-4, 4e-4], [-5e-4, 2e-4, 3e-4]]
+    found = diagnose_loaded(dataclasses.replace(readings, position=position), cell)
+    assert [f.effect for f in found.findings] == ["off_axis_compliance"]
+    anomaly = next(a for a in found.anomalies if a.kind == "outlier_readings")
+    assert "2 readings" in anomaly.text
+    for row in wild:
+        key = f"{readings.configuration[row]}/{readings.step[row]}/{readings.points[readings.point[row]]}"
+        assert key in anomaly.text
+
+
+def moved_flange(readings: Readings, cell: Cell, point: int, rows: np.ndarray, shift: np.ndarray) -> Readings:
+    """Return the readings with one point displaced in the flange frame, (r, 3) m, in some rows."""
+    axes = np.moveaxis(true_state(readings, cell).at.flange, -1, 0)
+    rotation = nominal_parameters(cell).tracker[:3, :3]
+    chosen = rows & (readings.point == point)
+    position = readings.position.copy()
+    position[chosen] += np.einsum("mia,mi->ma", axes, np.broadcast_to(shift, (len(readings), 3)))[chosen] @ rotation
+    return dataclasses.replace(readings, position=position)
+
+
+def test_a_target_that_moved_is_located_and_no_physics_is_claimed(cell: Cell) -> None:
+    readings = loaded_readings(cell, 31, 18)
+    later = readings.configuration >= 8
+    found = diagnose_loaded(moved_flange(readings, cell, 1, later, np.array([1e-3, -5e-4, 8e-4])), cell)
+    anomaly = next(a for a in found.anomalies if a.kind == "target_moved")
+    assert dict(anomaly.location) == {"point": "mp2"}
+    assert anomaly.configurations == (8, 18)
+    assert anomaly.magnitude == pytest.approx(np.linalg.norm([1e-3, -5e-4, 8e-4]), rel=0.1)
+    assert (found.verdict, found.findings) == ("consistent", ())
+
+
+def test_a_loose_target_is_named_and_not_used(cell: Cell) -> None:
+    readings = loaded_readings(cell, 32, 18)
+    shake = 1.2e-4 * np.random.default_rng(0).standard_normal((len(readings), 3))
+    found = diagnose_loaded(moved_flange(readings, cell, 2, readings.configuration > 0, shake), cell)
+    anomaly = next(a for a in found.anomalies if a.kind == "loose_target")
+    assert dict(anomaly.location) == {"point": "mp3"}
+    assert (found.verdict, found.findings) == ("consistent", ())
+
+
+def test_a_tracker_that_moved_is_found_from_its_configuration_on(cell: Cell) -> None:
+    readings = loaded_readings(cell, 33, 18)
+    later = (readings.configuration >= 10)[:, None]
+    found = diagnose_loaded(
+        dataclasses.replace(readings, position=readings.position + later * np.array([1e-3, 2e-3, -1e-3])), cell
+    )
+    anomaly = next(a for a in found.anomalies if a.kind == "tracker_moved")
+    assert anomaly.configurations == (10, 18)
+    assert (found.verdict, found.findings) == ("consistent", ())
+
+
+def test_a_file_of_another_robot_stops_the_search(cell: Cell, tmp_path: Path) -> None:
+    readings = planted(cell, 5, "off_axis_compliance", "before", [2.5e-7, 1.2e-7, 0.0], joint="joint_2")
+    rows = [vars(row) | {} for row in cell.robot.dh or ()]
+    rows[1]["a"] += 0.15
+    other = write_cell(tmp_path, robot={"dh": rows})
+    found = diagnose_loaded(readings, other)
+    assert [a.kind for a in found.anomalies][:1] == ["wrong_robot_file"]
+    assert (found.verdict, found.findings) == ("consistent", ())
+
+
+def test_frames_that_the_file_has_wrong_are_said(tmp_path: Path) -> None:
+    true = write_cell(tmp_path)
+    readings = loaded_readings(true, 41, 18)
+    other = write_cell(tmp_path, frames={"tracker": {"xyz": [4.0, 1.0, 1.2], "rpy": [0.014, -0.02, -2.9]}})
+    found = diagnose_loaded(readings, other)
+    assert [f.effect for f in found.findings] == ["tracker_frame_misalignment"]
+    size = np.linalg.norm([p.value for p in found.findings[0].parameters])
+    assert size == pytest.approx(4e-3, rel=0.05)
+    np.testing.assert_allclose([1 / v for v, _ in found.stiffness.values()], TRUE, rtol=0.05)

@@ -1,0 +1,75 @@
+"""The noise is seen step by step, whatever smooth physics the model leaves out."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from robots import loaded_readings, write_cell
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.noise import claimed, directions, scatter, with_noise
+from calibration_core.identification.loaded import Options, PreparedLoaded, prepare_loaded
+from calibration_core.identification.offsets import whitened
+from calibration_core.timeseries import Float2D
+
+SIGMA = 2e-5
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> PreparedLoaded:
+    cell: Cell = write_cell(tmp_path_factory.mktemp("cell"))
+    return prepare_loaded(loaded_readings(cell, 4, 30, noise=0.0), cell, Options(robust=False))
+
+
+def seen(prepared: PreparedLoaded, residual: Float2D, tracker: Float2D | None = None):
+    problem = prepared.problem
+    rows = problem.linearise(prepared.fit.compliance).rows
+    rows = dataclasses.replace(rows, shared=np.zeros_like(rows.shared))
+    axes = directions(problem.readings, tracker)
+    return rows, axes, scatter(rows, residual, problem.readings, axes)
+
+
+def test_white_noise_is_seen_at_its_size(prepared: PreparedLoaded) -> None:
+    rng = np.random.default_rng(1)
+    _, _, found = seen(prepared, 1.4 * SIGMA * rng.standard_normal((450, 3)))
+    assert found.total == pytest.approx(1.4, rel=0.06)
+    assert found.shared == 0
+
+
+def test_smooth_functions_of_the_load_are_not_taken_for_noise(prepared: PreparedLoaded) -> None:
+    rng = np.random.default_rng(2)
+    level = prepared.problem.readings.wrench[:, :1] / 1000  # type: ignore[index]
+    physics = 20 * SIGMA * (level + 0.3 * level**2) * [1.0, -0.5, 0.2]
+    _, _, found = seen(prepared, physics + SIGMA * rng.standard_normal((450, 3)))
+    assert found.total == pytest.approx(1.0, rel=0.08)
+
+
+def test_what_the_points_of_a_step_share_is_told_from_their_own(prepared: PreparedLoaded) -> None:
+    rng = np.random.default_rng(3)
+    own = SIGMA * rng.standard_normal((450, 3))
+    together = 1.5 * SIGMA * np.repeat(rng.standard_normal((150, 3)), 3, axis=0)
+    rows, axes, found = seen(prepared, own + together)
+    assert np.mean(found.own) == pytest.approx(1.0, rel=0.1)
+    assert found.shared == pytest.approx(1.5, rel=0.3)
+    noisy = with_noise(rows, prepared.problem.readings, found, axes)
+    white, _ = whitened(noisy, (own + together)[:, :, None])
+    assert np.mean(white**2) == pytest.approx(1.0, rel=0.2)
+
+
+def test_range_and_angles_may_differ(prepared: PreparedLoaded) -> None:
+    rng = np.random.default_rng(4)
+    tracker = prepared.parameters.tracker
+    axes = directions(prepared.problem.readings, tracker)
+    errors = np.einsum("mi,mia->ma", SIGMA * rng.standard_normal((450, 3)) * [0.5, 1.2, 1.2], axes)
+    _, _, found = seen(prepared, errors, tracker)
+    np.testing.assert_allclose(found.own, [0.5, 1.2, 1.2], rtol=0.12)
+
+
+def test_two_steps_cannot_tell(prepared: PreparedLoaded) -> None:
+    problem = prepared.problem.select(np.flatnonzero(prepared.problem.readings.step < 2))
+    rows = problem.linearise(prepared.fit.compliance).rows
+    found = scatter(rows, np.ones((180, 3)), problem.readings, directions(problem.readings, None))
+    assert found == claimed()
+    assert found.freedom == 0
