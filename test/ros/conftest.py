@@ -20,7 +20,7 @@ CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 FAST = ROOT / "config" / "simulation.yaml"
 SPEED = 20.0  # times real time
 FIRST = 3  # configurations of the short plan
-LONG = 30.0  # s of wall time, that a process may take to appear on a busy machine
+LONG = 60.0  # s of wall time, that a process may take to appear on a busy machine
 PACKAGES = {"simulated_cell": "calibration_sim"}
 
 # Contexts, nodes that spin, and the environment of processes are those of the nodes' own tests.
@@ -57,9 +57,9 @@ class Suite:
         self.given[name] = command
         self.again(name)
 
-    def start_fast(self, seed: int = 1) -> None:
+    def start_fast(self, speed: float = SPEED) -> None:
         """Start everything that a measurement needs, faster than life."""
-        self.start("simulated_cell", FAST, speed=SPEED, seed=seed, speed_log=self.directory / "speed.csv")
+        self.start("simulated_cell", FAST, speed=speed, seed=1, speed_log=self.directory / "speed.csv")
         for name in ("guard", "tracker", "force_torque", "sequencer"):
             self.start(name, FAST)
         self.start("recorder", FAST, out=self.bag)
@@ -104,14 +104,14 @@ class Suite:
 
     # --- conversation ------------------------------------------------------------------------------------------------
 
-    def call(self, service: Any, place: str, /, **fields: Any) -> Any:
-        """Call a service, again if its server was just restarted; return the answer."""
+    def call(self, service: Any, place: str, /, patience: float = 5.0, **fields: Any) -> Any:
+        """Call a service, again after `patience` s, for its server may just have been restarted; return the answer."""
         client = self.client.create_client(service, place)
         try:
             end = time.monotonic() + LONG
             while time.monotonic() < end:
                 if client.wait_for_service(1.0):
-                    answer = client.call(service.Request(**fields), timeout_sec=5.0)
+                    answer = client.call(service.Request(**fields), timeout_sec=patience)
                     if answer is not None:
                         return answer
         finally:

@@ -18,7 +18,8 @@ from calibration_core.procedure.session import Session
 from calibration_core.recording.bag import read_bag
 
 ROOT = Path(__file__).resolve().parents[2]
-FIRST = 3  # configurations of the short plan
+FIRST, CONFIGURATIONS = 3, 18  # of the short plan and of the whole one
+KILLS = 30
 WITHIN = 2.0  # s, a process may take to end
 
 
@@ -66,60 +67,124 @@ def test_sigint_while_the_robot_moves(suite: Any, plan: Path, cell: Cell) -> Non
         assert session.completed == ()
 
 
-def end_somewhere(suite: Any, name: str, rng: np.random.Generator) -> int:
-    """Kill a process at a random moment of a measurement; return how many readings were on the disk before."""
-    wait(lambda: (suite.session / "session.db").exists() and stored(suite) > 0, 90.0, suite.log("sequencer"))
-    time.sleep(rng.uniform(0.0, 2.0))
-    before = stored(suite)
-    suite.end(name, signal.SIGKILL)
-    return before
-
-
-def go_on(suite: Any, plan: Path, name: str) -> Any:
-    """Start the killed process again, and everything that then has to be said; return the run."""
-    suite.again(name)
-    if name != "sequencer":
-        suite.end("sequencer", signal.SIGKILL)  # whatever it was in the middle of
-        suite.again("sequencer")
-    return suite.run(plan, resume=True)
-
-
 def allow(suite: Any, done: Any) -> None:
     """Reset the guard and resume until the run is over, as an operator would after a crash."""
+    while not done():
+        time.sleep(1.0)
+        go_on(suite)
+
+
+def go_on(suite: Any) -> bool:
+    """Reset the guard and resume; whether that was possible."""
     from calibration_interfaces.srv import ResetGuard
     from std_srvs.srv import Trigger
 
-    while not done():
-        time.sleep(1.0)
-        if suite.call(ResetGuard, "guard/reset", operator_name="test").permission.permitted:
-            suite.call(Trigger, "sequencer/resume")
+    if not suite.call(ResetGuard, "guard/reset", operator_name="test").permission.permitted:
+        return False
+    suite.call(Trigger, "sequencer/resume")
+    return True
+
+
+class Killing:
+    """One measurement, in which a process is killed again and again."""
+
+    def __init__(self, suite: Any, plan: Path, name: str, rng: np.random.Generator) -> None:
+        self.suite, self.plan, self.name, self.rng = suite, plan, name, rng
+        self.kills = 0
+        self.seen: set[tuple[Any, ...]] = set()  # readings that were on the disk at any moment
+        self.blind: set[int] = set()  # configurations under way while nothing was recorded
+        suite.directory.mkdir()
+        suite.start_fast()
+        self.run = suite.run(plan)
+
+    def strike(self, cell: Cell) -> bool:
+        """Kill the process at a random moment, start it again, go on; False if the run was over before."""
+        before = len(self.seen)
+        end = time.monotonic() + 120.0
+        while len(self.seen) <= before and not self.run.over:
+            assert time.monotonic() < end, self.suite.log("sequencer")[-3000:]
+            if not self.look():
+                go_on(self.suite)
+            time.sleep(0.2)
+        time.sleep(self.rng.uniform(0.0, 5.0))
+        if self.run.over:
+            return False
+        self.look()
+        self.suite.end(self.name, signal.SIGKILL)
+        self.kills += 1
+        first = len(self.attempts()) - 1
+        read_bag(self.suite.bag, cell)
+        self.look()
+        self.suite.again(self.name)
+        if self.name == "simulated_cell":  # whose clock begins anew
+            self.suite.end("sequencer", signal.SIGKILL)
+            self.suite.again("sequencer")
+        if self.name in ("sequencer", "simulated_cell"):
+            self.run = self.suite.run(self.plan, resume=True)
+        if self.name == "recorder":
+            wait(lambda: recording(self.suite.bag) > self.kills, 30.0, self.suite.log("recorder"))
+            time.sleep(1.0)
+            self.blind |= set(self.attempts()[max(first, 0) :])
+        return True
+
+    def attempts(self) -> list[int]:
+        with Session.look(self.suite.session) as session:
+            return [configuration for _, configuration, _, _ in session.attempts]
+
+    def look(self) -> bool:
+        """See that what was on the disk still is; whether anything came since."""
+        if not (self.suite.session / "session.db").exists():
+            return False
+        with Session.look(self.suite.session) as session:
+            now = {(r.configuration, r.step, r.point, r.time) for r in session.confirmed(all_attempts=True)}
+        assert self.seen <= now
+        new = now > self.seen
+        self.seen = now
+        return new
+
+    def finish(self, cell: Cell, announced: set[tuple[Any, ...]]) -> None:
+        """Let the measurement end, and see that nothing confirmed is lost, neither on the disk nor in the bag."""
+        allow(self.suite, lambda: self.run.over)
+        result = self.run.result(1.0)
+        assert result.configurations_done == CONFIGURATIONS, result.outcome.text
+        self.look()
+        self.suite.stop()
+        with Session.look(self.suite.session) as session:
+            assert len(session.completed) == CONFIGURATIONS
+            confirmed = {(r.configuration, r.step, r.point) for r in session.confirmed()}
+        assert announced <= {row[:3] for row in self.seen}
+        found = observe(self.suite.bag, cell)
+        rows = zip(found.configuration, found.step, found.point, strict=True)
+        replayed = {(int(c), int(s), found.points[p]) for c, s, p in rows}
+        assert {row for row in confirmed if row[0] > 0 and row[0] not in self.blind} <= replayed
+
+
+def recording(bag: Path) -> int:
+    """How many files the bag has."""
+    return len(list(bag.glob("*.mcap")))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sequencer", "guard", "tracker", "force_torque", "recorder", "simulated_cell"])
-def test_a_killed_process_loses_nothing(suite: Any, short_plan: Path, cell: Cell, name: str) -> None:
-    kills = 5
+def test_a_killed_process_loses_nothing(suite: Any, brisk_plan: Path, cell: Cell, name: str) -> None:
+    """Thirty times, at random moments, in as many measurements as that takes."""
+    from calibration_interfaces.msg import Reading
+
     rng = np.random.default_rng(sum(name.encode()))
-    suite.start_fast()
-    run = suite.run(short_plan)
-    for _ in range(kills):
-        if run.over:
-            break
-        before = end_somewhere(suite, name, rng)
-        read_bag(suite.bag, cell)
-        assert stored(suite) >= before
-        run = go_on(suite, short_plan, name)
-    allow(suite, lambda: run.over)
-    assert run.result(1.0).configurations_done == FIRST
-    suite.stop()
-    with Session.look(suite.session) as session:
-        assert len(session.completed) == FIRST
-        confirmed = {(r.configuration, r.step, r.point) for r in session.confirmed()}
-    found = observe(suite.bag, cell)
-    replayed = {
-        (int(c), int(s), found.points[p]) for c, s, p in zip(found.configuration, found.step, found.point, strict=True)
-    }
-    assert {row for row in confirmed if row[0] > 0} <= replayed
+    announced: set[tuple[Any, ...]] = set()
+    suite.client.create_subscription(
+        Reading, "calibration/reading", lambda one: announced.add((one.configuration, one.step, one.point)), 1000
+    )
+    directory, kills, measurements = suite.directory, 0, 0
+    while kills < KILLS:
+        suite.directory = directory / str(measurements)
+        announced.clear()
+        killing = Killing(suite, brisk_plan, name, rng)
+        while kills + killing.kills < KILLS and killing.strike(cell):
+            pass
+        killing.finish(cell, announced)
+        kills, measurements = kills + killing.kills, measurements + 1
+    print(f"\n{name}: killed {kills} times in {measurements} measurements")
 
 
 def test_a_killed_sequencer_goes_on_at_the_next_configuration(suite: Any, short_plan: Path, cell: Cell) -> None:

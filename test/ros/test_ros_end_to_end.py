@@ -20,6 +20,7 @@ from calibration_core.observations.observe import observe
 from calibration_core.procedure.plan import REFERENCE_NUMBER
 from calibration_core.procedure.session import Session
 from calibration_core.procedure.session_values import as_readings
+from calibration_core.timeseries import NANOSECONDS
 from calibration_sim.speed_log import read_speed_log
 from calibration_sim.truth import draw_truth
 
@@ -27,6 +28,8 @@ ROOT = Path(__file__).resolve().parents[2]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 FAST = ROOT / "config" / "simulation.yaml"
 SPEED, LIMIT = 20.0, 0.25
+LONG = 60.0  # s, an answer may take on a busy machine
+BRISK = 26.0  # times real time, asked for where SPEED is to be reached
 FIRST, STEPS = 3, 4  # configurations of the short plan, load steps
 
 
@@ -81,7 +84,7 @@ def test_the_whole_measurement(suite: Any, plan: Path) -> None:
     from calibration_interfaces.msg import Outcome
     from calibration_interfaces.srv import IdentifyStiffness
 
-    suite.start_fast()
+    suite.start_fast(speed=BRISK)
     suite.start("identification", recording=suite.bag)
     began = time.monotonic()
     result = suite.run(plan).result(600.0)
@@ -90,8 +93,9 @@ def test_the_whole_measurement(suite: Any, plan: Path) -> None:
     assert (result.configurations_done, result.configurations_skipped) == (18, 0)
     asked = time.monotonic()
     answer = suite.call(
-        IdentifyStiffness, "identification/identify_stiffness", cell=str(CELL), out=str(suite.directory / "live")
-    )
+        IdentifyStiffness, "identification/identify_stiffness", patience=LONG, cell=str(CELL),
+        out=str(suite.directory / "live"),
+    )  # fmt: skip
     print(f"\nmeasured in {took:.0f} s, identified in {time.monotonic() - asked:.1f} s")
     assert answer.outcome.code == Outcome.OK, answer.outcome.text
     suite.stop()
@@ -111,7 +115,11 @@ def test_the_whole_measurement(suite: Any, plan: Path) -> None:
     print(f"fastest point {1e3 * speed[:, 1].max():.1f} mm/s, cruising at {cruising.mean() / LIMIT:.2f} of the limit")
     assert speed[:, 1].max() <= LIMIT
     assert cruising.mean() >= 0.8 * LIMIT
-    assert speed[-1, 0] / took > 5.0
+    with Session.look(suite.session) as session:
+        times = [event.time for event in session.events]
+    factor = (max(times) - min(times)) / NANOSECONDS / took
+    print(f"{factor:.1f} times real time")
+    assert factor >= SPEED
 
 
 def test_what_cannot_be_measured_is_refused_before_anything_moves(suite: Any, plan: Path) -> None:
