@@ -17,12 +17,14 @@ from calibration_core.diagnosis.absolute_design import (
     sample,
     weighted,
 )
+from calibration_core.diagnosis.absolute_drift import DriftControl, slow_blocks
 from calibration_core.diagnosis.absolute_fit import AbsoluteExtended, extend_absolute
 from calibration_core.diagnosis.absolute_naming import absolute_findings
 from calibration_core.diagnosis.absolute_rest import what_remains_absolute
 from calibration_core.diagnosis.absolute_selection import (
     MOST_PARAMETERS,
     AbsoluteSelection,
+    Control,
     parameter_count,
     select_absolute,
 )
@@ -63,7 +65,7 @@ class Case:
         nuisances: Joint compliances of the null model: stiffnesses that the cell file states are refitted.
         rows: Readings of the search.
         partitions: Of those, into blocks.
-        control: Controls of elasticity.
+        control: Controls of elasticity and drift.
     """
 
     readings: Readings
@@ -75,7 +77,7 @@ class Case:
     nuisances: tuple[Candidate, ...]
     rows: Int1D
     partitions: tuple[Blocks, ...]
-    control: GravityControl
+    control: Control
 
     def design(self, hypotheses: tuple[Candidate, ...]) -> AbsoluteDesign:
         """Return the linear model with the given hypotheses."""
@@ -176,7 +178,7 @@ def prepare(readings: Readings, cell: Cell, evaluated: Evaluated) -> Case:
         name: weighted(part, parameters, turned_columns(state, joint)[rows])
         for joint, name in enumerate(state.chain.joints)
     }
-    control = GravityControl(partitions, turned)
+    control = DriftControl(slow_blocks(readings.configuration[rows]), GravityControl(partitions, turned))
     return Case(readings, cell, evaluated, terms, parameters, state, nuisances, rows, partitions, control)
 
 

@@ -15,6 +15,7 @@ from calibration_core.model.effects.applied import applied, applied_shift, resto
 from calibration_core.model.effects.approach_direction import last_motion
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.geometry_error import frame_error
+from calibration_core.model.effects.gravity_compensator import spring_torque
 from calibration_core.model.effects.joint_elasticity import turned
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.effects.transmission_error import HIGHEST, carried_orders, harmonic
@@ -238,3 +239,16 @@ def test_every_absolute_effect_of_the_contract_has_a_file() -> None:
     wanted = {"joint_zero_offset", "geometry_error", "transmission_error", "wrist_coupling", "joint_elasticity",
               "thermal_growth", "approach_direction"}  # fmt: skip
     assert wanted <= {effect.name for effect in catalogue() if effect.family == "absolute"}
+
+
+def test_a_compensator_pulls_as_the_slope_of_its_spring_energy() -> None:
+    side, arm, free = 0.2, 0.75, 0.45
+
+    def energy(angle: np.ndarray) -> np.ndarray:
+        return 0.5 * (np.sqrt(side**2 + arm**2 + 2 * side * arm * np.cos(angle)) - free) ** 2
+
+    angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    slope = -(energy(angle + SMALL) - energy(angle - SMALL)) / (2 * SMALL)
+    size = side**2 + arm**2
+    seen = spring_torque(angle, 2 * side * arm / size, free / np.sqrt(size))
+    np.testing.assert_allclose(seen, slope / np.abs(slope).max(), atol=1e-6)
