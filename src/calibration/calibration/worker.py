@@ -73,6 +73,7 @@ class Worker:
             CancelledError: It was cancelled.
             RuntimeError: The process died.
         """
+        self.progress = Progress()
         if not self._commands:
             self._commands = tuple(self._beside(self._read, cancelled)["commands"])
         return self._commands
@@ -88,7 +89,6 @@ class Worker:
             CancelledError: It was cancelled.
             RuntimeError: The process died.
         """
-        self.progress = Progress()
         self.commands_when_ready(cancelled)
         answer = self._beside(lambda: self._ask({"arguments": list(arguments)}), cancelled)
         return Finished(str(answer["kind"]), str(answer["text"]), str(answer["trace"]))

@@ -112,16 +112,14 @@ def test_input_that_cannot_be_used(
     assert not out.exists()
 
 
-def test_diagnose_answers_what_the_command_line_can(spinning: Any, node: Any, tmp_path: Path) -> None:
-    from calibration_core import commands
-
-    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", recording=str(BAG), out=str(tmp_path))
-    if "diagnose" in commands.NAMES:
-        assert answer.outcome.code == Outcome.OK, answer.outcome.text
-        assert answer.verdict == json.loads(answer.result_json)["verdict"]
-    else:
-        assert answer.outcome.code == Outcome.NOT_AVAILABLE
-        assert "diagnose" in answer.outcome.text
+def test_a_command_that_this_version_has_not(
+    spinning: Any, node: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(node._worker, "commands_when_ready", lambda _cancelled: ("identify",))
+    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", recording=str(BAG), out=str(tmp_path / "out"))
+    assert answer.outcome.code == Outcome.NOT_AVAILABLE
+    assert answer.outcome.text == "this version has no command diagnose"
+    assert not (tmp_path / "out").exists()
 
 
 def test_busy_and_responsive_meanwhile(spinning: Any, node: Any, tmp_path: Path) -> None:
@@ -150,7 +148,11 @@ def test_action_with_progress(spinning: Any, node: Any, offline: Path, tmp_path:
     result = finish(handle.get_result_async()).result
     assert result.outcome.code == Outcome.OK, result.outcome.text
     assert result.result_json.encode() == (offline / "result.json").read_bytes()
-    assert told[-1].feedback.share_done == 1.0
+    shares = [one.feedback.share_done for one in told]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    said = [one.feedback.text for one in told]
+    assert any(text.startswith(("identifying", "drawing the report")) for text in said), said
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in offline.iterdir()}
 
 

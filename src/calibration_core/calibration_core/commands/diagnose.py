@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.commands.common import report_line
+from calibration_core.commands.common import report_line, tell
 from calibration_core.commands.offers import offers_for, proposed_plan
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.finding import Diagnosis
@@ -27,13 +27,16 @@ def run(arguments: argparse.Namespace) -> str:
     Raises:
         InputError: The input cannot be used, or the output cannot be written.
     """
+    tell(arguments, 0.0, "reading the recording")
     cell = load_cell(arguments.cell)
     readings = observe(arguments.recording, cell)
     test = None if arguments.test is None else observe(arguments.test, cell)
     simulation = None if arguments.simulation is None else observe(arguments.simulation, cell)
+    tell(arguments, 1 / 3, "looking for what is left out")
     found = diagnose(
         readings, cell, Options(robust=not arguments.no_robust), test, simulation, offers_for(readings, cell)
     )
+    tell(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
     result = result_json(diagnosis_dict(found, cell))
     model = found.identification.model if found.model is None else found.model
     files: dict[str, Content] = {RESULT: result, "model.yaml": model_text(model, cell).encode()}

@@ -1,0 +1,93 @@
+"""The diagnosis over ROS: the same files as the command line's, with progress, and cancelled without a trace."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from calibration_interfaces import srv
+from calibration_interfaces.action import Identify
+from calibration_interfaces.msg import Outcome
+from rclpy.action import ActionClient
+from rclpy.parameter import Parameter
+from test_identification import BAG, CELL, ask, finish
+
+from calibration.identification import IdentificationNode
+
+SAME = ("result.json", "model.yaml", "table2.csv")
+
+
+@pytest.fixture
+def node(spinning: Any) -> IdentificationNode:
+    given = {"cell": str(CELL), "recording": str(BAG), "feedback_period": 0.02}
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    return spinning.add(IdentificationNode(context=spinning.context, parameter_overrides=overrides))
+
+
+@pytest.fixture(scope="module")
+def offline(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command line makes of the recording, a second one predicted."""
+    out = tmp_path_factory.mktemp("offline")
+    program = Path(sys.prefix) / "bin" / "calibration"
+    command = [program, "diagnose", BAG, "--cell", CELL, "--test", BAG, "--out", out]
+    subprocess.run(command, check=True, capture_output=True, timeout=300)
+    return out
+
+
+def test_the_service_answers_as_the_command_line(
+    spinning: Any, node: Any, offline: Path, until: Callable[..., None], tmp_path: Path
+) -> None:
+    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", test=str(BAG), out=str(tmp_path))
+    assert answer.outcome.code == Outcome.OK, answer.outcome.text
+    assert answer.result_json.encode() == (offline / "result.json").read_bytes()
+    for name in SAME:
+        assert (tmp_path / name).read_bytes() == (offline / name).read_bytes()
+    told = json.loads(answer.result_json)
+    assert told["test"] is not None
+    assert answer.verdict == told["verdict"]
+    assert list(answer.findings) == [finding["effect"] for finding in told["findings"]]
+    until(Path(answer.report_path).is_file, timeout=180.0)
+    until(lambda: {path.name for path in tmp_path.iterdir()} == {path.name for path in offline.iterdir()})
+    for name in SAME:
+        assert (tmp_path / name).read_bytes() == (offline / name).read_bytes()
+
+
+def test_the_action_tells_its_progress_and_can_be_cancelled(
+    spinning: Any, node: Any, offline: Path, until: Callable[..., None], tmp_path: Path
+) -> None:
+    client = ActionClient(spinning.plain(), Identify, "/identification/identify")
+    assert client.wait_for_server(20.0)
+    told: list[Any] = []
+    goal = Identify.Goal(what=Identify.Goal.DIAGNOSIS, test=str(BAG), out=str(tmp_path / "out"))
+    handle = finish(client.send_goal_async(goal, feedback_callback=told.append))
+    until(lambda: any("looking for what is left out" in one.feedback.text for one in told), timeout=120.0)
+    assert finish(handle.cancel_goal_async()).goals_canceling
+    assert finish(handle.get_result_async()).result.outcome.code == Outcome.CANCELLED
+    assert not (tmp_path / "out").exists()
+    told.clear()
+    handle = finish(client.send_goal_async(goal, feedback_callback=told.append))
+    result = finish(handle.get_result_async(), timeout=300.0).result
+    assert result.outcome.code == Outcome.OK, result.outcome.text
+    assert result.result_json.encode() == (offline / "result.json").read_bytes()
+    assert Path(result.report_path).is_file()
+    shares = [one.feedback.share_done for one in told]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert any("drawing the report" in one.feedback.text for one in told)
+
+
+def test_what_cannot_be_diagnosed(spinning: Any, node: Any, tmp_path: Path) -> None:
+    client = spinning.plain()
+    out = tmp_path / "out"
+    answer = ask(client, srv.Diagnose, "diagnose", recording="/no/such/bag", out=str(out))
+    assert (answer.outcome.code, answer.verdict) == (Outcome.INPUT_UNUSABLE, "")
+    assert "/no/such/bag" in answer.outcome.text
+    assert not out.exists()
