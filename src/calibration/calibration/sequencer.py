@@ -37,13 +37,14 @@ from calibration.motion.calls import parse_call
 from calibration.motion.catalogue import make_backend
 from calibration.node import CalibrationNode, run
 from calibration.permission import SILENT, PermissionWatch
+from calibration.plan_markers import plan_markers
 from calibration.preflight import joints_heard, missing, prepared, served
 from calibration.provenance import provenance
 from calibration.robot_state.catalogue import load_type
 from calibration.runner import Call, Runner
-from calibration.sequencer_parameters import DEVICE, PARAMETERS, arrival_rules, motion_limits, sequence_rules
+from calibration.sequencer_parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
 from calibration.stopper import RUNGS, Stopper
-from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, READING, ROBOT_STATE, Quality, profile
+from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, PLAN_MARKERS, READING, ROBOT_STATE, Quality, profile
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError, SessionError
 from calibration_core.model.nominal import nominal_parameters
@@ -132,6 +133,7 @@ class SequencerNode(CalibrationNode):
         self.steps = self.create_publisher(MeasurementStep, step, profile(Quality.EVENTS))
         self.events = self.create_publisher(EVENT.message, EVENT.relative, EVENT.qos)
         self.readings = self.create_publisher(READING.message, READING.relative, READING.qos)
+        self._markers = self.create_publisher(PLAN_MARKERS.message, PLAN_MARKERS.relative, PLAN_MARKERS.qos)
         self._pulse = self.create_publisher(MOTION_PULSE.message, MOTION_PULSE.relative, MOTION_PULSE.qos)
         group = ReentrantCallbackGroup()
         self.create_service(Trigger, "~/pause", self._on_pause)
@@ -272,6 +274,7 @@ class SequencerNode(CalibrationNode):
     def _measure(self, request: Any) -> Any:
         """Measure a plan from beginning to end; runs in a thread of its own."""
         plan = read_plan(request.plan, self.cell)
+        self._markers.publish(plan_markers(plan, self.cell, *(self.value(f"markers.{name}") for name in LOOK)))
         directory = Path(request.session)
         text = Path(request.plan).read_text(encoding="utf-8")
         if not request.resume and (directory / DATABASE).exists():

@@ -13,6 +13,7 @@ from calibration_core.procedure.agenda import SequenceRules
 from calibration_core.procedure.trajectory import MotionLimits
 
 OPERATOR, DEVICE = "operator", "device"
+LOOK = ("base", "flange", "size")  # of markers
 ARRIVAL, LIMITS, RULES = ArrivalRules(), MotionLimits(), SequenceRules()
 
 PARAMETERS = (
@@ -50,6 +51,9 @@ PARAMETERS = (
     Declared("reading_limit", RULES.reading_limit, "s, of one reading.", low=1.0),
     Declared("permission_age", 0.1, "s, of the guard's last word; older means no.", low=0.02, high=1.0),
     Declared("server_wait", 10.0, "s, that the other nodes may take to appear.", low=0.1, high=300.0),
+    Declared("markers.base", "", "Name of the robot's base frame; empty: the cell file's, or base_link."),
+    Declared("markers.flange", "", "Name of the robot's flange frame; empty: the cell file's, or flange."),
+    Declared("markers.size", 0.02, "m, diameter of a point that is shown.", low=1e-4, high=1.0),
     Declared("trace", "", "File for stop commands with the monotonic clock's ns; empty: none."),
 )
 

@@ -9,22 +9,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
 from calibration_interfaces import srv
+from calibration_interfaces.action import RunPlan
 from calibration_interfaces.msg import Outcome
+from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
-from test_identification import BAG, CELL, ask
+from test_identification import BAG, CELL, ask, finish
 from visualization_msgs.msg import Marker, MarkerArray
 
 from calibration.identification import IdentificationNode
 from calibration.markers import Look, to_markers
-from calibration.topics import MARKERS
+from calibration.sequencer import SequencerNode
+from calibration.topics import MARKERS, PLAN_MARKERS
 from calibration_core.cell import load_cell
+from calibration_core.model.kinematics import posture
+from calibration_core.model.robot import chain_of
 from calibration_core.report.scene import Scene
 
 DEMO = CELL.with_name("demo.cell.yaml")
+POSES = [[0.1, 0.2, 0.1, 0.0, 0.3, 0.0], [0.4, -0.1, 0.2, 0.3, -0.5, 0.2]]
 LOOK = Look("base_link", "flange", 0.02)
 
 
@@ -91,6 +98,42 @@ def test_names_of_frames() -> None:
     assert Look.of(urdf, "", "", 0.02) == Look("base_link", "flange", 0.02)
     assert Look.of(dh, "", "", 0.02) == Look("base_link", "flange", 0.02)
     assert Look.of(dh, "robot_base", "tool0", 0.02) == Look("robot_base", "tool0", 0.02)
+
+
+def a_plan(folder: Path) -> Path:
+    configurations = [
+        {"number": number, "q": q, "steps": [[0.0] * 6, [0.0, 0.0, -500.0, 0.0, 0.0, 0.0]]}
+        for number, q in enumerate(POSES, start=3)
+    ]
+    joints = [f"joint_{i}" for i in range(1, 7)]
+    path = folder / "plan.yaml"
+    path.write_text(yaml.safe_dump({"schema": 1, "joints": joints, "configurations": configurations}), "utf-8")
+    return path
+
+
+def test_a_plan_is_shown_when_its_measurement_begins(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
+    given = {"cell": str(DEMO), "motion.backend": "external", "force_torque": "", "recorder": "", "server_wait": 0.1}
+    overrides = [Parameter(name, value=value) for name, value in (given | {"markers.size": 0.05}).items()]
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides))
+    client = spinning.plain()
+    run = ActionClient(client, RunPlan, "/sequencer/run")
+    assert run.wait_for_server(20.0)
+    goal = RunPlan.Goal(plan=str(a_plan(tmp_path)), session=str(tmp_path / "session"))
+    finish(finish(run.send_goal_async(goal)).get_result_async())  # nothing else of the cell is there
+    late: list[MarkerArray] = []
+    client.create_subscription(PLAN_MARKERS.message, f"/{PLAN_MARKERS.relative}", late.append, PLAN_MARKERS.qos)
+    until(lambda: late)
+    found = by_space(late[-1])
+    cell = load_cell(DEMO)
+    at = posture(chain_of(cell), np.array(POSES))
+    for name, point in cell.frames.measurement_points.items():
+        (marker,) = found[f"space_{name}"]
+        np.testing.assert_allclose(places(marker.points), at.point(np.array(point)).T, atol=1e-12)
+        assert marker.scale.x == 0.05
+    assert cell.frames.wrench_point is not None
+    wrench = at.point(np.array(cell.frames.wrench_point)).T
+    np.testing.assert_allclose(places(found["space_wrench_point"][0].points), wrench, atol=1e-12)
+    assert "deflection" not in found
 
 
 def test_a_result_is_shown_to_whoever_comes_late(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:

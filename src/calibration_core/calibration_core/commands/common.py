@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +12,12 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.identification.space import operating_space
+from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.simulate import Schedule
 from calibration_core.model.statics import Load
+from calibration_core.procedure.plan import Plan
 from calibration_core.recording.source import sha256_of
 from calibration_core.report.output import REPORT_HTML, REPORT_PDF, RESULT
 from calibration_core.timeseries import Provenance, Readings
@@ -73,3 +76,10 @@ def scheduled_space(schedule: Schedule, cell: Cell, parameters: ModelParameters)
     if parameters.wrench_point is not None and np.any(schedule.wrench):
         load = Load(schedule.wrench[:, :3].T, schedule.wrench[:, 3:].T, parameters.wrench_point, None)
     return operating_space(chain_of(cell).corrected(parameters.geometry), parameters, readings, load)
+
+
+def planned_space(plan: Plan, cell: Cell) -> OperatingSpace:
+    """Return where the points of a plan's configurations lie, spares included, as the cell file has it, unloaded."""
+    schedule = Schedule.of(plan.configurations)
+    unloaded = dataclasses.replace(schedule, wrench=np.zeros_like(schedule.wrench))
+    return scheduled_space(unloaded, cell, nominal_parameters(cell))
