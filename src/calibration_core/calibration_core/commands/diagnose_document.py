@@ -24,6 +24,15 @@ from calibration_core.report.document import (
 from calibration_core.report.rendering import document_number
 from calibration_core.report.result import tested
 from calibration_core.report.rounding import fixed, padded, significant
+from calibration_core.report.sections.diagnosis import (
+    comparison_blocks,
+    finding_blocks,
+    gain_blocks,
+    next_blocks,
+    stiffness_blocks,
+    story,
+    where_blocks,
+)
 from calibration_core.report.sections.procedure import counts_text, equipment, load_text, safety_limit
 from calibration_core.report.sections.records import exclusion_section, traceability_section
 from calibration_core.report.sections.residuals import residual_section
@@ -46,14 +55,22 @@ def diagnosis_document(found: Diagnosis, cell: Cell, result: bytes, day: dt.date
     """
     day = day or dt.datetime.now(dt.UTC).date()
     null = found.identification
-    sections = [Section(_title(finding), "", _finding(finding)) for finding in found.findings]
+    sections = []
+    if found.comparison is not None:
+        sections.append(Section("Recording and simulation", "", comparison_blocks(found.comparison)))
+    sections.append(Section("Where recording and model differ", "", where_blocks(found)))
     sections += [
+        Section(f"Finding {number}: {_title(finding)}", "", finding_blocks(finding))
+        for number, finding in enumerate(found.findings, start=1)
+    ]
+    sections += [
+        Section("How much better", "", gain_blocks(found)),
         Section("What remains", "", (Paragraph(found.rest.text),)),
-        Section("Where it was, without a model", "", _located(found)),
         Section("Anomalies", "", _anomalies(found)),
-        Section("Next measurements", "", _next(found)),
-        Section("Joint stiffness in the extended model", "", (_stiffness(found),)),
-        Section("Residuals of the model before", "", residual_section(null)),
+        Section("What to measure next", "", next_blocks(found)),
+        Section("Joint stiffness in the extended model", "", stiffness_blocks(found)),
+        *([Section("What this kind of recording never tells", "", (Items(found.aliases),))] if found.aliases else []),
+        Section("Residuals of the model without the findings", "", residual_section(null)),
         Section("Noise", "5.3", noise_section(null)),
         Section("Readings not used", "", exclusion_section(null)),
         Section("Measuring equipment", "8 e)", equipment(cell)),
@@ -65,7 +82,7 @@ def diagnosis_document(found: Diagnosis, cell: Cell, result: bytes, day: dt.date
         subtitle="Elastostatic compliance calibration according to CWA 17384",
         facts=_facts(found, cell, day),
         verdict=_verdict(found),
-        front=(_overview(found),),
+        front=(_overview(found), story(found)),
         sections=tuple(sections),
         signatures=("Evaluated by", "Approved by"),
         statement=STATEMENT,
@@ -127,50 +144,10 @@ def _overview(found: Diagnosis) -> Block:
     return Table("Findings", columns, padded(rows), note)
 
 
-def _finding(finding: Finding) -> tuple[Block, ...]:
-    rows = tuple(
-        (p.name.replace("_", " "), significant(p.value, 4), significant(p.std, 2), p.unit) for p in finding.parameters
-    )
-    columns = (Column("Parameter", "left", wide=True), Column("Value"), Column("Standard deviation"), Column("Unit"))
-    blocks: list[Block] = [Paragraph(finding.explanation), Table("Parameters", columns, padded(rows))]
-    if finding.refinements:
-        blocks.append(Paragraph("Of the same cause: " + "; ".join(finding.refinements) + "."))
-    blocks.append(Paragraph(f"What would decide: {finding.separate_by}."))
-    return tuple(blocks)
-
-
-def _located(found: Diagnosis) -> tuple[Block, ...]:
-    if not found.located:
-        return (Paragraph("No pattern stands out."),)
-    return (Items(found.located),)
-
-
 def _anomalies(found: Diagnosis) -> tuple[Block, ...]:
     if not found.anomalies:
         return (Paragraph("None was found."),)
     return (Items(tuple(f"{a.kind.replace('_', ' ')}: {a.text}" for a in found.anomalies)),)
-
-
-def _next(found: Diagnosis) -> tuple[Block, ...]:
-    if not found.next_measurements:
-        return (Paragraph("Nothing is proposed: no findings compete."),)
-    return (Items(tuple(proposal.why for proposal in found.next_measurements)),)
-
-
-def _stiffness(found: Diagnosis) -> Table:
-    before = {joint.joint: joint.value for joint in found.identification.stiffness}
-    rows = tuple(
-        (name, significant(1e-6 * before.get(name, float("nan")), 4), significant(1e-6 * value, 4),
-         significant(1e-6 * std, 2))
-        for name, (value, std) in found.stiffness.items()
-    )  # fmt: skip
-    columns = (
-        Column("Joint", "left", wide=True),
-        Column("Without findings [MN·m/rad]"),
-        Column("With findings"),
-        Column("Standard deviation"),
-    )
-    return Table("Joint stiffness", columns, padded(rows))
 
 
 def _title(finding: Finding) -> str:

@@ -307,7 +307,7 @@ def _sentences(found: Located, loaded: bool) -> tuple[str, ...]:
             f"Turns about lines through {best.joint} explain {100 * best.any_axis:.0f} % of it (next: {others}); about "
             f"a joint's own axis alone {own.joint} explains most, {100 * own.own_axis:.0f} %."
         )
-    if found.levels:
+    if len(found.levels) > 2:
         lines.append(_proportional(found.levels))
     if np.isfinite(found.memory):
         told = found.memory_chance < CERTAIN

@@ -1,0 +1,258 @@
+"""What a diagnosis tells a person: where, what, why not something else, how sure, how much better, what next."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.diagnosis.comparison import Comparison
+from calibration_core.diagnosis.finding import Diagnosis, Finding
+from calibration_core.report.diagnosis_figures import before_after_figure, comparison_figure, where_figure
+from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table
+from calibration_core.report.rounding import fixed, padded, significant
+
+MOST_ROWS = 12
+CONCERNED = {
+    "structure": "the structure (bearings, links, base, tool)",
+    "joint law": "how a joint gives way to torque",
+    "load chain": "what was measured as load",
+    "point chain": "what was measured as position",
+    "absolute": "geometry and drives, without external load",
+    "empirical": "no physics of the catalogue; a law that fits, nothing more",
+}
+
+
+def comparison_blocks(compared: Comparison) -> tuple[Block, ...]:
+    """Return what recording and simulation have in common and what not."""
+    blocks: list[Block] = [Items(compared.sentences)]
+    if compared.differences:
+        rows = tuple(
+            (d.kind.replace("_", " "), ", ".join(d.location.values()), d.side, "yes" if d.spoils else "no")
+            for d in compared.differences
+        )
+        columns = (
+            Column("Difference", "left", wide=True), Column("Place", "left"),
+            Column("Disagrees with the cell file", "left"), Column("Spoils the comparison", "left"),
+        )  # fmt: skip
+        blocks.append(Table("Differences that are no physics", columns, rows))
+    steps = compared.steps
+    if steps is None:
+        return tuple(blocks)
+    caption = "Recording minus simulation per configuration (left) and per step (right); dashed: the noise of both."
+    blocks.append(Figure("comparison", caption, "Difference per configuration and step", comparison_figure(steps)))
+    parts = steps.by_configuration[:MOST_ROWS]
+    body = tuple(
+        (p.name, significant(1e6 * p.rms, 3), significant(1e6 * p.largest, 3), significant(1e6 * p.measured, 3))
+        for p in parts
+    )
+    columns = (
+        Column("Configuration"), Column("rms difference [µm]"), Column("Largest, 3-D [µm]"),
+        Column("rms deflection [µm]"),
+    )  # fmt: skip
+    kept = columns if np.isfinite(steps.slope) else columns[:-1]
+    note = "" if len(parts) == len(steps.by_configuration) else f"The {MOST_ROWS} largest."
+    blocks.append(
+        Table("Largest differences of recording and simulation", kept, padded([row[: len(kept)] for row in body]), note)
+    )
+    return tuple(blocks)
+
+
+def where_blocks(found: Diagnosis) -> tuple[Block, ...]:
+    """Return where recording and model differ, without any hypothesis."""
+    if not found.located:
+        return (Paragraph("No pattern stands out."),)
+    blocks: list[Block] = [Items(found.located)]
+    where = found.where
+    if where is not None and (where.shares or where.levels or where.dependences):
+        left = (
+            "How much of the residual turns about lines through every joint explain (grey: any axis, black: the "
+            "joint's own); "
+            if where.shares
+            else ""
+        )
+        right = (
+            "the residual along its direction at full load, by load (line: in proportion)."
+            if len(where.levels) > 2
+            else "what it follows from configuration to configuration."
+        )
+        caption = (left + right)[0].upper() + (left + right)[1:]
+        blocks.append(Figure("where", caption, "Where the residual is", where_figure(where)))
+    return tuple(blocks)
+
+
+def finding_blocks(finding: Finding) -> tuple[Block, ...]:
+    """Return one finding: what it is, why not something else, how sure, what would decide."""
+    rows = tuple(
+        (p.name.replace("_", " "), _number(p.value), _interval(p.value, p.std), p.unit) for p in finding.parameters
+    )
+    columns = (Column("Parameter", "left", wide=True), Column("Value"), Column("95 % interval"), Column("Unit", "left"))
+    blocks: list[Block] = [Paragraph(finding.explanation)]
+    if finding.family in CONCERNED:
+        blocks.append(Paragraph(f"It concerns {CONCERNED[finding.family]}."))
+    blocks.append(Table("Parameters", columns, padded(rows)))
+    if finding.refinements:
+        blocks.append(Paragraph("Of the same cause: " + "; ".join(finding.refinements) + "."))
+    blocks.append(_others(finding))
+    if finding.separate_by:
+        blocks.append(Paragraph(f"What would decide, or confirm it: {finding.separate_by}."))
+    return tuple(blocks)
+
+
+def gain_blocks(found: Diagnosis) -> tuple[Block, ...]:
+    """Return how much better the extended model is, on what was fitted and on what was not."""
+    rows = [
+        ("All readings used", found.rms_before, found.rms_after),
+        ("Configurations left out of the fit", found.held_out_before, found.held_out_after),
+    ]
+    columns = (
+        Column("rms per coordinate", "left", wide=True), Column("Without findings [µm]"), Column("With findings [µm]")
+    )  # fmt: skip
+    rows += [(f"Blocks in {kind} left out (3-D)", b, a) for kind, (b, a) in found.blocks.items()]
+    if found.test is not None:
+        rows.append(("The second recording, not fitted", found.test.rms_before, found.test.rms))
+    body = tuple((name, significant(1e6 * b, 3), significant(1e6 * a, 3)) for name, b, a in rows)
+    blocks: list[Block] = [
+        Table("Gain", columns, padded(body), f"Noise as seen: {1e6 * found.noise:.1f} µm per coordinate.")
+    ]
+    readings = found.identification.readings
+    before, after = found.residual_before, found.residual
+    if found.findings and before is not None and before.shape == after.shape == (len(readings), 3):
+        caption = "Residual without and with the findings: a) every configuration; b) share of readings below a length."
+        drawing = before_after_figure(readings, before, after, found.noise)
+        blocks.append(Figure("before-after", caption, "Residual before and after", drawing))
+    return tuple(blocks)
+
+
+def next_blocks(found: Diagnosis) -> tuple[Block, ...]:
+    """Return what to measure next, as a table that can be read off at the cell, with what it is good for."""
+    blocks: list[Block] = []
+    if found.next_text:
+        blocks.append(Paragraph(found.next_text))
+    if not found.next_measurements:
+        return (*blocks, Paragraph("No configuration is proposed for this kind of recording."))
+    joints = found.identification.model.joints
+    columns = (
+        Column("No"),
+        *(Column(f"θ{k + 1} [°]") for k in range(len(joints))),
+        *(Column(f"F{axis} [N]") for axis in "xyz"),
+    )
+    rows = tuple(
+        (
+            str(number),
+            *(fixed(float(np.degrees(angle)), 2) for angle in proposal.q),
+            *(fixed(force, 0) for force in proposal.wrench[:3]),
+        )
+        for number, proposal in enumerate(found.next_measurements, start=1)
+    )
+    note = (
+        "Force at the full step, base axes, at the wrench point; the steps are those of this recording. The same "
+        "stands in next.yaml, which `calibration simulate` and the sequencer read as a plan."
+    )
+    blocks.append(Table("Proposed measurements", columns, padded(rows), note))
+    blocks.append(Items(tuple(f"No {k}: {p.why}." for k, p in enumerate(found.next_measurements, start=1))))
+    return tuple(blocks)
+
+
+def stiffness_blocks(found: Diagnosis) -> tuple[Block, ...]:
+    """Return the stiffnesses without and with the findings."""
+    if not found.stiffness:
+        return (Paragraph("This recording determines no joint stiffness."),)
+    before = {joint.joint: joint.value for joint in found.identification.stiffness}
+    rows = tuple(
+        (
+            name,
+            significant(1e-6 * before.get(name, float("nan")), 4),
+            significant(1e-6 * value, 4),
+            significant(1e-6 * std, 2),
+            _change(before.get(name), value),
+        )
+        for name, (value, std) in found.stiffness.items()
+    )
+    columns = (
+        Column("Joint", "left", wide=True), Column("Without findings [MN·m/rad]"), Column("With findings"),
+        Column("Standard deviation"), Column("Change [%]"),
+    )  # fmt: skip
+    return (Table("Joint stiffness", columns, padded(rows)),)
+
+
+def story(found: Diagnosis) -> Facts:
+    """Return the whole in six lines: where, what, why not something else, how sure, how much better, what next."""
+    first = found.findings[0] if found.findings else None
+    where = "" if found.where is None else found.where.sentences[1 if found.where.shares else -1]
+    rows = [("Where", where or "No pattern stands out of the noise.")]
+    rows.append(("What", _what(found)))
+    if first is not None:
+        others = [other for finding in found.findings for other in finding.cannot_be_told_from]
+        told = "; ".join(f"{o.effect.replace('_', ' ')} at {_place(o.location)}" for o in others[:5])
+        rows.append(
+            ("Why not something else", f"It may be: {told}." if others else "Nothing else does nearly as well.")
+        )
+        sure = (
+            f"log Bayes factor {first.log_bayes_factor:.0f}; on configurations left out the squared error falls by "
+            f"{100 * first.held_out_gain:.0f} %"
+        )
+        rows.append(("How sure", sure))
+    better = (
+        f"{1e6 * found.held_out_before:.1f} µm to {1e6 * found.held_out_after:.1f} µm per coordinate on configurations "
+        f"left out; noise {1e6 * found.noise:.1f} µm"
+    )
+    rows.append(("How much better", better))
+    proposal = found.next_measurements[0].why if found.next_measurements else ""
+    rows.append(("What to measure next", proposal or found.next_text or "Nothing is proposed."))
+    return Facts(tuple((label, text[0].upper() + text[1:]) for label, text in rows))
+
+
+def _what(found: Diagnosis) -> str:
+    if not found.findings:
+        return "No effect of the catalogue stands out of the noise and of many small effects."
+    listed = [
+        f"{f.effect.replace('_', ' ')} at {_place(f.location) or 'a place that is not decided'} "
+        f"({1e6 * f.magnitude:.0f} µm rms)"
+        for f in found.findings
+    ]
+    return "; ".join(listed)
+
+
+def _others(finding: Finding) -> Block:
+    if not finding.cannot_be_told_from:
+        return Paragraph("No other effect or place of the catalogue explains the recording nearly as well.")
+    rows = tuple(
+        (
+            other.effect.replace("_", " "),
+            _place(other.location),
+            significant(other.log_bayes_factor, 3),
+            significant(finding.log_bayes_factor - other.log_bayes_factor, 2),
+        )
+        for other in finding.cannot_be_told_from
+    )
+    columns = (
+        Column("Cannot be told from", "left", wide=True), Column("Place", "left"), Column("Log Bayes factor"),
+        Column("Behind [nats]"),
+    )  # fmt: skip
+    return Table(
+        "What does as well", columns, padded(rows), "Within 5 nats, or without a difference in this recording."
+    )
+
+
+def _interval(value: float, std: float) -> str:
+    return f"{_number(value - 1.96 * std)} to {_number(value + 1.96 * std)}"
+
+
+def _number(value: float) -> str:
+    """Return a number with three digits; small ones as a power of ten."""
+    if value == 0.0 or not np.isfinite(value) or 1e-3 <= abs(value) < 1e5:
+        return significant(value, 3)
+    mantissa, exponent = f"{value:.2e}".split("e")
+    power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{mantissa.replace('-', '−')}·10{power}"
+
+
+def _change(before: float | None, after: float) -> str:
+    if before is None or not np.isfinite(before) or before == 0:
+        return significant(float("nan"), 2)
+    return fixed(100 * (after / before - 1), 1)
+
+
+def _place(location: object) -> str:
+    if not isinstance(location, dict) and not hasattr(location, "values"):
+        return ""
+    return ", ".join(v if isinstance(v, str) else " and ".join(v) for v in location.values())
