@@ -8,6 +8,7 @@ import json
 import signal
 import subprocess
 import time
+import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -35,11 +36,29 @@ context, spinning, until = _of_nodes.context, _of_nodes.spinning, _of_nodes.unti
 source_environment = _of_nodes.source_environment
 
 
+MARK = "CALIBRATION_TEST"  # in the environment of processes that must not be left behind
+
+
+def left(mark: str) -> list[str]:
+    """Command lines of the processes that inherited a mark and still run."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            marked = f"{MARK}={mark}".encode() in (path / "environ").read_bytes().split(b"\0")
+            words = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except OSError:  # it ended meanwhile, or is another user's
+            continue
+        if marked and words:
+            found.append(words)
+    return found
+
+
 class Suite:
     """Processes of one cell, and a client's view of them."""
 
     def __init__(self, environment: dict[str, str], client: Any, directory: Path) -> None:
-        self.environment, self.client, self.directory = environment, client, directory
+        self.mark = str(uuid.uuid4())
+        self.environment, self.client, self.directory = {**environment, MARK: self.mark}, client, directory
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.given: dict[str, list[str]] = {}
 
@@ -173,12 +192,22 @@ class Run:
 
 
 @pytest.fixture
+def still_running() -> Callable[[str], list[str]]:
+    """Processes with a mark."""
+    return left
+
+
+@pytest.fixture
 def suite(source_environment: dict[str, str], spinning: Any, tmp_path: Path) -> Iterator[Suite]:
     """No process yet; none is left behind."""
     one = Suite(source_environment, spinning.plain("outside"), tmp_path)
     with contextlib.ExitStack() as ending:
         ending.callback(one.stop)
         yield one
+    end = time.monotonic() + LONG
+    while remaining := left(one.mark):
+        assert time.monotonic() < end, remaining
+        time.sleep(0.1)
 
 
 @pytest.fixture(scope="session")

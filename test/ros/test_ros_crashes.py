@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import time
 from pathlib import Path
@@ -185,6 +186,31 @@ def test_a_killed_process_loses_nothing(suite: Any, brisk_plan: Path, cell: Cell
         killing.finish(cell, announced)
         kills, measurements = kills + killing.kills, measurements + 1
     print(f"\n{name}: killed {kills} times in {measurements} measurements")
+
+
+@pytest.mark.slow
+def test_a_killed_identification_answers_again(suite: Any) -> None:
+    """Thirty times, at random moments of an evaluation: nothing is written half."""
+    from calibration_interfaces.msg import Outcome
+    from calibration_interfaces.srv import IdentifyStiffness
+
+    rng = np.random.default_rng(1)
+    cell, out = ROOT / "config" / "cells" / "small.cell.yaml", suite.directory / "identify"
+    asked = {"cell": str(cell), "recording": str(ROOT / "bags" / "small_loaded"), "out": str(out)}
+    suite.start("identification")
+    for _ in range(KILLS):
+        client = suite.client.create_client(IdentifyStiffness, "identification/identify_stiffness")
+        assert client.wait_for_service(60.0), suite.log("identification")
+        client.call_async(IdentifyStiffness.Request(**asked))
+        time.sleep(rng.uniform(0.0, 4.0))
+        suite.end("identification", signal.SIGKILL)
+        suite.client.destroy_client(client)
+        if (out / "result.json").exists():
+            assert json.loads((out / "result.json").read_text(encoding="utf-8"))["command"] == "identify"
+        suite.again("identification")
+    answer = suite.call(IdentifyStiffness, "identification/identify_stiffness", patience=60.0, **asked)
+    assert answer.outcome.code == Outcome.OK, answer.outcome.text
+    assert all(answer.identifiable)
 
 
 def test_a_killed_sequencer_goes_on_at_the_next_configuration(suite: Any, short_plan: Path, cell: Cell) -> None:

@@ -9,13 +9,14 @@ import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy")
 
 ROOT = Path(__file__).resolve().parents[2]
-MARK = "CALIBRATION_DEMONSTRATION"
+MARK = "CALIBRATION_TEST"
 LONGEST = 180.0  # s
 
 
@@ -23,24 +24,11 @@ class Demonstration:
     """The demonstration under way; whatever it starts inherits a mark."""
 
     def __init__(self, environment: dict[str, str], out: Path) -> None:
-        self.out, self._mark = out, str(uuid.uuid4())
+        self.out, self.mark = out, str(uuid.uuid4())
         self.process = subprocess.Popen(
-            [sys.executable, str(ROOT / ".ci" / "demo.py"), str(out)], env={**environment, MARK: self._mark},
+            [sys.executable, str(ROOT / ".ci" / "demo.py"), str(out)], env={**environment, MARK: self.mark},
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
         )  # fmt: skip
-
-    def left(self) -> list[str]:
-        """Command lines of processes that still run."""
-        found = []
-        for path in Path("/proc").glob("[0-9]*"):
-            try:
-                marked = f"{MARK}={self._mark}".encode() in (path / "environ").read_bytes().split(b"\0")
-                words = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-            except OSError:  # it ended meanwhile, or is another user's
-                continue
-            if marked and words:
-                found.append(words)
-        return found
 
     def wait_for(self, path: Path, seconds: float) -> None:
         end = time.monotonic() + seconds
@@ -74,17 +62,17 @@ def demonstration(source_environment: dict[str, str], tmp_path: Path) -> Iterato
         pytest.param(signal.SIGINT, "replay", marks=pytest.mark.slow),
     ],
 )
-def test_interrupted(demonstration: Demonstration, number: signal.Signals, moment: str) -> None:
+def test_interrupted(demonstration: Demonstration, still_running: Any, number: signal.Signals, moment: str) -> None:
     demonstration.wait_for(demonstration.out / moment, 300.0)
     time.sleep(0.3)
-    assert len(demonstration.left()) > 1
+    assert len(still_running(demonstration.mark)) > 1
     demonstration.process.send_signal(number)
     assert demonstration.process.wait(30.0) == 128 + number, demonstration.told()
-    assert demonstration.left() == []
+    assert still_running(demonstration.mark) == []
 
 
 @pytest.mark.slow
-def test_to_the_end(demonstration: Demonstration) -> None:
+def test_to_the_end(demonstration: Demonstration, still_running: Any) -> None:
     began = time.monotonic()
     told = demonstration.told()
     took = time.monotonic() - began
@@ -96,5 +84,5 @@ def test_to_the_end(demonstration: Demonstration) -> None:
         if line.startswith("report, "):
             assert Path(line.partition(": ")[2]).is_file(), line
     assert told.count("\nreport, ") == 3
-    assert demonstration.left() == []
+    assert still_running(demonstration.mark) == []
     assert took < LONGEST
