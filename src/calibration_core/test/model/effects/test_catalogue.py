@@ -1,0 +1,54 @@
+"""The catalogue has all effects of the contract, and those that have little to say say it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.model.chain import Chain
+from calibration_core.model.effects import catalogue
+from calibration_core.model.effects.state import State, state_of
+
+VOCABULARY = {
+    "structure": {"off_axis_compliance", "link_bending", "base_compliance", "tool_compliance", "joint_coupling",
+                  "pose_dependent_stiffness", "gravity_compensator"},
+    "joint law": {"nonlinear_stiffness", "soft_zone", "backlash", "hysteresis", "creep"},
+    "load chain": {"wrench_gain", "wrench_crosstalk", "wrench_drift", "wrench_frame_misalignment",
+                   "wrench_point_offset", "tool_weight", "cable_force"},
+    "point chain": {"tracker_frame_misalignment", "tracker_scale", "tracker_drift", "measurement_point_offset",
+                    "clock_offset"},
+    "absolute": {"joint_zero_offset", "geometry_error", "transmission_error", "wrist_coupling", "joint_elasticity",
+                 "thermal_growth", "approach_direction"},
+}  # fmt: skip
+TRACKER = np.array([3.0, -1.0, 1.5])
+
+
+def state(chain: Chain, m: int = 12) -> State:
+    pose = np.eye(4)
+    pose[:3, 3] = TRACKER
+    rng = np.random.default_rng(5)
+    return state_of(
+        chain, rng.uniform(-1, 1, (m, chain.n)), np.zeros(chain.n), None, np.tile([[0.1], [0.0], [0.2]], m),
+        point_index=np.zeros(m, dtype=np.int64), wrench=None,
+        configuration=np.arange(m), step=np.zeros(m, dtype=np.int64),
+        time=np.arange(m, dtype=float), temperature=np.full(m, 20.0), tracker=pose, rated_load=100.0,
+    )  # fmt: skip
+
+
+def test_every_effect_of_the_contract_has_a_file() -> None:
+    found: dict[str, set[str]] = {}
+    for effect in catalogue():
+        found.setdefault(effect.family, set()).add(effect.name)
+        assert all((effect.equation, effect.source, effect.reveal))
+    assert found == VOCABULARY
+
+
+def test_a_wrong_unit_of_length_stretches_everything_away_from_the_tracker(chain: Chain) -> None:
+    s = state(chain)
+    (candidate,) = next(effect for effect in catalogue() if effect.name == "tracker_scale").candidates(s)
+    stretched = TRACKER + (1 + 2e-5) * (s.point.T - TRACKER)
+    assert np.allclose(2e-5 * candidate.columns(s)[..., 0], stretched - s.point.T, atol=1e-15)
+
+
+def test_clocks_do_not_matter_at_rest(chain: Chain) -> None:
+    effect = next(effect for effect in catalogue() if effect.name == "clock_offset")
+    assert list(effect.candidates(state(chain))) == []
