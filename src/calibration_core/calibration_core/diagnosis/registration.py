@@ -48,7 +48,9 @@ def registration_findings(
     usual = typical("registration_point", state.rated_load)
     rows = slice(6 + 3 * point, 9 + 3 * point)
     if _beyond(shift, usual, covariance[rows, rows]):
-        found.append(_finding("measurement_point_offset", shift, usual, covariance[rows, rows], state, readings, point))
+        others = usual**2 / max(len(frames.points) - 1, 1) * np.eye(3)  # it is seen against them
+        doubt = covariance[rows, rows] + others
+        found.append(_finding("measurement_point_offset", shift, usual, doubt, state, readings, point))
     return tuple(found)
 
 

@@ -39,6 +39,7 @@ LEAST = 6.0  # nats: the threshold is never lower
 EQUIVALENT = 5.0  # nats of the best, to be called indistinguishable
 PLAUSIBLE = 6.0  # typical sizes: an equivalent must not need more
 STANDS_OUT = 2.5  # times the signal-to-noise ratio of the small effects
+CROWD_GONE = 1.0  # signal-to-noise ratio of the small effects that may be left beside several strong ones
 SWAP = 0.5  # nats by which a swap must be better
 KIN_SHARE = 0.15  # a later effect of the same kin, this much weaker, is the same cause under another law
 
@@ -144,7 +145,7 @@ def _proven(here: Field, index: int) -> bool:
 def _together(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]) -> tuple[int, ...]:
     """Return candidates that pass beside each other, though none does alone; empty if there are none.
 
-    Several strong effects make each other look like two of a crowd.
+    Several strong effects make each other look like two of a crowd; with all of them in the model the crowd is gone.
     """
     trial = accepted
     while len(trial) < MOST:
@@ -155,7 +156,12 @@ def _together(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple
             break
         trial = (*trial, best)
         more = trial[len(accepted) :]
-        if len(more) > 1 and all(_passes_beside(base, trial, index, limit, levels) for index in more):
+        left = best_field(fields(base, trial, law_share(base, trial), levels)).level
+        if (
+            len(more) > 1
+            and left <= CROWD_GONE
+            and all(_passes_beside(base, trial, index, limit, levels) for index in more)
+        ):
             return more
     return ()
 
