@@ -13,7 +13,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -119,10 +119,14 @@ class IdentificationNode(CalibrationNode):
         )  # fmt: skip
         self._markers = self.create_publisher(MARKERS.message, MARKERS.relative, MARKERS.qos)
         if self.value("cell"):
-            self._show(self.value("cell"), None)
+            self._show(self.value("cell"), "")
         self.diagnostics.report("evaluation", 0, "idle")
 
-    def _show(self, cell_file: str, space: Mapping[str, Any] | None) -> None:
+    def _show_and_draw(self, job: Job, done: Evaluated) -> None:
+        self._show(job.cell, done.result_json)
+        self._draw(job, self._stopping.is_set)
+
+    def _show(self, cell_file: str, result_json: str) -> None:
         """Show the points of a cell, and the operating space of a result; say why if the cell cannot be read."""
         try:
             cell = load_cell(cell_file)
@@ -130,7 +134,9 @@ class IdentificationNode(CalibrationNode):
             self.get_logger().warning(f"nothing to show: {error}")
             return
         look = Look.of(cell, *(self.value(f"markers.{name}") for name in ("base", "flange", "size")))
-        scene = None if space is None else scene_of(space, self.value("markers.scale"))
+        scene = None
+        if result_json:
+            scene = scene_of(json.loads(result_json)["operating_space"], self.value("markers.scale"))
         self._markers.publish(to_markers(cell, scene, look))
 
     def _service(self, offer: Offer) -> Callable[[Any, Any], Any]:
@@ -138,7 +144,7 @@ class IdentificationNode(CalibrationNode):
             job = self._job(offer, request)
             done = await self._evaluated(job, self._stopping.is_set, report=False)
             if isinstance(job, Job) and done.code == Outcome.OK:
-                Background(self, lambda: self._draw(job, self._stopping.is_set))
+                Background(self, lambda: self._show_and_draw(job, done))
             return _filled(offer, response, done)
 
         return answer
@@ -159,7 +165,10 @@ class IdentificationNode(CalibrationNode):
                 goal.publish_feedback(Identify.Feedback(share_done=now.share, text=f"{now.text}: {elapsed:.1f} s"))
             return bool(goal.is_cancel_requested) or self._stopping.is_set()
 
-        done = await self._evaluated(self._job(offer, goal.request), cancelled, report=True)
+        job = self._job(offer, goal.request)
+        done = await self._evaluated(job, cancelled, report=True)
+        if isinstance(job, Job) and done.code == Outcome.OK:
+            Background(self, lambda: self._show(job.cell, done.result_json))
         answer = _filled(offer, offer.kind.Response(), done)
         if answer.outcome.code == Outcome.OK:
             goal.publish_feedback(Identify.Feedback(share_done=1.0, text="done"))
@@ -202,7 +211,6 @@ class IdentificationNode(CalibrationNode):
         if done.code != Outcome.OK:
             return done
         text = (job.out / "result.json").read_text("utf-8")
-        self._show(job.cell, json.loads(text)["operating_space"])
         return dataclasses.replace(done, result_json=text, report=str(job.out / "report.html"))
 
     def _draw(self, job: Job, cancelled: Callable[[], bool]) -> Evaluated:

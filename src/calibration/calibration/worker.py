@@ -187,6 +187,9 @@ def serve() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the node decides
     from calibration_core import commands
     from calibration_core.commands import identify  # noqa: F401  # loaded before the first question
+    from calibration_core.recording.typed import standard_types
+
+    standard_types()  # likewise
 
     answers = sys.stdout
 

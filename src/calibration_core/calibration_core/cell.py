@@ -311,7 +311,7 @@ def _read(path: Path) -> bytes:
         raise CellError(path, "", error.strerror or str(error), "a readable cell file (YAML)") from None
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
+class _UniqueKeyLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # the fast one, if any
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
         for key, _ in node.value:
@@ -341,7 +341,7 @@ def _parse(path: Path, raw: bytes) -> dict[str, Any]:
         text = raw.decode("utf-8")
         if too_deep(text):
             raise CellError(path, "", f"more than {MAX_NESTING} levels of nesting", "plain YAML")
-        aliases = sum(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=yaml.SafeLoader))
+        aliases = sum(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=_UniqueKeyLoader))
         if aliases > MAX_ALIASES:
             raise CellError(path, "", f"{aliases} YAML aliases", f"at most {MAX_ALIASES}")
         data = yaml.load(text, Loader=_UniqueKeyLoader)

@@ -48,7 +48,7 @@ def average(values: Float2D) -> Average:
     if n < 2:
         return Average(mean, np.zeros((k, k)), n, float(n), dropped)
     deviations = used - mean
-    tau = np.array([autocorrelation_time(column) for column in deviations.T])
+    tau = autocorrelation_times(deviations)
     scale = np.sqrt(tau / n)
     covariance = (deviations.T @ deviations / (n - 1)) * np.outer(scale, scale)
     return Average(mean, covariance, n, float(n / tau.max()), dropped)
@@ -76,14 +76,23 @@ def autocorrelation_time(deviations: Float1D) -> float:
 
     Negative correlation (an oscillation) is not credited: a mean is never held better than independent samples give.
     """
-    n = len(deviations)
-    power = float(deviations @ deviations)
-    if n < 4 or power <= 0.0:
-        return 1.0
+    return float(autocorrelation_times(deviations[:, None])[0])
+
+
+def autocorrelation_times(deviations: Float2D) -> Float1D:
+    """Return the autocorrelation time of every column of samples (n, k) without mean, (k,) in samples."""
+    n, k = deviations.shape
+    times = np.ones(k)
+    columns = np.ascontiguousarray(deviations.T)
+    power = np.einsum("kn,kn->k", columns, columns)
+    moving = np.flatnonzero(power > 0.0)
+    if n < 4 or not len(moving):
+        return times
     size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.fft.rfft(deviations, size)
-    rho = np.fft.irfft(spectrum * spectrum.conj(), size)[:n] / power
-    pairs = rho[: n // 2 * 2].reshape(-1, 2).sum(axis=1)
-    negative = np.flatnonzero(pairs <= 0.0)
-    pairs = np.minimum.accumulate(pairs[: negative[0]] if len(negative) else pairs)
-    return float(min(max(2.0 * pairs.sum() - 1.0, 1.0), n / 2))
+    spectrum = np.fft.rfft(columns[moving], size)
+    rho = np.fft.irfft(spectrum * spectrum.conj(), size)[:, :n] / power[moving, None]
+    for index, pairs in zip(moving, rho[:, : n // 2 * 2].reshape(len(moving), -1, 2).sum(axis=2), strict=True):
+        negative = np.flatnonzero(pairs <= 0.0)
+        falling = np.minimum.accumulate(pairs[: negative[0]] if len(negative) else pairs)
+        times[index] = min(max(2.0 * float(falling.sum()) - 1.0, 1.0), n / 2)
+    return times

@@ -163,7 +163,7 @@ class _Ramp:
         rest = np.zeros(len(delays))
         for time, position in self.points:
             moved = position - position.mean(axis=0)
-            load = np.array([np.interp(time - delay, self.load_time, self.load) for delay in delays])
+            load = np.interp(time - delays[:, None], self.load_time, self.load)
             load -= load.mean(axis=1, keepdims=True)
             power = np.maximum((load**2).sum(axis=1), 1e-30)
             rest += (moved**2).sum() - ((load @ moved) ** 2).sum(axis=1) / power
