@@ -13,6 +13,7 @@ import math
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -122,9 +123,17 @@ class IdentificationNode(CalibrationNode):
             self._show(self.value("cell"), "")
         self.diagnostics.report("evaluation", 0, "idle")
 
-    def _show_and_draw(self, job: Job, done: Evaluated) -> None:
-        self._show(job.cell, done.result_json)
-        self._draw(job, self._stopping.is_set)
+    def _aside(self, what: str, work: Callable[[], object]) -> None:
+        """Do what nobody waits for beside the callbacks; tell of a defect."""
+
+        def told() -> None:
+            try:
+                work()
+            except Exception as error:  # noqa: BLE001  # nobody awaits it
+                self.get_logger().error(traceback.format_exc())
+                self.diagnostics.report(what, 2, f"{type(error).__name__}: {error}")
+
+        Background(self, told)
 
     def _show(self, cell_file: str, result_json: str) -> None:
         """Show the points of a cell, and the operating space of a result; say why if the cell cannot be read."""
@@ -144,7 +153,8 @@ class IdentificationNode(CalibrationNode):
             job = self._job(offer, request)
             done = await self._evaluated(job, self._stopping.is_set, report=False)
             if isinstance(job, Job) and done.code == Outcome.OK:
-                Background(self, lambda: self._show_and_draw(job, done))
+                self._aside("markers", lambda: self._show(job.cell, done.result_json))
+                self._aside("report", lambda: self._draw(job, self._stopping.is_set))
             return _filled(offer, response, done)
 
         return answer
@@ -168,7 +178,7 @@ class IdentificationNode(CalibrationNode):
         job = self._job(offer, goal.request)
         done = await self._evaluated(job, cancelled, report=True)
         if isinstance(job, Job) and done.code == Outcome.OK:
-            Background(self, lambda: self._show(job.cell, done.result_json))
+            self._aside("markers", lambda: self._show(job.cell, done.result_json))
         answer = _filled(offer, offer.kind.Response(), done)
         if answer.outcome.code == Outcome.OK:
             goal.publish_feedback(Identify.Feedback(share_done=1.0, text="done"))

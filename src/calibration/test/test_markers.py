@@ -16,11 +16,13 @@ pytest.importorskip("calibration_interfaces.msg", reason="the messages are not b
 from calibration_interfaces import srv
 from calibration_interfaces.action import RunPlan
 from calibration_interfaces.msg import Outcome
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
 from test_identification import BAG, CELL, ask, finish
 from visualization_msgs.msg import Marker, MarkerArray
 
+from calibration import identification
 from calibration.identification import IdentificationNode
 from calibration.markers import Look, to_markers
 from calibration.sequencer import SequencerNode
@@ -157,6 +159,27 @@ def test_a_result_is_shown_to_whoever_comes_late(spinning: Any, until: Callable[
     np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], 500.0 * np.array(space["deflection"]), rtol=1e-9)
     assert found["deflection"][0].header.frame_id == "robot_base"
     assert found["space_mp1"][0].scale.x == 0.01
+
+
+def test_a_defect_in_showing_is_told_and_spoils_no_answer(
+    spinning: Any, until: Callable[..., None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    node = spinning.add(
+        IdentificationNode(context=spinning.context, parameter_overrides=[Parameter("cell", value=str(CELL))])
+    )
+
+    def broken(*_: Any) -> None:
+        raise RuntimeError("no paint")
+
+    monkeypatch.setattr(identification, "to_markers", broken)
+    client = spinning.plain()
+    heard: list[Any] = []
+    client.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 100)
+    until(lambda: heard)
+    answer = ask(client, srv.IdentifyStiffness, "identify_stiffness", recording=str(BAG), out=str(tmp_path))
+    assert answer.outcome.code == Outcome.OK, answer.outcome.text
+    until(lambda: any(one.message == "RuntimeError: no paint" for array in heard for one in array.status))
+    assert node.count_publishers(MARKERS.relative) == 1
 
 
 def test_a_cell_that_cannot_be_read_shows_nothing(spinning: Any, until: Callable[..., None]) -> None:
