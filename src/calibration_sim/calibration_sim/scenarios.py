@@ -7,12 +7,14 @@ that any subset of the grid gives the same recordings.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from calibration_core.timeseries import Int1D
 from calibration_sim.look import Noise
 from calibration_sim.makers import ANOMALIES, OUTSIDE
 from calibration_sim.robots import ROBOTS
@@ -167,23 +169,23 @@ def sample(scenarios: Sequence[Scenario], count: int | None, only: Sequence[str]
 
     Args:
         scenarios: All of them.
-        count: How many, spread evenly over the grid; None: all.
+        count: How many, the first by name, which is at random over the grid: fewer are always among more; None: all.
         only: Names of groups or effects; empty: all.
     """
     wanted = set(only)
     chosen = [s for s in scenarios if not wanted or s.group in wanted or wanted & {p.name for p in s.planned}]
-    if count is None or count >= len(chosen):
-        return tuple(chosen)
-    order = np.random.default_rng(len(chosen)).permutation(
-        len(chosen)
-    )  # evenly, and in step with no period of the grid
-    return tuple(chosen[i] for i in sorted(order[:count]))
+    first = sorted(chosen, key=lambda s: recording_name(s, len(scenarios)))[:count]
+    return tuple(sorted(first, key=lambda s: s.number))
 
 
 def recording_name(scenario: Scenario, total: int) -> str:
     """Return a name that says nothing: numbers shuffled by the grid's length alone."""
-    shuffled = np.random.default_rng(total).permutation(total)
-    return f"r{int(shuffled[scenario.number]) + 1:04d}"
+    return f"r{int(_shuffled(total)[scenario.number]) + 1:04d}"
+
+
+@functools.cache
+def _shuffled(total: int) -> Int1D:
+    return np.random.default_rng(total).permutation(total)
 
 
 def _singles() -> Iterator[_Row]:

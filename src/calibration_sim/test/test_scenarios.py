@@ -64,6 +64,7 @@ def test_samples_are_subsets_in_order() -> None:
     assert len(some) == 60
     assert [s.number for s in some] == sorted({s.number for s in some})
     assert len({s.group for s in some}) >= 6
+    assert set(sample(scenarios, 20)) < set(some)
     assert {s.group for s in sample(scenarios, None, ["alias", "pair"])} == {"alias", "pair"}
     assert all(s.planned[0].name == "creep" for s in sample(scenarios, 5, ["creep"]))
 
