@@ -218,7 +218,7 @@ def _attempt(
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
-    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE) if usable else NOTHING
+    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE, seen.freedom) if usable else NOTHING
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     return Attempt(seen, design, selection, extended, _rms(used, prepared))
 
