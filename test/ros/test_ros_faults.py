@@ -24,6 +24,7 @@ from calibration_core.procedure.session import Session
 BAR = 0.150  # s, from a fault, or from when it can be known, to the command to stop
 STATE_AGE, JOINTS_AGE, PULSE_AGE = 0.5, 0.1, 0.1  # s, as in config/ros.yaml
 PROCESSES = ("guard", "sequencer", "simulated_cell")
+FASTEST = 0.25 * 1.1  # m/s, with the guard's tolerance: up to it, twice a slow motion is no fault
 QUIET = 0.5  # s, watched after a stop: nothing moves by itself
 
 
@@ -177,7 +178,9 @@ class Cell:
 
         def over() -> bool:
             rest = self.since("cell", begin, "rest")
-            return bool(rest) and rest[0] < known + 1e9 * BAR and not self.since(file, begin, what)
+            in_time = bool(rest) and rest[0] < known + 1e9 * BAR
+            harmless = bool(rest) and fault.name == "OVER_SPEED" and self.fastest(begin) <= FASTEST
+            return (in_time or harmless) and not self.since(file, begin, what)
 
         self.wait(lambda: over() or self.since(file, begin, what), f"{fault.name}: no stop", 20.0)
         commanded = self.since(file, begin, what)
@@ -193,6 +196,10 @@ class Cell:
         codes = {getattr(Permission, name) for name in fault.reasons}
         since = [one for at, one in self.heard if at >= begin and not one.permitted and one.latched]
         return next((str(one.text) for one in since if codes & set(one.reasons)), "")
+
+    def fastest(self, begin: int) -> float:
+        """The highest speed that the guard has measured since `begin`, m/s."""
+        return max((one.speed for at, one in self.heard if at >= begin and np.isfinite(one.speed)), default=0.0)
 
     def lost(self) -> list[tuple[int, int, str]]:
         """Readings that were announced as confirmed and are not on the disk."""
@@ -218,10 +225,21 @@ class Cell:
 
 def strike_all(suite: Any, plan: Path, repetitions: int, faults: tuple[Fault, ...]) -> dict[str, list[float]]:
     """Let every fault happen; return how late the command to stop came, s."""
+    late: dict[str, list[float]] = {fault.name: [] for fault in faults}
+    try:
+        strike_each(suite, plan, repetitions, faults, late)
+    finally:
+        show(late)
+    return late
+
+
+def strike_each(
+    suite: Any, plan: Path, repetitions: int, faults: tuple[Fault, ...], late: dict[str, list[float]]
+) -> None:
+    """Let every fault happen; note how late the command to stop came, s."""
     rng = np.random.default_rng(repetitions)
     cell = Cell(suite, plan)
     begin = 0
-    late: dict[str, list[float]] = {fault.name: [] for fault in faults}
     for fault in faults * repetitions:
         commanded = None
         while commanded is None:
@@ -239,14 +257,16 @@ def strike_all(suite: Any, plan: Path, repetitions: int, faults: tuple[Fault, ..
         assert cell.lost() == [], fault.name
         begin = cell.recover(fault)
     print(f"\n{len(cell.readings)} readings were confirmed meanwhile")
-    return late
+
+
+def show(late: dict[str, list[float]]) -> None:
+    print(f"{'command to stop after':22s} {'median':>8s} {'99 %':>8s} {'max':>8s}  times")
+    for name, values in ((name, values) for name, values in late.items() if values):
+        median, most, worst = 1e3 * np.median(values), 1e3 * np.quantile(values, 0.99), 1e3 * max(values)
+        print(f"{name:22s} {median:5.0f} ms {most:5.0f} ms {worst:5.0f} ms  {len(values)}")
 
 
 def judge(late: dict[str, list[float]], share: float) -> None:
-    print(f"{'command to stop after':22s} {'median':>8s} {'99 %':>8s} {'max':>8s}  times")
-    for name, values in late.items():
-        median, most, worst = 1e3 * np.median(values), 1e3 * np.quantile(values, 0.99), 1e3 * max(values)
-        print(f"{name:22s} {median:5.0f} ms {most:5.0f} ms {worst:5.0f} ms  {len(values)}")
     every = np.concatenate([np.array(values) for values in late.values()])
     print(f"within {1e3 * BAR:.0f} ms: {100 * np.mean(every <= BAR):.1f} % of {len(every)}")
     assert np.mean(every <= BAR) >= share
