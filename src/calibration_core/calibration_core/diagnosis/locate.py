@@ -27,6 +27,8 @@ CERTAIN = 0.01  # chance that permuted configurations show any such pattern
 MOST = 1500  # configurations that are looked at, evenly taken
 FEWEST = 6  # configurations
 UNLOADED = 0.02
+AS_WELL = 0.03  # share by which a joint may explain less than the best and still be said to do as well
+STAYS = 0.25  # share of the full load's residual that stays without load, beyond which no law of the load is read
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,7 +142,7 @@ def locate(readings: Readings, residual: Float2D, cell: Cell, model: ModelParame
     dependences = _dependences(peak, at, table, torque, chain.joints)
     rms = float(np.sqrt(np.mean(peak**2)))
     found = Located(rms, turn, shift, shares, dependences, levels, memory, chance, ())
-    return dataclasses.replace(found, sentences=_sentences(found, table.loaded))
+    return dataclasses.replace(found, sentences=_sentences(found, place.shape[1], table.loaded))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -293,20 +295,14 @@ def _dependences(
     return tuple(sorted(found, key=lambda dependence: -dependence.share))
 
 
-def _sentences(found: Located, loaded: bool) -> tuple[str, ...]:
+def _sentences(found: Located, points: int, loaded: bool) -> tuple[str, ...]:
     when = "under the full load" if loaded else "at rest"
     lines = [f"What the model leaves {when} is {1e6 * found.rms:.0f} µm rms a coordinate."]
     if found.shares:
         lines[0] = lines[0][:-1] + (
             f"; as a rigid motion of the tool, {1e6 * found.turn:.0f} µrad and {1e6 * found.shift:.0f} µm of shift."
         )
-        best = found.shares[0]
-        others = ", ".join(f"{share.joint} {100 * share.any_axis:.0f} %" for share in found.shares[1:4])
-        own = next(share for share in sorted(found.shares, key=lambda share: -share.own_axis))
-        lines.append(
-            f"Turns about lines through {best.joint} explain {100 * best.any_axis:.0f} % of it (next: {others}); about "
-            f"a joint's own axis alone {own.joint} explains most, {100 * own.own_axis:.0f} %."
-        )
+        lines.append(_about_joints(found.shares, points))
     if len(found.levels) > 2:
         lines.append(_proportional(found.levels))
     if np.isfinite(found.memory):
@@ -328,14 +324,39 @@ def _sentences(found: Located, loaded: bool) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def _about_joints(shares: tuple[JointShare, ...], points: int) -> str:
+    """Say about which joints the tool turns; three turns explain a third of the noise of three points by chance."""
+    best, chance = shares[0], 1.0 / points
+    if best.any_axis < 0.5 * (1.0 + chance):
+        return (
+            f"It meets the lines of no joint: turns about {best.joint} explain {100 * best.any_axis:.0f} % of it, and "
+            f"would explain {100 * chance:.0f} % of noise."
+        )
+    as_well = [share for share in shares if share.any_axis >= best.any_axis - AS_WELL]
+    named = " or ".join(f"{share.joint} ({100 * share.any_axis:.0f} %)" for share in as_well)
+    others = [share for share in shares if share not in as_well][:3]
+    text = f"Turns about lines through {named} explain most of it"
+    if others:
+        text += f"; through {', '.join(f'{share.joint} {100 * share.any_axis:.0f} %' for share in others)}"
+    own = max(shares, key=lambda share: share.own_axis)
+    return f"{text}. About a joint's own axis alone {own.joint} explains most, {100 * own.own_axis:.0f} %."
+
+
 def _proportional(levels: tuple[Level, ...]) -> str:
     """Say how the residual grows with the load, from the loading branch."""
     full = max(range(len(levels)), key=lambda k: levels[k].level)
     part = [level for level in levels[1:full] if level.level > UNLOADED]
     size = levels[full].along
     listed = ", ".join(f"{100 * level.level:.0f} %: {1e6 * level.along:.0f} µm" for level in (*part, levels[full]))
+    plain = f"Along the residual of the full load it is, by load: {listed}"
     if not part or size <= 0:
-        return f"Along the residual of the full load it is, by load: {listed}."
+        return f"{plain}."
+    back = [level for level in levels[full + 1 :] if level.level <= UNLOADED]
+    if not back:
+        return f"{plain}; without a step after unloading no law of the load is read from it."
+    if abs(back[-1].along) > STAYS * size:
+        stays = f"{1e6 * back[-1].along:.0f} µm stay when the load is gone"
+        return f"{plain}; {stays}: noise or memory, and no law of the load is read from it."
     ratio = float(np.mean([level.along / (size * level.level) for level in part]))
     word = "in proportion to the load" if abs(ratio - 1) < 0.15 else (
         "faster at small loads than at large ones" if ratio > 1 else "slower at small loads than at large ones"

@@ -112,6 +112,20 @@ def test_noise_follows_nothing(cell: Cell, readings: Readings) -> None:
     assert sum(chance < CERTAIN for chance in chances) <= 2
 
 
+def test_of_noise_no_law_and_no_joint_is_said(cell: Cell, readings: Readings) -> None:
+    found = located(readings, np.zeros((len(readings), 3)), cell)
+    said = " ".join(found.sentences)
+    assert "lines of no joint" in said
+    assert "no law of the load" in said
+    assert "It grows" not in said
+
+
+def test_joints_that_explain_as_much_are_named_together(cell: Cell, readings: Readings) -> None:
+    found = located(readings, turned(readings, cell, 4, 0, 4e-6 * torque(readings, cell, 4)), cell)
+    assert "joint_5 (" in " ".join(found.sentences)
+    assert "joint_6 (" in " ".join(found.sentences)  # they share their origin
+
+
 def test_drift_of_absolute_positions_follows_the_time(cell: Cell, readings: Readings) -> None:
     still = readings.select(readings.step == 0)
     still = dataclasses.replace(still, wrench=None)
