@@ -20,6 +20,7 @@ from calibration_core.observations.plateaus import USUAL_SIGMA, Window
 from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Int1D, Note, Recording, TimeSeries
 
 OTHER_BASE = 5.0  # s; streams further apart than this are on different time bases
+SOONEST = 0.02  # quantile of what stamps are behind receive times; fewer may be stamped wrong
 SEARCH = 1.0  # s, either way
 GRID = 0.02  # s
 NEAR = 4  # grid steps either way for the final fit
@@ -55,8 +56,8 @@ class ClockOffset:
 def on_one_base(recording: Recording) -> Recording:
     """Bring streams onto the time base of the joint states where their stamps count from somewhere else.
 
-    What the stamps of a stream are behind the receive times should be about the same for all streams; where it differs
-    by more than five seconds from that of the joint states, the stream is shifted by the difference.
+    What the stamps of a stream are behind the receive times, at the soonest, should be about the same for all streams;
+    where it differs by more than five seconds from that of the joint states, the stream is shifted by the difference.
     """
     reference = _lag(recording.joints)
     notes: list[Note] = []
@@ -82,7 +83,8 @@ def on_one_base(recording: Recording) -> Recording:
 
 
 def _lag(series: TimeSeries) -> int:
-    return int(np.sort(series.received - series.time)[len(series) // 2])  # a median that stays an integer
+    """Return what the stamps are behind the receive times, ns, where nothing waited: a queue only ever adds to it."""
+    return int(np.sort(series.received - series.time)[round(SOONEST * (len(series) - 1))])
 
 
 def clock_offset(recording: Recording, windows: list[Window], cell: Cell) -> ClockOffset | None:

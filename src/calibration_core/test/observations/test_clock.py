@@ -82,3 +82,13 @@ def test_streams_on_another_time_base_are_shifted(session: type) -> None:
     assert np.array_equal(shifted.wrench.time, recording.wrench.time)
     assert [note.kind for note in shifted.notes] == ["time_base"]
     assert on_one_base(recording) is recording
+
+
+def test_streams_that_waited_in_a_queue_are_on_one_base(session: type) -> None:
+    """A recorder that cannot keep up receives late, most of the time even; what it received soonest tells the base."""
+    recording = session().record()
+    joints = recording.joints
+    late = joints.received + (np.linspace(0.0, 100.0, len(joints)) * NANOSECONDS).astype(np.int64)
+    late[: len(joints) // 20] = joints.received[: len(joints) // 20]
+    waited = dataclasses.replace(recording, joints=dataclasses.replace(joints, received=late))
+    assert on_one_base(waited) is waited
