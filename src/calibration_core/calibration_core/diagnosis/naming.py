@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from calibration_core.diagnosis.extended import Extended
 
 LISTED = 5
+DETERMINED = 2.0  # standard deviations from zero, at which a compliance counts as known
 
 
 def findings_of(
@@ -92,9 +93,11 @@ def _gain(extended: Extended, selection: Selection, choice: Choice) -> float:
 
 
 def _stiffness_changes(extended: Extended, identification: Identification) -> dict[str, float]:
+    """Return joint -> relative change, of those joints whose stiffness the recording determines with the effects."""
     changes = {}
-    for joint, compliance in zip(identification.stiffness, extended.compliance, strict=True):
-        if joint.compliance > 0 and compliance > 0:
+    values = zip(identification.stiffness, extended.compliance, extended.compliance_std, strict=True)
+    for joint, compliance, std in values:
+        if joint.compliance > 0 and compliance > DETERMINED * std:
             changes[joint.joint] = float(joint.compliance / compliance - 1)
     return changes
 
