@@ -197,7 +197,12 @@ class IdentificationNode(CalibrationNode):
                 return Evaluated(Outcome.INPUT_UNUSABLE, text)
         out = request.out or self.value("out") or str(Path(recording).absolute().parent / offer.command)
         test = ("--test", request.test) if request.test else ()
-        return Job((offer.command, recording, "--cell", cell, "--out", out, *test), Path(out).absolute(), cell)
+        other = getattr(request, "simulation", "")
+        if other and offer.command != "diagnose":
+            return Evaluated(Outcome.INPUT_UNUSABLE, "simulation: found one, expected none: only a diagnosis compares")
+        simulation = ("--simulation", other) if other else ()
+        arguments = (offer.command, recording, "--cell", cell, "--out", out, *test, *simulation)
+        return Job(arguments, Path(out).absolute(), cell)
 
     async def _evaluated(self, job: Job | Evaluated, cancelled: Callable[[], bool], *, report: bool) -> Evaluated:
         """Compute the numbers of a job, and draw its report if wanted."""

@@ -36,7 +36,7 @@ from calibration.motion.arrival import Joints
 from calibration.motion.calls import parse_call
 from calibration.motion.catalogue import make_backend
 from calibration.node import CalibrationNode, run
-from calibration.permission import SILENT, PermissionWatch
+from calibration.permission import PermissionWatch
 from calibration.plan_markers import plan_markers
 from calibration.preflight import joints_heard, missing, prepared, served
 from calibration.provenance import provenance
@@ -144,7 +144,7 @@ class SequencerNode(CalibrationNode):
             self, RunPlan, "~/run", self._on_run, callback_group=group, cancel_callback=self._on_cancel
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0 / PULSE, self._send_pulse, clock=steady)
+        self.create_timer(1.0 / PULSE, self._on_timer, clock=steady)
         recorder = self.value("recorder")
         self._recorder = {}
         if recorder:
@@ -184,8 +184,9 @@ class SequencerNode(CalibrationNode):
             self._store(message)
 
     def _on_silence(self) -> None:
-        if not self._watch.at(time.monotonic())[0]:
-            self._halt(SILENT)
+        permitted, text = self._watch.at(time.monotonic())
+        if not permitted:
+            self._halt(text)
 
     def _halt(self, why: str) -> None:
         """Stop a motion without waiting for anybody's turn; the procedure hears of it at its next look."""
@@ -202,7 +203,8 @@ class SequencerNode(CalibrationNode):
         decision = Decision(stamp_ns(message.header.stamp), message.permitted, message.latched, reasons)
         runner.post(Call(lambda: port.decided(decision)))
 
-    def _send_pulse(self) -> None:
+    def _on_timer(self) -> None:
+        self._on_silence()  # its event may come but once, and the runner may be waiting for a disk
         runner = self._runner
         if runner is not None:
             self._pulse.publish(MOTION_PULSE.message(data=runner.moving))

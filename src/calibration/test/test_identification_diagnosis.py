@@ -34,10 +34,10 @@ def node(spinning: Any) -> IdentificationNode:
 
 @pytest.fixture(scope="module")
 def offline(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the command line makes of the recording, a second one predicted."""
+    """What the command line makes of the recording, a second one predicted, and compared with a simulation."""
     out = tmp_path_factory.mktemp("offline")
     program = Path(sys.prefix) / "bin" / "calibration"
-    command = [program, "diagnose", BAG, "--cell", CELL, "--test", BAG, "--out", out]
+    command = [program, "diagnose", BAG, "--cell", CELL, "--test", BAG, "--simulation", BAG, "--out", out]
     subprocess.run(command, check=True, capture_output=True, timeout=300)
     return out
 
@@ -45,7 +45,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_service_answers_as_the_command_line(
     spinning: Any, node: Any, offline: Path, until: Callable[..., None], tmp_path: Path
 ) -> None:
-    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", test=str(BAG), out=str(tmp_path))
+    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", test=str(BAG), simulation=str(BAG), out=str(tmp_path))
     assert answer.outcome.code == Outcome.OK, answer.outcome.text
     assert answer.result_json.encode() == (offline / "result.json").read_bytes()
     for name in SAME:
@@ -66,7 +66,7 @@ def test_the_action_tells_its_progress_and_can_be_cancelled(
     client = ActionClient(spinning.plain(), Identify, "/identification/identify")
     assert client.wait_for_server(20.0)
     told: list[Any] = []
-    goal = Identify.Goal(what=Identify.Goal.DIAGNOSIS, test=str(BAG), out=str(tmp_path / "out"))
+    goal = Identify.Goal(what=Identify.Goal.DIAGNOSIS, test=str(BAG), simulation=str(BAG), out=str(tmp_path / "out"))
     handle = finish(client.send_goal_async(goal, feedback_callback=told.append))
     until(lambda: any("looking for what is left out" in one.feedback.text for one in told), timeout=120.0)
     assert finish(handle.cancel_goal_async()).goals_canceling
@@ -91,3 +91,13 @@ def test_what_cannot_be_diagnosed(spinning: Any, node: Any, tmp_path: Path) -> N
     assert (answer.outcome.code, answer.verdict) == (Outcome.INPUT_UNUSABLE, "")
     assert "/no/such/bag" in answer.outcome.text
     assert not out.exists()
+
+
+def test_only_a_diagnosis_compares_with_a_simulation(spinning: Any, node: Any, tmp_path: Path) -> None:
+    client = ActionClient(spinning.plain(), Identify, "/identification/identify")
+    assert client.wait_for_server(20.0)
+    goal = Identify.Goal(what=Identify.Goal.STIFFNESS, simulation=str(BAG), out=str(tmp_path / "out"))
+    result = finish(finish(client.send_goal_async(goal)).get_result_async()).result
+    assert result.outcome.code == Outcome.INPUT_UNUSABLE
+    assert "simulation" in result.outcome.text
+    assert not (tmp_path / "out").exists()

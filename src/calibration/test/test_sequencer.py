@@ -26,6 +26,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from calibration.conversions import Mean, to_average, to_outcome
+from calibration.runner import Call
 from calibration.sequencer import SequencerNode
 from calibration.sequencer_parameters import PARAMETERS, motion_limits
 from calibration.topics import PERMISSION, READING, Quality, profile
@@ -203,6 +204,22 @@ def test_stop_and_resume_later(
     for _ in range(2):
         until(lambda: operator.loaded(7, 1).code == Outcome.OK)
     assert ended(handle).outcome.code == Outcome.OK
+
+
+def test_a_silent_guard_stops_a_motion_even_while_a_disk_is_slow(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    trace = tmp_path / "trace.csv"
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: node._runner is not None and node._runner.moving)
+    node._runner.post(Call(lambda: time.sleep(3.0)))  # what a disk does that others keep busy
+    time.sleep(0.1)
+    world.timer.cancel()
+    until(trace.exists, timeout=1.5)
+    assert "stop" in trace.read_text()
+    handle.cancel_goal_async()
+    assert ended(handle).outcome.code == Outcome.CANCELLED
 
 
 def test_a_run_can_be_cancelled(

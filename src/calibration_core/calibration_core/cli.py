@@ -79,8 +79,18 @@ def _recording(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _given(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="MODEL.yaml",
+        help="start from this model instead of the cell's; its effects are known: they are taken off the readings",
+    )
+
+
 def _identify(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
+    _given(parser)
     parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
     parser.add_argument(
         "--method",
@@ -112,6 +122,7 @@ def _identify(parser: argparse.ArgumentParser) -> None:
 
 def _diagnose(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
+    _given(parser)
     parser.add_argument(
         "--simulation", type=Path, metavar="SIM", help="what a simulation says of the same measurement, to compare with"
     )
@@ -168,7 +179,12 @@ def _plan(parser: argparse.ArgumentParser) -> None:
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plan", type=Path, metavar="PLAN.yaml", help="the plan; without it one is made")
-    parser.add_argument("--model", type=Path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="MODEL.yaml",
+        help="an identified or extended model, effects included, instead of the cell's",
+    )
     parser.add_argument("--seed", type=_seed, help="add instrument noise from this seed (default: none)")
 
 

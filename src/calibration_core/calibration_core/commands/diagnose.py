@@ -11,6 +11,7 @@ from calibration_core.commands.offers import offers_for, proposed_plan
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.finding import Diagnosis
 from calibration_core.identification.loaded import Options
+from calibration_core.model.given import read_given
 from calibration_core.model.model_file import model_text
 from calibration_core.observations.observe import observe
 from calibration_core.procedure.plan_file import plan_text
@@ -32,10 +33,10 @@ def run(arguments: argparse.Namespace) -> str:
     readings = observe(arguments.recording, cell)
     test = None if arguments.test is None else observe(arguments.test, cell)
     simulation = None if arguments.simulation is None else observe(arguments.simulation, cell)
+    given = None if arguments.model is None else read_given(arguments.model, cell)
+    options = Options(robust=not arguments.no_robust)
     tell(arguments, 1 / 3, "looking for what is left out")
-    found = diagnose(
-        readings, cell, Options(robust=not arguments.no_robust), test, simulation, offers_for(readings, cell)
-    )
+    found = diagnose(readings, cell, options, test, simulation, offers_for(readings, cell), given)
     tell(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
     result = result_json(diagnosis_dict(found, cell))
     model = found.identification.model if found.model is None else found.model

@@ -34,7 +34,7 @@ from calibration_core.report.sections.diagnosis import (
     where_blocks,
 )
 from calibration_core.report.sections.procedure import counts_text, equipment, load_text, safety_limit
-from calibration_core.report.sections.records import exclusion_section, traceability_section
+from calibration_core.report.sections.records import exclusion_section, given_model, traceability_section
 from calibration_core.report.sections.residuals import residual_section
 from calibration_core.report.sections.uncertainty import noise_section
 
@@ -102,6 +102,7 @@ def _facts(found: Diagnosis, cell: Cell, day: dt.date) -> Facts:
         ("Extent", counts_text(null)),
         ("Applied load", load_text(null, cell)),
         ("Safety-rated speed limit", safety_limit(cell)),
+        *given_model(null),
     ))  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from calibration_core.errors import InputError, quoted
 from calibration_core.identification.identify import identify
 from calibration_core.identification.loaded import Options
 from calibration_core.identification.robust import Key
+from calibration_core.model.given import read_given
 from calibration_core.model.model_file import model_text
 from calibration_core.observations.observe import observe
 from calibration_core.report.summary import summary
@@ -26,6 +27,7 @@ def run(arguments: argparse.Namespace) -> str:
     cell = load_cell(arguments.cell)
     readings = observe(arguments.recording, cell)
     test = None if arguments.test is None else observe(arguments.test, cell)
+    given = None if arguments.model is None else read_given(arguments.model, cell)
     options = Options(
         method=arguments.method,
         weights=arguments.weights,
@@ -34,7 +36,7 @@ def run(arguments: argparse.Namespace) -> str:
         readmit=frozenset(_reading(text, cell) for text in arguments.readmit),
     )
     tell(arguments, 1 / 3, "identifying")
-    found = identify(readings, cell, options, test)
+    found = identify(readings, cell, options, test, given)
     tell(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
     model = {"model.yaml": model_text(found.model, cell).encode()}
     write_identification(found, cell, arguments.out, model, report=arguments.report)

@@ -13,7 +13,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.common import digest_of, report_line, scheduled_space
 from calibration_core.commands.plan import PLAN, plan_files
-from calibration_core.errors import OutputError
+from calibration_core.errors import ModelFileError, OutputError
 from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.model.model_file import read_model
 from calibration_core.model.nominal import nominal_parameters
@@ -117,12 +117,16 @@ def simulate(cell: Cell, plan: Path | None, model: Path | None, seed: int | None
     if np.any(schedule.wrench) and not np.any(parameters.compliance):
         raise cell.missing("robot.stiffness", "simulating deflections (or an identified model, --model)")
     files = {"plan": plan, "model": model}
+    try:
+        readings = simulate_plan(chosen.primary, cell, parameters, seed)
+    except ModelFileError as error:
+        raise ModelFileError(model or error.file, error.place, error.found, error.expected) from None
     return Simulated(
         plan=chosen,
         made=plan is None,
         parameters=parameters,
         seed=seed,
-        readings=simulate_plan(chosen.primary, cell, parameters, seed),
+        readings=readings,
         recording=as_recording(chosen.primary, _for_streams(cell), parameters, seed),
         space=scheduled_space(schedule, cell, parameters),
         inputs={role: digest_of(path) for role, path in files.items() if path is not None},

@@ -94,30 +94,33 @@ class Case:
         )  # fmt: skip
 
 
-def diagnose_absolute(readings: Readings, cell: Cell, *, test: Readings | None = None) -> Diagnosis:
+def diagnose_absolute(
+    readings: Readings, cell: Cell, *, test: Readings | None = None, believed: ModelParameters | None = None
+) -> Diagnosis:
     """Say what the model of an absolute recording leaves out.
 
     Args:
         readings: The recording; rows in the order of time.
         cell: The cell file.
         test: A second recording, predicted but not fitted.
+        believed: Model to start from; None: what the cell file believes.
 
     Raises:
         InputError: As `identify_absolute`.
     """
-    case = prepare(readings, cell, evaluate_absolute(readings, cell))
+    case = prepare(readings, cell, evaluate_absolute(readings, cell, believed=believed))
     stepped = select_changes(case.design, readings, case.partitions, (), dwarfing=True)
     moved = _anomalies(case.extend(stepped.found), readings, stepped)
     if stepped.found:  # everything else is judged on readings freed of what moved
         readings = _freed(case.extend(stepped.found), readings)
-        case = prepare(readings, cell, evaluate_absolute(readings, cell))
+        case = prepare(readings, cell, evaluate_absolute(readings, cell, believed=believed))
     searched = case
     design, selection, steps = search(searched)
     hypotheses = tuple(design.candidates[i] for i in selection.accepted)
     extended = case.extend(hypotheses)
     readmit = fitting_after_all(extended, readings)
     if readmit:
-        case = prepare(readings, cell, evaluate_absolute(readings, cell, readmit=readmit))
+        case = prepare(readings, cell, evaluate_absolute(readings, cell, readmit=readmit, believed=believed))
         extended = case.extend(hypotheses)
     null = case.extend(())
     identification = identification_of(case.evaluated, readings, cell, test=test)

@@ -16,8 +16,10 @@ from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.locate import locate
 from calibration_core.diagnosis.next_offers import Offer
 from calibration_core.errors import EquilibriumError, IdentificationError
-from calibration_core.identification.identify import is_loaded
+from calibration_core.identification.identify import is_loaded, with_given
+from calibration_core.identification.known import without_effects
 from calibration_core.identification.loaded import Options
+from calibration_core.model.given import GivenModel
 from calibration_core.timeseries import Bool1D, Readings
 
 NO_PHYSICS = Rest(
@@ -38,6 +40,7 @@ def diagnose(
     test: Readings | None = None,
     simulation: Readings | None = None,
     offers: Sequence[Offer] | None = None,
+    given: GivenModel | None = None,
 ) -> Diagnosis:
     """Say what the model of a recording leaves out.
 
@@ -52,15 +55,18 @@ def diagnose(
         test: A second recording of the same kind, predicted but not fitted.
         simulation: What a simulation says of the same measurement; compared before any physics.
         offers: What could be measured next; None: nothing is proposed.
+        given: A model to start from.  Its effects are known: they are taken off both recordings (not off the
+            simulation, nor where it is compared with), and stand in the extended model before what is found.
 
     Raises:
         InputError: The input cannot be used; the message names file, place, what was found and what was expected.
     """
+    options = options or Options()
     if simulation is None:
-        return with_location(_diagnose(readings, cell, options, test, offers), cell)
+        return _with_location(readings, cell, options, test, offers, given)
     compared = compare(readings, simulation, cell)
     try:
-        found = _diagnose(readings, cell, options, test, offers)
+        found = _with_location(readings, cell, options, test, offers, given)
     except EquilibriumError as error:
         if not compared.recording_spoiled:
             raise
@@ -68,7 +74,28 @@ def diagnose(
         raise IdentificationError(
             readings.provenance.path, named.kind, f"{named.text} There is {error}", "a recording as the cell file says"
         ) from None
-    return beside(with_location(found, cell), compared)
+    return beside(found, compared)
+
+
+def _with_location(
+    readings: Readings,
+    cell: Cell,
+    options: Options,
+    test: Readings | None,
+    offers: Sequence[Offer] | None,
+    given: GivenModel | None,
+) -> Diagnosis:
+    """Diagnose the recording less what is known, and say where the rest lies."""
+    if given is None:
+        return with_location(_diagnose(readings, cell, options, test, offers), cell)
+    freed = without_effects(readings, cell, given)
+    test = None if test is None else without_effects(test, cell, given)
+    started = dataclasses.replace(options, start=given.start)
+    found = with_location(_diagnose(freed, cell, started, test, offers), cell)
+    model = found.model
+    if model is not None:
+        model = model.replace(effects=(*given.parameters.effects, *model.effects))
+    return dataclasses.replace(found, identification=with_given(found.identification, given), model=model)
 
 
 def with_location(found: Diagnosis, cell: Cell) -> Diagnosis:
@@ -96,18 +123,18 @@ def beside(found: Diagnosis, compared: Comparison) -> Diagnosis:
 def _diagnose(
     readings: Readings,
     cell: Cell,
-    options: Options | None,
+    options: Options,
     test: Readings | None,
     offers: Sequence[Offer] | None,
 ) -> Diagnosis:
     if not is_loaded(readings):
-        return diagnose_absolute(readings, cell, test=test)
+        return diagnose_absolute(readings, cell, test=test, believed=options.start)
     single = _single(readings)
     if len(np.unique(readings.configuration[single])) < ENOUGH or cell.measurements.points == "displacement":
         return diagnose_loaded(readings, cell, options, test, offers)
     loaded = diagnose_loaded(readings.select(~single), cell, options, test, offers)
     still = dataclasses.replace(readings.select(single | _unloaded_start(readings)), wrench=None)
-    return together(loaded, diagnose_absolute(still, cell))
+    return together(loaded, diagnose_absolute(still, cell, believed=options.start))
 
 
 def together(loaded: Diagnosis, absolute: Diagnosis) -> Diagnosis:

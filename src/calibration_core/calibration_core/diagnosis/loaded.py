@@ -91,7 +91,7 @@ def diagnose_loaded(
     anomalies = _anomalies(checked, attempt, identification)
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
-        registered = registration_findings(prepared, cell, extended.state, readings)
+        registered = registration_findings(prepared, extended.state, readings)
         findings = tuple(sorted((*findings, *registered), key=lambda finding: -finding.magnitude))
     noise = identification.noise.claimed * seen.total
     joints = prepared.problem.chain.joints

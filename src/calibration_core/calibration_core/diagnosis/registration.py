@@ -1,4 +1,4 @@
-"""Frames and points that the absolute positions put elsewhere than the cell file does.
+"""Frames and points that the absolute positions put elsewhere than the cell file, or a given model, does.
 
 They are refitted before anything else, so they spoil no other finding; but the simulation has them wrong.  A cell that
 is set up with care is right to a few tenths of a millimetre and of a milliradian; what is beyond is said.
@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.cell import Cell
 from calibration_core.diagnosis.finding import Finding, FoundParameter
 from calibration_core.identification.frames import FrameFit
 from calibration_core.identification.loaded import PreparedLoaded
-from calibration_core.model.chain import pose_matrix
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.priors import typical
@@ -22,41 +20,40 @@ from calibration_core.timeseries import Float1D, Float2D, Readings
 BEYOND = 4.5  # times how well cells are set up, doubt included
 
 
-def registration_findings(
-    prepared: PreparedLoaded, cell: Cell, state: State, readings: Readings
-) -> tuple[Finding, ...]:
-    """Return tracker and points that stand elsewhere than the cell file says, beyond usual care and doubt.
+def registration_findings(prepared: PreparedLoaded, state: State, readings: Readings) -> tuple[Finding, ...]:
+    """Return tracker and points that stand elsewhere than stated, beyond usual care and doubt.
 
     Args:
-        prepared: With the refitted frames.
-        cell: The cell file.
+        prepared: With the refitted frames, and where cell file or given model put them.
         state: The null model, for the size of the effect on the measured deflections.
         readings: The recording.
     """
     frames = prepared.frames
-    if frames is None or cell.frames.tracker is None:
+    if frames is None or prepared.stated_by is None:
         return ()
     steps = len(readings) / max(len(np.unique(readings.configuration)), 1) / len(readings.points)
     covariance = frames.covariance * max(steps, 1.0)  # steps of one configuration share its geometric error
-    nominal = pose_matrix(np.array(cell.frames.tracker.xyz), np.array(cell.frames.tracker.rpy))
+    nominal, by = prepared.nominal.tracker, prepared.stated_by
     found = []
     turn = _rotation_vector(frames.tracker[:3, :3] @ nominal[:3, :3].T)
     usual = typical("registration_rotation", state.rated_load)
     if _beyond(turn, usual, covariance[3:6, 3:6]):
-        found.append(_finding("tracker_frame_misalignment", turn, usual, covariance[3:6, 3:6], state, readings, None))
-    point, shift = _odd_point(frames, cell, readings)
+        found.append(
+            _finding("tracker_frame_misalignment", turn, usual, covariance[3:6, 3:6], state, readings, None, by)
+        )
+    point, shift = _odd_point(frames, prepared, readings)
     usual = typical("registration_point", state.rated_load)
     rows = slice(6 + 3 * point, 9 + 3 * point)
     if _beyond(shift, usual, covariance[rows, rows]):
         others = usual**2 / max(len(frames.points) - 1, 1) * np.eye(3)  # it is seen against them
         doubt = covariance[rows, rows] + others
-        found.append(_finding("measurement_point_offset", shift, usual, doubt, state, readings, point))
+        found.append(_finding("measurement_point_offset", shift, usual, doubt, state, readings, point, by))
     return tuple(found)
 
 
-def _odd_point(frames: FrameFit, cell: Cell, readings: Readings) -> tuple[int, Float1D]:
-    """Return the point that is farthest from where the file puts it, against the others, and its shift (3,) m."""
-    stated = np.array([cell.frames.measurement_points[name] for name in readings.points])
+def _odd_point(frames: FrameFit, prepared: PreparedLoaded, readings: Readings) -> tuple[int, Float1D]:
+    """Return the point that is farthest from where it is stated, against the others, and its shift (3,) m."""
+    stated = np.array([prepared.nominal.points[name] for name in readings.points])
     shift = frames.points - stated
     if len(shift) > 1:  # a shift of all is the flange's or the geometry's
         shift = shift - (shift.sum(axis=0) - shift) / (len(shift) - 1)
@@ -77,6 +74,7 @@ def _finding(
     state: State,
     readings: Readings,
     point: int | None,
+    stated_by: str,
 ) -> Finding:
     kind = next(entry for entry in catalogue() if entry.name == effect)
     candidate = _candidate(list(kind.candidates(state)), point)
@@ -103,8 +101,8 @@ def _finding(
         cannot_be_told_from=(),
         stiffness_change={},
         explanation=(
-            f"{what} by {said} against the cell file, as the absolute positions say. It was refitted before anything "
-            f"else; with the file's value the deflections would be wrong by {1e6 * size:.0f} µm rms, the positions by "
+            f"{what} by {said} against {stated_by}, as the absolute positions say. It was refitted before anything "
+            f"else; with the stated value the deflections would be wrong by {1e6 * size:.0f} µm rms, the positions by "
             "more."
         ),
         separate_by=kind.reveal,

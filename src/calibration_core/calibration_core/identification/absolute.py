@@ -78,6 +78,7 @@ def identify_absolute(
     test: Readings | None = None,
     readmit: frozenset[Key] = frozenset(),
     progress: Progress | None = None,
+    believed: ModelParameters | None = None,
 ) -> Identification:
     """Identify frames, geometry and, where the recording proves it, elasticity from absolute positions.
 
@@ -88,12 +89,13 @@ def identify_absolute(
         test: A second recording, predicted but not fitted.
         readmit: (configuration, step, point) of readings that must be used whatever they look like.
         progress: Told the name of every stage.
+        believed: Model to start from; None: what the cell file believes.
 
     Raises:
         CellError: A wrench was recorded and a frame for it is missing.
         IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
     """
-    case = evaluate_absolute(readings, cell, robust=robust, readmit=readmit, progress=progress)
+    case = evaluate_absolute(readings, cell, robust=robust, readmit=readmit, progress=progress, believed=believed)
     return identification_of(case, readings, cell, robust=robust, test=test)
 
 
@@ -165,6 +167,7 @@ def evaluate_absolute(
     robust: bool = True,
     readmit: frozenset[Key] = frozenset(),
     progress: Progress | None = None,
+    believed: ModelParameters | None = None,
 ) -> Evaluated:
     """Take all decisions: gross errors, identifiable geometry, stages of the ladder; arguments as `identify_absolute`.
 
@@ -173,7 +176,8 @@ def evaluate_absolute(
         IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
     """
     progress = progress or (lambda _: None)
-    nominal = nominal_parameters(cell)
+    nominal = nominal_parameters(cell) if believed is None else believed
+    known = believed is not None or cell.frames.tracker is not None
     problem = absolute_problem(readings, cell, chain_of(cell), nominal, position_covariance(readings, cell))
     start = start_parameters(problem, nominal)
     terms, hidden = choose_frames(problem, start)
@@ -189,17 +193,17 @@ def evaluate_absolute(
     if robust and choice.chosen:
         screened = screen(problem, start, [*terms, choice.term], used, protected)
         used = screened.used
-    believed = nominal_with_tracker(problem, nominal, start, known=cell.frames.tracker is not None)
+    stated = nominal_with_tracker(problem, nominal, start, known=known)
     fold = folds(readings.configuration)
-    ladder = climb(Climb(problem, used, fold, readings.configuration), believed, start, terms, choice, progress)
+    ladder = climb(Climb(problem, used, fold, readings.configuration), stated, start, terms, choice, progress)
     if robust:
         progress("gross errors, tested again")
         final = ladder.final.fit
         screened = screen(problem, final.parameters, final.terms, used, protected)
         if not np.array_equal(screened.used, used):
             used = screened.used
-            ladder = climb(Climb(problem, used, fold, readings.configuration), believed, start, terms, choice, progress)
-    return Evaluated(problem, believed, terms, hidden, choice, ladder, used, screened)
+            ladder = climb(Climb(problem, used, fold, readings.configuration), stated, start, terms, choice, progress)
+    return Evaluated(problem, stated, terms, hidden, choice, ladder, used, screened)
 
 
 def _unfitted_points(terms: list[Term], start: ModelParameters, nominal: ModelParameters) -> dict[str, Float2D]:

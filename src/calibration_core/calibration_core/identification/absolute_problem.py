@@ -60,7 +60,8 @@ def start_parameters(problem: AbsoluteProblem, nominal: ModelParameters) -> Mode
     """
     rows = np.unique(np.linspace(0, len(problem) - 1, START_READINGS).astype(int))
     some = problem.select(rows)
-    at = solve_equilibrium(some.chain, some.q, nominal.compliance, some.load).at
+    chain = some.chain.corrected(nominal.geometry)
+    at = solve_equilibrium(chain, some.q, nominal.compliance, some.load).at
     point = np.zeros(len(some), dtype=np.int64) if some.point is None else some.point
     guess = np.stack([nominal.points[name] for name in some.names])
     frames = fit_frames(at, some.position.T, point, guess, None)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calibration_core.identification.standard_geometry import StandardGeometry
+from calibration_core.model.given import GivenModel
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Note, Readings
 
@@ -346,6 +347,7 @@ class Identification:
         test: Result on a second recording, if one was given.
         notes: Further remarks, those of the readings included.
         standard: Base frame, joint axes and wrist centre by the standard's methods; None for a loaded recording.
+        given: The model that was handed in to start from, whose effects were taken off the readings; None without.
     """
 
     kind: Literal["loaded", "absolute"]
@@ -369,3 +371,4 @@ class Identification:
     test: TestResult | None = None
     notes: tuple[Note, ...] = ()
     standard: StandardGeometry | None = None
+    given: GivenModel | None = None

@@ -9,8 +9,10 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.absolute import identify_absolute
 from calibration_core.identification.estimate import Identification
+from calibration_core.identification.known import without_effects
 from calibration_core.identification.loaded import Options, identify_loaded
 from calibration_core.identification.standard_geometry import standard_geometry
+from calibration_core.model.given import GivenModel
 from calibration_core.timeseries import Note, Readings
 
 
@@ -21,7 +23,11 @@ def is_loaded(readings: Readings) -> bool:
 
 
 def identify(
-    readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None
+    readings: Readings,
+    cell: Cell,
+    options: Options | None = None,
+    test: Readings | None = None,
+    given: GivenModel | None = None,
 ) -> Identification:
     """Identify stiffness from a loaded recording, frames, geometry and elasticity from an absolute one.
 
@@ -30,15 +36,36 @@ def identify(
         cell: The cell file.
         options: How to evaluate.
         test: A second recording of the same kind that is predicted, not fitted.
+        given: A model to start from; its effects are taken off both recordings and stand in the identified model.
 
     Raises:
         InputError: The input cannot be used; the message names file, place, what was found and what was expected.
     """
     options = options or Options()
+    if given is None:
+        return _identify(readings, cell, options, test)
+    freed, test = (None if one is None else without_effects(one, cell, given) for one in (readings, test))
+    assert freed is not None  # noqa: S101 - readings are
+    return with_given(_identify(freed, cell, dataclasses.replace(options, start=given.start), test), given)
+
+
+def with_given(found: Identification, given: GivenModel) -> Identification:
+    """Return the answer with the effects of the given model in the identified one."""
+    effects = (*given.parameters.effects, *found.model.effects)
+    stages = tuple(
+        dataclasses.replace(stage, reason="what the given model predicts") if stage.name == "nominal" else stage
+        for stage in found.stages
+    )
+    return dataclasses.replace(found, model=found.model.replace(effects=effects), stages=stages, given=given)
+
+
+def _identify(readings: Readings, cell: Cell, options: Options, test: Readings | None) -> Identification:
     if is_loaded(readings):
         return identify_loaded(readings, cell, options, test)
     readings = readings.with_notes(*_without_effect(options))
-    found = identify_absolute(readings, cell, robust=options.robust, test=test, readmit=options.readmit)
+    found = identify_absolute(
+        readings, cell, robust=options.robust, test=test, readmit=options.readmit, believed=options.start
+    )
     names, covariance = found.names, found.covariance
     return dataclasses.replace(found, standard=standard_geometry(readings, cell, found.model, names, covariance))
 

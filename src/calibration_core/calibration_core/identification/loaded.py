@@ -57,6 +57,7 @@ class Options:
         deflections: `points`, or `pose` for the rigid displacement of three or more points.
         robust: Set gross errors aside.
         readmit: Readings that must be used: (configuration, step, point).
+        start: Model to start from; None: what the cell file believes.
     """
 
     method: Method = "equilibrium"
@@ -64,6 +65,7 @@ class Options:
     deflections: Deflections = "points"
     robust: bool = True
     readmit: frozenset[Key] = frozenset()
+    start: ModelParameters | None = None
 
     def in_words(self) -> str:
         """Describe the method for the report."""
@@ -150,9 +152,10 @@ class PreparedLoaded:
         problem: All readings, frames refitted.
         screened: The readings used.
         fit: The fit that counts (points or pose).
-        nominal: What the cell file believes.
+        nominal: What the cell file believes, or the model to start from.
         parameters: Identified model.
         frames: Refitted frames; None for displacement recordings.
+        stated_by: Who says where the tracker is: `the cell file`, `the given model`, or nobody (None).
     """
 
     problem: LoadedProblem
@@ -161,25 +164,30 @@ class PreparedLoaded:
     nominal: ModelParameters
     parameters: ModelParameters
     frames: FrameFit | None
+    stated_by: str | None
 
 
 def prepare_loaded(readings: Readings, cell: Cell, options: Options) -> PreparedLoaded:
     """Refit the frames, set gross errors aside and fit the compliances; raises as `identify_loaded` does."""
-    chain = chain_of(cell)
-    nominal = nominal_parameters(cell)
+    nominal = nominal_parameters(cell) if options.start is None else options.start
+    chain = chain_of(cell).corrected(nominal.geometry)
+    stated_by = "the given model" if options.start is not None else "the cell file" if cell.frames.tracker else None
+    guess = None if stated_by is None else nominal.tracker
     _require_load(readings)
-    parameters, frames = _with_frames(readings, cell, chain, nominal)
+    parameters, frames = _with_frames(readings, cell, chain, nominal, guess)
     problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
     screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
     if frames is not None:
         believed = parameters.replace(compliance=screened.fit.compliance)
-        parameters, frames = _with_frames(readings, cell, chain, believed, screened.used)
+        guess = None if stated_by is None else believed.tracker
+        parameters, frames = _with_frames(readings, cell, chain, believed, guess, screened.used)
         problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
         screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
     fit = screened.fit
     if options.deflections == "pose":
         fit = fit_compliance(problem.select(np.flatnonzero(screened.used)), fit.compliance, "pose")
-    return PreparedLoaded(problem, screened, fit, nominal, parameters.replace(compliance=fit.compliance), frames)
+    identified = parameters.replace(compliance=fit.compliance)
+    return PreparedLoaded(problem, screened, fit, nominal, identified, frames, stated_by)
 
 
 def predict_loaded(
@@ -219,7 +227,12 @@ def _require_load(readings: Readings) -> None:
 
 
 def _with_frames(
-    readings: Readings, cell: Cell, chain: Chain, believed: ModelParameters, used: Bool1D | None = None
+    readings: Readings,
+    cell: Cell,
+    chain: Chain,
+    believed: ModelParameters,
+    guess: Float2D | None,
+    used: Bool1D | None = None,
 ) -> tuple[ModelParameters, FrameFit | None]:
     """Refit tracker pose and points where the recording holds absolute positions.
 
@@ -231,7 +244,6 @@ def _with_frames(
     some = readings.select(rows & _unloaded(readings, rows))
     rest = solve_equilibrium(chain, some.q, believed.compliance, load_of(some, cell, believed))
     points = np.stack([believed.points[name] for name in readings.points])
-    guess = None if cell.frames.tracker is None else believed.tracker
     fit = fit_frames(rest.at, some.position, some.point, points, guess)
     if guess is None and fit.rank < 6:
         raise IdentificationError(

@@ -34,23 +34,38 @@ def predict_readings(readings: Readings, cell: Cell, model: ModelParameters) -> 
         EquilibriumError: The load is beyond what the joints can carry.
         ModelFileError: The model contains an effect that this recording has no data for.
     """
-    unknown = [name for name in readings.points if name not in model.points]
-    if unknown:
-        known = ", ".join(model.points)
-        raise RecordingError(readings.provenance.path, "point", repr(unknown[0]), f"a point of the model: {known}")
+    require_points(readings, model)
     chain = chain_of(cell).corrected(model.geometry)
     load = None if readings.wrench is None else load_of(readings, cell, model)
     rest = solve_equilibrium(chain, readings.q, model.compliance, load)
     points = np.stack([model.points[name] for name in readings.points])[readings.point].T
-    moved = rest.at.point(points).T + _by_effects(readings, cell, model, points)
+    moved = rest.at.point(points).T + shift_by_effects(readings, cell, model)
     predicted = (moved - model.tracker[:3, 3]) @ model.tracker[:3, :3]
     return predicted if cell.measurements.points == "absolute" else from_step_zero(readings, predicted)
 
 
-def _by_effects(readings: Readings, cell: Cell, model: ModelParameters, points: Float2D) -> Float2D:
-    """Return the (m, 3) m, base axes, that the model's effects move the points ((3, m) m, flange frame)."""
+def require_points(readings: Readings, model: ModelParameters) -> None:
+    """Refuse a recording with a point that the model does not know.
+
+    Raises:
+        RecordingError: There is one.
+    """
+    unknown = [name for name in readings.points if name not in model.points]
+    if unknown:
+        known = ", ".join(model.points)
+        raise RecordingError(readings.provenance.path, "point", repr(unknown[0]), f"a point of the model: {known}")
+
+
+def shift_by_effects(readings: Readings, cell: Cell, model: ModelParameters) -> Float2D:
+    """Return the (m, 3) m, base axes, that the model's effects move the points.
+
+    Raises:
+        EquilibriumError: The load is beyond what the joints can carry.
+        ModelFileError: The model contains an effect that this recording has no data for.
+    """
     if not model.effects:
         return np.zeros((len(readings), 3))
+    points = np.stack([model.points[name] for name in readings.points])[readings.point].T
     state = state_of(
         chain_of(cell).corrected(model.geometry),
         readings.q,

@@ -14,6 +14,7 @@ from calibration_core.model.effects.state import wrench_response
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.kinematics import linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.recorded_load import recorded_load
 from calibration_core.model.statics import Load, load_torque
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
@@ -160,22 +161,7 @@ def load_of(readings: Readings, cell: Cell, parameters: ModelParameters) -> Load
     """
     if readings.wrench is None:
         raise cell.missing("the recording's wrench", "joint stiffness from a loaded recording")
-    convention = cell.measurements
-    sensor = parameters.force_torque
-    if sensor is None and (convention.wrench_axes == "sensor" or convention.wrench_at == "sensor"):
-        raise cell.missing(
-            "frames.force_torque", "a wrench recorded by the sensor (measurements.wrench_axes, wrench_at)"
-        )
-    if parameters.wrench_point is None and convention.wrench_at == "wrench_point":
-        raise cell.missing("frames.wrench_point", "a wrench recorded at the wrench point")
-    if convention.wrench_at == "sensor":
-        assert sensor is not None  # noqa: S101 - checked above
-        point = sensor[:3, 3]
-    else:
-        assert parameters.wrench_point is not None  # noqa: S101 - checked above
-        point = parameters.wrench_point
-    rotation = sensor[:3, :3] if sensor is not None and convention.wrench_axes == "sensor" else None
-    return Load(readings.wrench[:, :3].T, readings.wrench[:, 3:].T, point, rotation)
+    return recorded_load(readings.wrench, cell, parameters)
 
 
 def _root(covariance: Float3D) -> Float3D:

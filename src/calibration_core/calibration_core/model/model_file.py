@@ -1,7 +1,7 @@
 """The identified model as a file: what `identify` writes and `predict`, `simulate`, `identify` and `diagnose` read.
 
 YAML, SI units.  `geometry` holds corrections to the cell file's nominal geometry, so the file goes with its robot;
-joint names are checked, the cell file's hash is kept for the record.
+its name and those of its joints are checked, the cell file's hash is kept for the record.
 """
 
 from __future__ import annotations
@@ -69,13 +69,15 @@ def read_model(path: str | Path, cell: Cell) -> ModelParameters:
     """Read an identified model.
 
     Raises:
-        ModelFileError: It is missing, malformed, or belongs to a robot with other joints.
+        ModelFileError: It is missing, malformed, or belongs to another robot: another name, or other joints.
     """
     path = Path(path)
     data = _parse(path)
     joints = cell.robot.joints
     if data.get("joints") != list(joints):
         raise ModelFileError(path, "joints", quoted(data.get("joints")), f"the cell's joints {list(joints)}")
+    if data.get("robot") != cell.robot.name:
+        raise ModelFileError(path, "robot", quoted(data.get("robot")), f"the cell's robot {quoted(cell.robot.name)}")
     n = len(joints)
     points = data.get("measurement_points")
     if not isinstance(points, dict) or not points:

@@ -12,14 +12,20 @@ from typing import Protocol
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.errors import ModelFileError
+from calibration_core.model.chain import Chain
+from calibration_core.model.effects.applied import applied_shift
+from calibration_core.model.effects.state import state_of
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.instruments import tracker_covariance, wrench_sigma
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.recorded_load import recorded_load
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import Load
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Provenance, Readings, read_only
 
 TEMPERATURE = 20.0  # degrees Celsius, as the standard wants it
+MOVING, LOADING, SETTLING, MEASURING = 4.0, 2.0, 1.5, 2.0  # s, phases of a configuration and of a step
 
 
 class Loading(Protocol):
@@ -83,21 +89,24 @@ class Predicted:
 
     Attributes:
         deflection: (s, n) rad, behind the encoders.
-        position: (s, p, 3) m, tracker frame.
+        position: (s, p, 3) m, tracker frame, effects included.
+        shift: (s, p, 3) m, base axes, what the model's effects add to it.
         wrench: (s, 6) N and N*m, as the cell records it; None without a wrench point.
     """
 
     deflection: Float2D
     position: Float3D
+    shift: Float3D
     wrench: Float2D | None
 
 
 def predict_schedule(schedule: Schedule, cell: Cell, parameters: ModelParameters) -> Predicted:
-    """Find the equilibrium of every step.
+    """Find the equilibrium of every step, and where the model's effects move the points there.
 
     Raises:
         CellError: The robot cannot be read, or a frame that the load needs is missing.
         EquilibriumError: A load is beyond what the springs can carry.
+        ModelFileError: The model contains an effect that a simulation has no data for.
     """
     chain = chain_of(cell).corrected(parameters.geometry)
     load = None
@@ -109,7 +118,46 @@ def predict_schedule(schedule: Schedule, cell: Cell, parameters: ModelParameters
     in_base = np.stack([rest.at.point(point).T for point in parameters.points.values()], axis=1)
     rotation, origin = parameters.tracker[:3, :3], parameters.tracker[:3, 3]
     wrench = None if load is None else _as_recorded(schedule, cell, parameters, np.moveaxis(rest.at.flange, -1, 0))
-    return Predicted(rest.deflection.T, (in_base - origin) @ rotation, wrench)
+    shift = _by_effects(schedule, cell, parameters, chain, wrench)
+    return Predicted(rest.deflection.T, (in_base + shift - origin) @ rotation, shift, wrench)
+
+
+def _by_effects(
+    schedule: Schedule, cell: Cell, parameters: ModelParameters, chain: Chain, wrench: Float2D | None
+) -> Float3D:
+    """Return the (s, p, 3) m, base axes, that the effects of the model move the points; times as in `measured_at`."""
+    steps, count = len(schedule.step), len(parameters.points)
+    if not parameters.effects:
+        return np.zeros((steps, count, 3))
+    of_step = np.repeat(np.arange(steps), count)
+    point = np.tile(np.arange(count), steps)
+    applied = None if wrench is None else wrench[of_step]
+    state = state_of(
+        chain,
+        schedule.q[of_step],
+        parameters.compliance,
+        None if applied is None else recorded_load(applied, cell, parameters),
+        np.stack(list(parameters.points.values()))[point].T,
+        point_index=point,
+        wrench=applied,
+        configuration=np.unique(schedule.configuration, return_inverse=True)[1].reshape(-1).astype(np.int64)[of_step],
+        step=schedule.step[of_step],
+        time=measured_at(schedule)[of_step],
+        temperature=np.full(len(of_step), TEMPERATURE),
+        tracker=parameters.tracker,
+        rated_load=cell.robot.rated_load,
+    )
+    try:
+        return applied_shift(parameters.effects, state).reshape(steps, count, 3)
+    except ValueError as error:
+        raise ModelFileError("model", "effects", str(error), "effects that a simulation has data for") from None
+
+
+def measured_at(schedule: Schedule) -> Float1D:
+    """Return the (s,) s from the beginning to the middle of every step's measuring window."""
+    before = np.where(schedule.step == 0, MOVING, LOADING) + SETTLING
+    before[0] = MOVING + SETTLING
+    return np.asarray(np.cumsum(before + MEASURING) - MEASURING / 2)
 
 
 def _as_recorded(schedule: Schedule, cell: Cell, parameters: ModelParameters, flange: Float3D) -> Float2D:
@@ -195,7 +243,7 @@ def simulate_plan(
         q=schedule.q[of_step],
         position=position.reshape(-1, 3),
         wrench=wrench,
-        time=np.full(len(of_step), np.nan),
+        time=measured_at(schedule)[of_step],
         temperature=(TEMPERATURE + noise.temperature)[of_step] if known else np.full(len(of_step), np.nan),
         provenance=Provenance("simulation", "csv", {}, {"measurements": len(of_step)}),
     )

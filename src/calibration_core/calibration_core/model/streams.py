@@ -19,6 +19,10 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.simulate import (
+    LOADING,
+    MEASURING,
+    MOVING,
+    SETTLING,
     TEMPERATURE,
     Loading,
     Noise,
@@ -40,7 +44,6 @@ from calibration_core.timeseries import (
 )
 
 START = 1_767_600_000 * NANOSECONDS  # 2026-01-05 08:00:00 UTC, an arbitrary morning
-MOVING, LOADING, SETTLING, MEASURING = 4.0, 2.0, 1.5, 2.0  # s
 JOINTS, TRACKER, WRENCH, THERMOMETER = 25.0, 10.0, 50.0, 2.0  # Hz
 
 
@@ -188,7 +191,7 @@ def _points(
     rotation, origin = parameters.tracker[:3, :3], parameters.tracker[:3, 3]
     streams = {}
     for i, (name, point) in enumerate(parameters.points.items()):
-        moving = (at.point(point).T - origin) @ rotation
+        moving = (at.point(point).T + _between(segments, time, predicted.shift[:, i]) - origin) @ rotation
         position = np.where(still[:, None], predicted.position[segments.after[which], i], moving)
         if rng is not None:
             root = np.asarray(np.linalg.cholesky(tracker_covariance(cell, position)), dtype=np.float64)

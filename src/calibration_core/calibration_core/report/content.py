@@ -99,7 +99,7 @@ def _facts(result: Identification, cell: Cell, day: dt.date) -> Facts:
         ("Extent", procedure.counts_text(result)),
         ("Applied load", procedure.load_text(result, cell)),
     ]
-    return Facts(tuple(rows))
+    return Facts((*rows, *records.given_model(result)))
 
 
 def _verdict(result: Identification, left: Rest) -> Verdict:

@@ -12,6 +12,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification, JointStiffness
+from calibration_core.model.given import GivenModel
 from calibration_core.report.output import RESULT, write_files
 from calibration_core.report.provenance import digests, software
 from calibration_core.report.scene import space_dict
@@ -132,6 +133,7 @@ def _further(result: Identification, cell: Cell) -> dict[str, Any]:
         "exclusions": [_record(exclusion) for exclusion in result.exclusions],
         "test": None if result.test is None else _record(result.test),
         "notes": [_record(note) for note in result.notes],
+        "given_model": None if result.given is None else _given(result.given),
         "input": {
             "recording": {
                 "path": provenance.path,
@@ -152,6 +154,15 @@ def _further(result: Identification, cell: Cell) -> dict[str, Any]:
     }
 
 
+def _given(given: GivenModel) -> dict[str, Any]:
+    """Return the model that was handed in: file, digest, and the effects that were taken off the readings."""
+    effects = [
+        {"effect": effect.effect, "location": dict(effect.location), "variant": effect.variant}
+        for effect in given.parameters.effects
+    ]
+    return {"file": given.file, "sha256": given.sha256, "effects": effects}
+
+
 def safety_rated_speed(cell: Cell) -> dict[str, Any] | None:
     """Return the controller's speed limit that the cell file declares, m/s, and who does; None if there is none."""
     if cell.safety is None:
@@ -160,8 +171,9 @@ def safety_rated_speed(cell: Cell) -> dict[str, Any] | None:
 
 
 def tested(result: Identification) -> dict[str, Mapping[str, str]]:
-    """Return the digests of the second recording under its role; empty without one."""
-    return {} if result.test is None else {"test": result.test.sha256}
+    """Return the digests of the second recording and of the given model under their roles; empty without them."""
+    files: dict[str, Mapping[str, str]] = {} if result.test is None else {"test": result.test.sha256}
+    return files if result.given is None else {**files, "model": {result.given.file: result.given.sha256}}
 
 
 def correlation(identification: Identification) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -35,14 +35,20 @@ def _link(state: State, link: int) -> Float3D:
     return stacked((_warmth(state) * (tips[link] - state.at.origin[link])).T)
 
 
-def _candidates(state: State) -> Iterator[Candidate]:
-    if not np.isfinite(state.temperature).all() or np.ptp(state.temperature) < LEAST_RANGE:
+def growths(state: State) -> Iterator[Candidate]:
+    """Yield every growth that can be evaluated, whether or not these temperatures could tell it."""
+    if not np.isfinite(state.temperature).all():
         return
     parameters = (Parameter("expansion", "1/K", typical("thermal_growth", state.rated_load)),)
     yield Candidate(EFFECT.name, EFFECT.family, {"robot": "arm"}, "uniform", parameters, _arm)
     for link in range(state.chain.n):
         place = {"link": f"link_{link + 1}"}
         yield Candidate(EFFECT.name, EFFECT.family, place, "one link", parameters, partial(_link, link=link))
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    if np.isfinite(state.temperature).all() and np.ptp(state.temperature) >= LEAST_RANGE:
+        yield from growths(state)
 
 
 EFFECT = Effect(

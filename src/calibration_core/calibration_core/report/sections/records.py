@@ -73,6 +73,15 @@ def remark_section(result: Identification) -> tuple[Block, ...]:
     return (Items(tuple(texts)),) if texts else (Paragraph("Nothing was noticed."),)
 
 
+def given_model(result: Identification) -> tuple[tuple[str, str], ...]:
+    """Return the fact that a model was handed in, and what it already contained; nothing without one."""
+    given = result.given
+    if given is None:
+        return ()
+    text = f"{given.file} (SHA-256 {given.sha256[:12]}…), taken off the readings as known: {given.told()}"
+    return (("Given model", text),)
+
+
 def traceability_section(
     cell: Cell, provenance: Provenance | None = None, further: Mapping[str, Mapping[str, str]] | None = None
 ) -> tuple[Block, ...]:

@@ -111,6 +111,8 @@ def fit_section(result: Identification, cell: Cell, rest: Rest) -> tuple[Block, 
     fit = result.fit
     unit = length_unit(fit.rms_after)
     before = "cell file, frames refitted" if result.kind == "absolute" or cell.robot.stiffness else "rigid robot"
+    if result.given is not None:
+        before = "given model, frames refitted"
     used: tuple[tuple[str, str, str], ...] = ()
     if math.isfinite(fit.rms_used) and np.any(result.residuals.excluded):
         used = (("after, without the readings set aside", _length(fit.rms_used, unit), DASH),)
@@ -139,13 +141,13 @@ def fit_section(result: Identification, cell: Cell, rest: Rest) -> tuple[Block, 
         ),
     ]
     if result.test is not None:
-        blocks += _test_blocks(result.test, unit)
+        blocks += _test_blocks(result.test, unit, "cell file" if result.given is None else "given model")
     return tuple(blocks)
 
 
-def _test_blocks(test: TestResult, unit: Unit) -> tuple[Block, ...]:
+def _test_blocks(test: TestResult, unit: Unit, before: str) -> tuple[Block, ...]:
     rows = (
-        ("before (cell file)", _length(test.rms_before, unit), _length(test.mean_before, unit), DASH),
+        (f"before ({before})", _length(test.rms_before, unit), _length(test.mean_before, unit), DASH),
         ("after (identified)", _length(test.rms, unit), _length(test.mean, unit), _length(test.maximum, unit)),
     )
     columns = (

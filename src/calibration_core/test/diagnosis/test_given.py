@@ -1,0 +1,71 @@
+"""A diagnosis that starts from the model of an earlier one, on absolute recordings and on loaded ones."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from absolute_cases import make_cell, make_readings, random_angles, truth_of
+from robots import STIFFNESS, loaded_readings, write_cell
+
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.identification.identify import identify
+from calibration_core.identification.predict import predict_readings
+from calibration_core.model.given import GivenModel
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import AppliedEffect, ModelParameters
+
+SEED = 5
+TILTING = AppliedEffect(
+    "off_axis_compliance",
+    {"joint": "joint_2"},
+    "before",
+    {"compliance_x": 2.5e-7, "compliance_y": 1.2e-7, "compliance_xy": 5e-8},
+)
+
+
+def given(model: ModelParameters) -> GivenModel:
+    return GivenModel(model, "model.yaml", "0" * 64)
+
+
+def test_an_absolute_recording_diagnosed_again_has_nothing_more() -> None:
+    cell = make_cell(points=("mp1", "mp2", "mp3"))
+    q = random_angles(SEED, 60, 6)
+    extra = np.zeros_like(q)
+    extra[:, 1] = 1.5e-4 * np.sin(2 * q[:, 1] + 0.5)
+    seen = make_readings(cell, truth_of(cell, SEED), q + extra, seed=SEED)
+    readings = dataclasses.replace(seen, q=np.repeat(q, 3, axis=0))
+    first = diagnose(readings, cell)
+    assert [finding.effect for finding in first.findings] == ["transmission_error"]
+    assert first.model is not None
+    second = diagnose(readings, cell, given=given(first.model))
+    assert (second.verdict, second.findings) == ("consistent", ())
+    assert second.model is not None
+    assert second.model.effects == first.model.effects
+    np.testing.assert_allclose(second.rms_before, first.rms_after, rtol=0.02)
+    np.testing.assert_allclose(second.model.geometry, first.model.geometry, atol=2e-5)
+    known = identify(readings, cell, given=given(first.model))
+    assert known.fit.rms_after < 0.7 * identify(readings, cell).fit.rms_after
+    assert known.model.effects == first.model.effects
+    assert known.stages[0].reason == "what the given model predicts"
+
+
+def test_a_second_recording_is_predicted_with_what_is_known(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    model = nominal_parameters(cell).replace(compliance=1 / np.array(STIFFNESS), effects=(TILTING,))
+    bare = model.replace(effects=())
+    readings, other = (
+        dataclasses.replace(
+            one, position=one.position + predict_readings(one, cell, model) - predict_readings(one, cell, bare)
+        )
+        for one in (loaded_readings(cell, 5), loaded_readings(cell, 6))
+    )
+    found = diagnose(readings, cell, test=other, given=given(model))
+    assert (found.verdict, found.findings) == ("consistent", ())
+    assert found.test is not None
+    assert found.test.rms < 1.2 * found.noise
+    assert found.test.rms_before < 1.2 * found.noise  # the stiffness of the given model is right, so is its effect
+    assert found.model is not None
+    assert found.model.effects == (TILTING,)
+    assert found.identification.model.effects == (TILTING,)
