@@ -20,7 +20,7 @@ from calibration_core.model.kinematics import Posture, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import load_torque
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
 
 PERMUTATIONS = 400
 CERTAIN = 0.01  # chance that permuted configurations show any such pattern
@@ -116,6 +116,8 @@ def locate(readings: Readings, residual: Float2D, cell: Cell, model: ModelParame
         kept = numbers[np.linspace(0, len(numbers) - 1, MOST).astype(int)]
         rows = np.isin(readings.configuration, kept)
         readings, residual = readings.select(rows), residual[rows]
+    whole = _complete(readings)
+    readings, residual = readings.select(whole), residual[whole]
     chain = chain_of(cell).corrected(model.geometry)
     table = _table(readings, residual)
     if table is None:
@@ -170,15 +172,30 @@ class _Table:
     loaded: bool
 
 
+def _complete(readings: Readings) -> Bool1D:
+    """Return (m,) which readings belong to the steps that most configurations have of all points, and to such ones.
+
+    A reference configuration that is measured again and again has more steps than the others.
+    """
+    numbers, index = np.unique(readings.configuration, return_inverse=True)
+    steps, place = np.unique(readings.step, return_inverse=True)
+    points = np.zeros((len(numbers), len(steps)), dtype=np.int64)
+    np.add.at(points, (index.reshape(-1), place.reshape(-1)), 1)
+    has = points == len(np.unique(readings.point))
+    patterns, counts = np.unique(has, axis=0, return_counts=True)
+    common = patterns[np.argmax(counts)]
+    kept = (has | ~common).all(axis=1)
+    return np.asarray(kept[index.reshape(-1)] & common[place.reshape(-1)])
+
+
 def _table(readings: Readings, residual: Float2D) -> _Table | None:
-    """Arrange residuals; configurations with a step or point missing are left out; None if too few are left."""
+    """Arrange residuals of complete configurations; None if there are too few."""
     numbers, index = np.unique(readings.configuration, return_inverse=True)
     steps, points = np.unique(readings.step), np.unique(readings.point)
     place = np.full((len(numbers), len(steps), len(points)), -1)
     place[index.reshape(-1), np.searchsorted(steps, readings.step), np.searchsorted(points, readings.point)] = (
         np.arange(len(readings))
     )
-    place = place[(place >= 0).all(axis=(1, 2))]
     if len(place) < FEWEST:
         return None
     values = residual[place]

@@ -120,6 +120,20 @@ def test_of_noise_no_law_and_no_joint_is_said(cell: Cell, readings: Readings) ->
     assert "It grows" not in said
 
 
+def test_a_reference_measured_again_and_again_hides_nothing(cell: Cell, readings: Readings) -> None:
+    first = np.flatnonzero(readings.configuration == readings.configuration[0])
+    longer = readings.select(np.concatenate([np.arange(len(readings)), first]))
+    step = longer.step.copy()
+    step[len(readings) :] += step.max() + 1
+    longer = dataclasses.replace(longer, step=step)
+    noise = NOISE * np.random.default_rng(3).standard_normal((len(longer), 3))
+    model = nominal_parameters(cell)
+    found = locate(longer, noise, cell, model)
+    alone = locate(readings, noise[: len(readings)], cell, model)
+    assert found is not None
+    assert found == alone
+
+
 def test_joints_that_explain_as_much_are_named_together(cell: Cell, readings: Readings) -> None:
     found = located(readings, turned(readings, cell, 4, 0, 4e-6 * torque(readings, cell, 4)), cell)
     assert "joint_5 (" in " ".join(found.sentences)
