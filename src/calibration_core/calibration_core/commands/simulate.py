@@ -177,6 +177,10 @@ def simulation_result(simulated: Simulated, cell: Cell) -> dict[str, Any]:
             "joints": list(simulated.parameters.joints),
             "compliance": simulated.parameters.compliance,
             "identified": "model" in simulated.inputs,
+            "effects": [
+                {"effect": effect.effect, "location": dict(effect.location), "variant": effect.variant}
+                for effect in simulated.parameters.effects
+            ],
         },
         noise_seed=simulated.seed,
         plan=PLAN if simulated.made else None,
@@ -191,6 +195,8 @@ def simulation_summary(simulated: Simulated) -> str:
     steps = sum(len(configuration.steps) for configuration in simulated.plan.primary)
     noise = "without noise" if simulated.seed is None else f"with instrument noise, seed {simulated.seed}"
     model = "identified model" if "model" in simulated.inputs else "the cell file's model"
+    if simulated.parameters.effects:
+        model += f" with {counted(len(simulated.parameters.effects), 'effect')}"
     largest = spread(1e3 * float(np.max(simulated.deflections)))
     return (
         f"{counted(len(simulated.plan.primary), 'configuration')}, {counted(steps, 'step')}, "

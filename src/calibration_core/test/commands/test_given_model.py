@@ -78,6 +78,8 @@ def test_what_a_model_simulates_it_predicts_and_without_its_effects_it_does_not(
     bare = written(tmp_path / "bare.yaml", cell_path)
     options = ("--plan", planned / "plan.yaml", "--model", model, "--no-report")
     assert run("simulate", "--cell", cell_path, *options, "--out", tmp_path / "out") == 0
+    told = result_of(tmp_path / "out")["model"]["effects"]
+    assert [effect["effect"] for effect in told] == [effect["effect"] for effect in effects]
     sizes = {}
     for recording in ("measurements.csv", "recording"):
         for name in (model, bare):
@@ -177,7 +179,7 @@ WRONG = {
     [
         (name, command)
         for name in WRONG
-        for command in ("simulate", "identify", "diagnose")
+        for command in ("simulate", "predict", "identify", "diagnose")
         if (name, command) != ("other points", "simulate")  # it measures the points of its model, whatever they are
     ],
 )

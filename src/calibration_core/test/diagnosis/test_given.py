@@ -15,6 +15,7 @@ from calibration_core.identification.predict import predict_readings
 from calibration_core.model.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
+from calibration_core.timeseries import Readings
 
 SEED = 5
 TILTING = AppliedEffect(
@@ -23,6 +24,7 @@ TILTING = AppliedEffect(
     "before",
     {"compliance_x": 2.5e-7, "compliance_y": 1.2e-7, "compliance_xy": 5e-8},
 )
+WAVE = AppliedEffect("transmission_error", {"joint": "joint_2"}, "order 2", {"sine": 2e-4, "cosine": 1e-4})
 
 
 def given(model: ModelParameters) -> GivenModel:
@@ -69,3 +71,31 @@ def test_a_second_recording_is_predicted_with_what_is_known(tmp_path: Path) -> N
     assert found.model is not None
     assert found.model.effects == (TILTING,)
     assert found.identification.model.effects == (TILTING,)
+
+
+def joined(loaded: Readings, single: Readings) -> Readings:
+    """Return both recordings as one; the second one's configurations are counted on from the first one's."""
+    last = int(loaded.configuration.max())
+    parts = {
+        name: np.concatenate([getattr(loaded, name), getattr(single, name)])
+        for name in ("step", "point", "q", "position", "wrench", "temperature")
+    }
+    return dataclasses.replace(
+        loaded,
+        **parts,
+        configuration=np.concatenate([loaded.configuration, single.configuration + last]),
+        time=np.arange(len(loaded) + len(single), dtype=float),
+    )
+
+
+def test_loads_and_single_steps_in_one_recording_are_both_freed_of_what_is_known(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    single = loaded_readings(cell, 6, 40)
+    readings = joined(loaded_readings(cell, 5), single.select(single.step == 0))
+    model = nominal_parameters(cell).replace(compliance=1 / np.array(STIFFNESS), effects=(TILTING, WAVE))
+    moved = predict_readings(readings, cell, model) - predict_readings(readings, cell, model.replace(effects=()))
+    readings = dataclasses.replace(readings, position=readings.position + moved)
+    bare = diagnose(readings, cell)
+    assert {"off_axis_compliance", "transmission_error"} <= {finding.effect for finding in bare.findings}
+    found = diagnose(readings, cell, given=given(model))
+    assert (found.verdict, found.findings) == ("consistent", ())
