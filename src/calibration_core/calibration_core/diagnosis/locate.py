@@ -173,9 +173,9 @@ class _Table:
 
 
 def _complete(readings: Readings) -> Bool1D:
-    """Return (m,) which readings belong to the steps that most configurations have of all points, and to such ones.
+    """Return (m,) which readings belong to configurations that have the steps that most have, of all points.
 
-    A reference configuration that is measured again and again has more steps than the others.
+    A reference that is measured again and again has others.
     """
     numbers, index = np.unique(readings.configuration, return_inverse=True)
     steps, place = np.unique(readings.step, return_inverse=True)
@@ -184,7 +184,7 @@ def _complete(readings: Readings) -> Bool1D:
     has = points == len(np.unique(readings.point))
     patterns, counts = np.unique(has, axis=0, return_counts=True)
     common = patterns[np.argmax(counts)]
-    kept = (has | ~common).all(axis=1)
+    kept = (has == common).all(axis=1)
     return np.asarray(kept[index.reshape(-1)] & common[place.reshape(-1)])
 
 

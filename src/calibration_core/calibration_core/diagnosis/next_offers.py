@@ -39,13 +39,15 @@ class Offer:
 def levels_of(readings: Readings) -> tuple[float, ...]:
     """Return the load levels of a recording's steps, as shares of the full load, the first being none.
 
-    A configuration with as many readings as most have stands for all (a reference that is measured again and again has
-    more); a load against the first full one is negative.
+    Of the configurations with as many readings as most have, the one of the largest load stands for all (a reference
+    that is measured again and again is not loaded); a load against the first full one is negative.
     """
     assert readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
     numbers, counts = np.unique(readings.configuration, return_counts=True)
     usual, often = np.unique(counts, return_counts=True)
-    inside = readings.configuration == numbers[counts == usual[np.argmax(often)]][0]
+    size = np.linalg.norm(readings.wrench[:, :3], axis=1)
+    among = np.isin(readings.configuration, numbers[counts == usual[np.argmax(often)]])
+    inside = readings.configuration == readings.configuration[np.argmax(np.where(among, size, -1.0))]
     steps, first = np.unique(readings.step[inside], return_index=True)
     wrench = readings.wrench[inside][first][np.argsort(steps)]
     size = np.linalg.norm(wrench[:, :3], axis=1)

@@ -122,10 +122,12 @@ def test_of_noise_no_law_and_no_joint_is_said(cell: Cell, readings: Readings) ->
 
 def test_a_reference_measured_again_and_again_hides_nothing(cell: Cell, readings: Readings) -> None:
     first = np.flatnonzero(readings.configuration == readings.configuration[0])
-    longer = readings.select(np.concatenate([np.arange(len(readings)), first]))
-    step = longer.step.copy()
-    step[len(readings) :] += step.max() + 1
-    longer = dataclasses.replace(longer, step=step)
+    longer = readings.select(np.concatenate([np.arange(len(readings)), first, first]))
+    step, configuration = longer.step.copy(), longer.configuration.copy()
+    step[-len(first) :] += step.max() + 1
+    configuration[len(readings) :] = 0
+    assert readings.configuration.min() > 0
+    longer = dataclasses.replace(longer, step=step, configuration=configuration)
     noise = NOISE * np.random.default_rng(3).standard_normal((len(longer), 3))
     model = nominal_parameters(cell)
     found = locate(longer, noise, cell, model)
