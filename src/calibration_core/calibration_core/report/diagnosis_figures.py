@@ -45,7 +45,9 @@ def before_after_figure(readings: Readings, before: Float2D, after: Float2D, noi
         left.set(xlabel=label, ylabel=f"rms residual [{unit.name}]")
         left.set_ylim(0, None)
         left.set_title("a) per configuration")
-        left.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0.2, columnspacing=1.0, handletextpad=0.3)
+        left.legend(
+            loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0.2, columnspacing=1.0, handletextpad=0.3
+        )
         _distributions(right, before, after, unit)
     return buffer.getvalue()
 
