@@ -19,7 +19,7 @@ from calibration_core.procedure.speed import Monitored
 from calibration_core.procedure.trajectory import MotionLimits, plan_motion
 from calibration_sim.live import LiveCell
 from calibration_sim.live import Path as Way
-from calibration_sim.speed_log import SpeedLog, read_speed_log
+from calibration_sim.motion_log import MotionLog, true_speeds
 from calibration_sim.truth import nominal_truth
 
 CELLS = Path(__file__).resolve().parents[1] / "config" / "cells"
@@ -33,15 +33,15 @@ def speeds(cell: Cell, seed: int, log: Path) -> np.ndarray:
     monitored = Monitored.of(chain_of(cell), nominal_parameters(cell))
     way = [*plan.startup_cycle, *(configuration.q for configuration in plan.configurations)]
     live = LiveCell(cell, nominal_truth(cell), way[0])
-    with SpeedLog(log, live) as speed_log:
+    with MotionLog(log) as motion_log:
         for goal in way[1:]:
             trajectory = plan_motion(monitored, live.q, goal, MotionLimits())
             live.follow(Way(trajectory.time, trajectory.position, trajectory.velocity))
             while live.moving:
-                speed_log.add(*live.advance(live.time + 0.1))
+                motion_log.add(*live.advance(live.time + 0.1))
             np.testing.assert_allclose(live.q, goal, atol=1e-9)
-            speed_log.add(*live.advance(live.time + 0.1))
-    return read_speed_log(log)[:, 1]
+            motion_log.add(*live.advance(live.time + 0.1))
+    return true_speeds(log, live)[:, 1]
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_no_point_is_ever_too_fast(tmp_path: Path, name: str, plans: int) -> Non
     cell = load_cell(CELLS / f"{name}.cell.yaml")
     fastest, used = [], []
     for seed in range(plans):
-        found = speeds(cell, seed, tmp_path / f"{seed}.csv")
+        found = speeds(cell, seed, tmp_path / f"{seed}.log")
         fastest.append(found.max())
         used.append(found.mean() / LIMIT)
     print(f"\n{name}: {plans} plans, fastest {1e3 * max(fastest):.1f} mm/s, in motion {np.mean(used):.2f} of the limit")

@@ -78,7 +78,7 @@ class Suite:
 
     def start_fast(self, speed: float = SPEED) -> None:
         """Start everything that a measurement needs, faster than life."""
-        self.start("simulated_cell", FAST, speed=speed, seed=1, speed_log=self.directory / "speed.csv")
+        self.start("simulated_cell", FAST, speed=speed, seed=1, motion_log=self.directory / "motion.log")
         for name in ("guard", "tracker", "force_torque", "sequencer"):
             self.start(name, FAST)
         self.start("recorder", FAST, out=self.bag)

@@ -7,8 +7,10 @@ while the node lives on; `~/open` continues the bag with a further file.
 from __future__ import annotations
 
 import collections
+import math
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,8 @@ from calibration_core.cell import load_cell
 from calibration_core.errors import OutputError
 from calibration_core.recording.live_writer import LiveBag, LiveTopic
 
-LOOK = 0.05  # s of wall time between looks for publishers
+LOOK = 0.05  # s of wall time between looks for new publishers
+THOROUGH = 1.0  # s of wall time between looks at what all publishers offer
 
 PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
@@ -43,6 +46,8 @@ class RecorderNode(CalibrationNode):
         super().__init__("recorder", PARAMETERS, **kwargs)
         self._topics = recorded_topics(load_cell(self.value("cell")))
         self._heard: dict[str, tuple[Any, Any]] = {}
+        self._publishers: dict[str, int] = {}
+        self._looked = -math.inf  # s of the monotonic clock
         self._queue: collections.deque[Item] = collections.deque()
         self._infos: dict[str, LiveTopic] = {}
         self._numbers: dict[str, int] = {}
@@ -64,8 +69,19 @@ class RecorderNode(CalibrationNode):
     # --- what comes in ----------------------------------------------------------------------------------------
 
     def _look(self) -> None:
-        """Subscribe to what is published; our own topics at once, for their quality is known."""
+        """Subscribe to what is published; our own topics at once, for their quality is known.
+
+        Asking who publishes what is slow: topics whose number of publishers has not changed wait for the thorough look.
+        """
+        now = time.monotonic()
+        thorough = now - self._looked >= THOROUGH
+        if thorough:
+            self._looked = now
         for topic in self._topics:
+            count = self.count_publishers(topic.relative)
+            if count == self._publishers.get(topic.name, 0) and not thorough:
+                continue
+            self._publishers[topic.name] = count
             offered = self.get_publishers_info_by_topic(topic.relative)
             if topic.name in self._heard:
                 subscription, asked = self._heard[topic.name]

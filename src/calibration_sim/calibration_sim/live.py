@@ -230,8 +230,5 @@ def watched(cell: LiveCell, q: Float2D) -> Float3D:
     """
     truth = cell.truth
     on_flange = np.array([np.zeros(3), truth.force_torque.translation, truth.wrench_point, *truth.points.values()])
-    rows = []
-    for angles in q:
-        flange = cell.mechanism.forward(angles)
-        rows.append(np.vstack([cell.mechanism.origins(angles), flange.apply(on_flange)]))
-    return np.array(rows)
+    origins, rotations, flanges = cell.mechanism.postures(q)
+    return np.concatenate([origins, flanges[:, None] + on_flange @ rotations.transpose(0, 2, 1)], axis=1)

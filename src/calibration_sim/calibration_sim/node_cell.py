@@ -39,9 +39,9 @@ from calibration_sim.faults import Fault, Faults, Kind
 from calibration_sim.live import LiveCell, Refused
 from calibration_sim.live_sensors import LiveSensors
 from calibration_sim.mjcf import Spring
+from calibration_sim.motion_log import MotionLog
 from calibration_sim.node_messages import PARAMETERS, path_of, reported, wrench_message, wrench_values
 from calibration_sim.schedule import Schedule
-from calibration_sim.speed_log import SpeedLog
 from calibration_sim.streams import START, Rates
 from calibration_sim.truth import draw_truth, nominal_truth
 
@@ -82,12 +82,13 @@ class SimulatedCell(Node):
         self._owner: object = None
         self._epoch = START if self._with_clock else time.time_ns()
         self._clock_sent = 0.0
+        self._woken = 0.0  # s of the monotonic clock
         self._frozen: list[float] = []
         self._last_state: dict[str, Any] = {}
         self._seen: dict[str, Float1D] = {}
         self._log = self._open_log("event_log")
-        speed_log = self._value("speed_log")
-        self._speed_log = SpeedLog(FilePath(speed_log), self.live) if speed_log else None
+        motion_log = self._value("motion_log")
+        self._motion_log = MotionLog(FilePath(motion_log)) if motion_log else None
         self._interfaces()
 
     def _interfaces(self) -> None:
@@ -149,11 +150,11 @@ class SimulatedCell(Node):
             self.faults.at(until)
             live.haste = 0.0 if on(Kind.EMERGENCY_STOP) else self.faults.value(Kind.OVER_SPEED, 1.0)
             live.blocked_after = 0.5 if on(Kind.BLOCKED) else 1.0
-            was_moving = live.moving
+            before = live.moving, live.loading
             moved = live.advance(until)
-            if self._speed_log is not None:
-                self._speed_log.add(*moved)
-            if was_moving and not live.moving:
+            if self._motion_log is not None:
+                self._motion_log.add(*moved)
+            if before[0] and not live.moving:
                 self.log("rest")
             due = self.schedule.due(until)
             self._send_clock(until)
@@ -167,7 +168,13 @@ class SimulatedCell(Node):
                 self._temperature.publish(Temperature(header=self._header(), temperature=self._sensors.temperature()))
             self._send_state(always="state" in due)
             self.ticks += 1
-        if self.executor is not None:
+        self._wake(changed=before != (live.moving, live.loading))
+
+    def _wake(self, *, changed: bool) -> None:
+        """Let goals that wait look again: at once when something has ended, now and then for their feedback."""
+        now = time.monotonic()
+        if self.executor is not None and (changed or now - self._woken > FEEDBACK):
+            self._woken = now
             self.executor.wake()
 
     def stamp(self) -> Time:
@@ -348,14 +355,14 @@ class SimulatedCell(Node):
 
     def close(self) -> None:
         """Close the files."""
-        if self._speed_log is not None:
-            self._speed_log.close()
+        if self._motion_log is not None:
+            self._motion_log.close()
         if self._log is not None:
             self._log.close()
 
 
 class _NextTick:
-    """Awaits the next step of the cell; the executor is woken after each."""
+    """Awaits a later step of the cell, as soon as something has ended or feedback is due."""
 
     def __init__(self, node: SimulatedCell) -> None:
         self._node, self._at = node, node.ticks

@@ -31,7 +31,7 @@ PARAMETERS: dict[str, tuple[Any, str]] = {
     "load_ramp": (2.0, "s, every change of load."),
     "home": ([0.0], "rad, where the robot stands at first, one per joint; a single 0: all zero, within the limits."),
     "operating_mode": (RobotState.MODE_MANUAL_REDUCED, "RobotState.MODE_* that is reported."),
-    "speed_log": ("", "File for the true speed at every millisecond of motion; empty: none."),
+    "motion_log": ("", "File for the true angles at every millisecond of motion; empty: none."),
     "event_log": ("", "File for faults and commands with the monotonic clock's ns; empty: none."),
 }
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calibration_core.errors import EquilibriumError
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 from calibration_sim.chain import Chain
 from calibration_sim.mjcf import Spring, build_mjcf
 from calibration_sim.transforms import Placement
@@ -135,6 +135,23 @@ class Mechanism:
         """Return the origins (links, 3) of all links in the base frame, m, with the links at `angles` (n,) rad."""
         self.forward(angles)
         return np.array(self.data.xpos[self._links])
+
+    def postures(self, angles: Float2D) -> tuple[Float3D, Float3D, Float2D]:
+        """Return what `origins` and `forward` say, for link angles (k, n) rad at once.
+
+        Returns:
+            Origins (k, links, 3) m, rotations (k, 3, 3) and origins (k, 3) m of the flange, base frame.
+        """
+        origins = np.empty((len(angles), len(self._links), 3))
+        rotations, flanges = np.empty((len(angles), 9)), np.empty((len(angles), 3))
+        data = self.data
+        data.qpos[:] = 0.0
+        for row, each in enumerate(np.asarray(angles) + self._zero):
+            data.qpos[self._dofs] = each
+            mujoco.mj_kinematics(self.model, data)
+            origins[row] = data.xpos[self._links]
+            rotations[row], flanges[row] = data.xmat[self._flange], data.xpos[self._flange]
+        return origins, rotations.reshape(-1, 3, 3), flanges
 
     def places(self) -> Float2D:
         """Return the origins (links, 3) of all links in the base frame, m, where the last solution left them."""

@@ -14,9 +14,9 @@ from calibration_sim.faults import Fault, Faults, Kind
 from calibration_sim.live import BRAKING, LiveCell, Path, Refused
 from calibration_sim.live_sensors import LiveNoise, LiveSensors
 from calibration_sim.mjcf import Spring
+from calibration_sim.motion_log import MotionLog, true_speeds
 from calibration_sim.schedule import Schedule
 from calibration_sim.sensors import stream_noise
-from calibration_sim.speed_log import SpeedLog, read_speed_log
 from calibration_sim.streams import Rates
 from calibration_sim.table import build_mechanism, solve_states
 from calibration_sim.truth import Truth, nominal_truth
@@ -162,12 +162,12 @@ def test_it_rings_after_a_change_of_load(live: LiveCell) -> None:
     assert deviation[160:].max() < 0.05 * deviation[:60].max()
 
 
-def test_speed_log_is_the_true_speed(live: LiveCell, tmp_path: FilePath) -> None:
-    with SpeedLog(tmp_path / "speed.csv", live) as log:
+def test_motion_log_tells_the_true_speed(live: LiveCell, tmp_path: FilePath) -> None:
+    with MotionLog(tmp_path / "motion.log") as log:
         live.follow(path())
         for _ in range(210):
             log.add(*live.advance(live.time + 0.01))
-    found = read_speed_log(tmp_path / "speed.csv")
+    found = true_speeds(tmp_path / "motion.log", live)
     assert len(found) == pytest.approx(2000, abs=2)
     np.testing.assert_allclose(np.diff(found[:, 0]), 1e-3, atol=2e-4)
     in_flange = np.array(list(live.truth.points.values()))
