@@ -46,7 +46,7 @@ class RecorderNode(CalibrationNode):
         super().__init__("recorder", PARAMETERS, **kwargs)
         self._topics = recorded_topics(load_cell(self.value("cell")))
         self._heard: dict[str, tuple[Any, Any]] = {}
-        self._publishers: dict[str, int] = {}
+        self._counted: dict[str, int] = {}
         self._looked = -math.inf  # s of the monotonic clock
         self._queue: collections.deque[Item] = collections.deque()
         self._infos: dict[str, LiveTopic] = {}
@@ -79,9 +79,9 @@ class RecorderNode(CalibrationNode):
             self._looked = now
         for topic in self._topics:
             count = self.count_publishers(topic.relative)
-            if count == self._publishers.get(topic.name, 0) and not thorough:
+            if count == self._counted.get(topic.name, 0) and not thorough:
                 continue
-            self._publishers[topic.name] = count
+            self._counted[topic.name] = count
             offered = self.get_publishers_info_by_topic(topic.relative)
             if topic.name in self._heard:
                 subscription, asked = self._heard[topic.name]
