@@ -10,6 +10,7 @@ import dataclasses
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -226,17 +227,23 @@ class Cell:
 def strike_all(suite: Any, plan: Path, repetitions: int, faults: tuple[Fault, ...]) -> dict[str, list[float]]:
     """Let every fault happen; return how late the command to stop came, s."""
     late: dict[str, list[float]] = {fault.name: [] for fault in faults}
+    unused: Counter[str] = Counter()
     try:
-        strike_each(suite, plan, repetitions, faults, late)
+        strike_each(suite, plan, repetitions, faults, late, unused)
     finally:
-        show(late)
+        show(late, unused)
     return late
 
 
 def strike_each(
-    suite: Any, plan: Path, repetitions: int, faults: tuple[Fault, ...], late: dict[str, list[float]]
+    suite: Any,
+    plan: Path,
+    repetitions: int,
+    faults: tuple[Fault, ...],
+    late: dict[str, list[float]],
+    unused: Counter[str],
 ) -> None:
-    """Let every fault happen; note how late the command to stop came, s."""
+    """Let every fault happen; note how late the command to stop came, s, and how often no motion was left to stop."""
     rng = np.random.default_rng(repetitions)
     cell = Cell(suite, plan)
     begin = 0
@@ -247,6 +254,7 @@ def strike_each(
             known = cell.strike(fault)
             commanded = cell.stop_commanded(fault, known)
             if commanded is None:
+                unused[fault.name] += 1
                 begin = cell.recover(fault)
         late[fault.name].append((commanded - known) / 1e9)
         cell.wait(lambda fault=fault, known=known: cell.reason(fault, known), f"{fault.name}: no reason")
@@ -259,11 +267,11 @@ def strike_each(
     print(f"\n{len(cell.readings)} readings were confirmed meanwhile")
 
 
-def show(late: dict[str, list[float]]) -> None:
-    print(f"{'command to stop after':22s} {'median':>8s} {'99 %':>8s} {'max':>8s}  times")
+def show(late: dict[str, list[float]], unused: Counter[str]) -> None:
+    print(f"{'command to stop after':22s} {'median':>8s} {'99 %':>8s} {'max':>8s}  times  repeated (nothing moved)")
     for name, values in ((name, values) for name, values in late.items() if values):
         median, most, worst = 1e3 * np.median(values), 1e3 * np.quantile(values, 0.99), 1e3 * max(values)
-        print(f"{name:22s} {median:5.0f} ms {most:5.0f} ms {worst:5.0f} ms  {len(values)}")
+        print(f"{name:22s} {median:5.0f} ms {most:5.0f} ms {worst:5.0f} ms  {len(values):5d}  {unused[name]}")
 
 
 def judge(late: dict[str, list[float]], share: float) -> None:
