@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import chi2
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.absolute_changes import FAMILY, Steps, anomaly_of, select_changes
@@ -32,6 +31,7 @@ from calibration_core.diagnosis.blocks import Blocks, posture_blocks, time_block
 from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
 from calibration_core.identification.absolute import Evaluated, evaluate_absolute, identification_of
 from calibration_core.identification.absolute_problem import absolute_problem
+from calibration_core.identification.distributions import chi2_limit
 from calibration_core.identification.estimate import Anomaly, TestResult
 from calibration_core.identification.geometry import fit
 from calibration_core.identification.robust import Key
@@ -207,8 +207,8 @@ def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, Steps]:
 def fitting_after_all(extended: AbsoluteExtended, readings: Readings) -> frozenset[Key]:
     """Return the readings that the null model called gross errors and the extended model explains."""
     squares = np.sum(extended.rest.reshape(-1, 3) ** 2, axis=1)
-    scale = max(float(np.median(squares[extended.used])) / float(chi2.median(3)), 1.0)
-    limit = scale * float(chi2.isf(GROSS / len(squares), 3))
+    scale = max(float(np.median(squares[extended.used])) / chi2_limit(0.5, 3), 1.0)
+    limit = scale * chi2_limit(GROSS / len(squares), 3)
     rows = np.flatnonzero(~extended.used & (squares < limit))
     names = readings.points
     return frozenset((int(readings.configuration[k]), int(readings.step[k]), names[readings.point[k]]) for k in rows)

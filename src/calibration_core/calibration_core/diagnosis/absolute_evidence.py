@@ -181,20 +181,24 @@ def _scores(
 
 def _bayes_factors(score: Float3D, gram: Float4D, signs: Float2D, variance: float) -> Float2D:
     """Return log Bayes factors (f, c) for block scores (b, c, k), Gram matrices (b, c, k, k) and signs (f, b)."""
-    total = gram.sum(axis=0)  # (c, k, k)
-    inverse, _ = _inverse(total)
     blocks, candidates, k = score.shape
+    total = gram.sum(axis=0)  # (c, k, k)
+    inverse = _inverse(total)[0][:, None]  # (c, 1, k, k), for all signs of a candidate
+    score = np.ascontiguousarray(score.transpose(1, 2, 0))  # (c, k, b)
+    flat = gram.transpose(1, 2, 3, 0).reshape(candidates, k, k * blocks)  # (c, l, k b), symmetric in k and l
     result = np.empty((len(signs), candidates))
     for first in range(0, len(signs), CHUNK):
         sign = signs[first : first + CHUNK]
-        estimate = np.einsum("ckl,fcl->fck", inverse, np.tensordot(sign, score, axes=1))
-        left = sign[:, :, None, None] * score - np.einsum("bckl,fcl->fbck", gram, estimate)
-        meat = np.einsum("fbck,fbcl->fckl", left, left) * (blocks / (blocks - k)) + FLOOR * variance * total
-        covariance = np.einsum("cij,fcjk,ckl->fcil", inverse, meat, inverse)
+        f = len(sign)
+        estimate = inverse @ (score @ sign.T).transpose(0, 2, 1)[..., None]  # (c, f, k, 1)
+        fitted = (estimate[..., 0] @ flat).reshape(candidates, f, k, blocks)
+        left = sign[:, None, :] * score[:, None] - fitted
+        meat = left @ left.swapaxes(2, 3) * (blocks / (blocks - k)) + FLOOR * variance * total[:, None]
+        covariance = inverse @ meat @ inverse
         narrow, log_narrow = _inverse(covariance)
         wide, log_wide = _inverse(covariance + np.eye(k))
-        squares = np.einsum("fci,fcij,fcj->fc", estimate, narrow - wide, estimate)
-        result[first : first + CHUNK] = 0.5 * (squares + log_narrow - log_wide)
+        squares = (estimate.swapaxes(2, 3) @ ((narrow - wide) @ estimate))[..., 0, 0]
+        result[first : first + CHUNK] = 0.5 * (squares + log_narrow - log_wide).T
     return result
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from calibration_core.diagnosis.absolute_design import AbsoluteDesign
 from calibration_core.diagnosis.absolute_fit import AbsoluteExtended
 from calibration_core.diagnosis.blocks import Blocks
 from calibration_core.diagnosis.finding import Rest
 from calibration_core.diagnosis.left_out import left_out
+from calibration_core.identification.distributions import f_tail
 from calibration_core.identification.estimate import NoiseAudit
 from calibration_core.identification.rest import compare_neighbours
 from calibration_core.model.effects.transmission_error import order_of
@@ -91,7 +91,7 @@ def _floor(
 
 def _exceeds(variance: float, noise: float, freedom: int, noise_freedom: int) -> bool:
     ratio = variance / noise**2
-    chance = float(f_distribution.sf(ratio, freedom, noise_freedom))
+    chance = f_tail(ratio, freedom, noise_freedom)
     return bool(chance < SIGNIFICANT and np.sqrt(ratio) > SMALLEST_EXCESS)
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from calibration_core.diagnosis.moved import Step, target_step, tracker_step
 from calibration_core.diagnosis.noise import Scatter, left_over
 from calibration_core.diagnosis.shape import Shape, own_variances, shape_of
+from calibration_core.identification.distributions import f_tail
 from calibration_core.identification.estimate import Anomaly
 from calibration_core.identification.loaded import PreparedLoaded
 from calibration_core.model.effects.state import State
@@ -80,7 +80,7 @@ def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
 
 def noise_understated(seen: Scatter, claimed: float) -> tuple[Anomaly, ...]:
     """Say whether readings scatter more than the instrument claims (standard deviation `claimed`, m)."""
-    certain = seen.freedom > 0 and f_distribution.sf(seen.total**2, seen.freedom, 10**6) < CERTAIN
+    certain = seen.freedom > 0 and f_tail(seen.total**2, seen.freedom, 10**6) < CERTAIN
     if not certain or seen.total < UNDERSTATED:
         return ()
     text = (
@@ -155,7 +155,7 @@ def _loose_target(prepared: PreparedLoaded, state: State, shape: Shape) -> tuple
     others = float(np.median(np.delete(np.clip(variances, 0.0, None), worst)))
     floor = float(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3) * 0.25
     ratio = float(variances[worst]) / max(others, floor)
-    if ratio < LOOSE or f_distribution.sf(ratio / 2, freedom, freedom) > CERTAIN:
+    if ratio < LOOSE or f_tail(ratio / 2, freedom, freedom) > CERTAIN:
         return None
     size = float(np.sqrt(variances[worst]))
     kinds = np.unique(prepared.problem.readings.point)
@@ -181,7 +181,7 @@ def _unsettled(
     freedom = np.array([3 * len(g.rest) for g in groups])
     quiet = float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)]))
     ratio = power / quiet
-    chance = f_distribution.sf(ratio, freedom, float(freedom.sum()) / 2)
+    chance = np.array([f_tail(r, f, float(freedom.sum()) / 2) for r, f in zip(ratio, freedom, strict=True)])
     restless = (ratio > SWINGING) & (chance * len(groups) < CERTAIN)
     if not restless.any():
         return None

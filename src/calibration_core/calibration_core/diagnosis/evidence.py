@@ -18,11 +18,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr
 
 from calibration_core.diagnosis.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.kin import are_kin
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 NOISE_ALONE = (0.0,)  # where the noise is what the model leaves, small effects are part of it
 LEVELS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5)
@@ -41,11 +43,30 @@ class Base:
         design: The whitened model.
         gram: Gram matrix of [null, columns, residual].
         unit: (p,) amplitude of the discrepancy per unit of signal-to-noise ratio, in prior standard deviations.
+        shares: What `law_share` has returned, by what was accepted: the search comes back to the same sets.
+        profiles: What `judge` has returned, likewise, and by the levels.
     """
 
     design: Design
     gram: Float2D
     unit: Float1D
+    shares: dict[frozenset[int], Float1D] = dataclasses.field(default_factory=dict)
+    profiles: dict[tuple[frozenset[int], tuple[float, ...]], Profile] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Profile:
+    """All candidates beside what was accepted, each at the level that suits it best.
+
+    Attributes:
+        scores: (l,) log Bayes factors, nats.
+        levels: (l,) the level that suits each.
+        level: The level that suits the null model best.
+    """
+
+    scores: Float1D
+    levels: Float1D
+    level: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -136,6 +157,16 @@ def profile(several: tuple[Field, ...]) -> tuple[Float1D, Float1D]:
     return totals.max(axis=0) - best_field(several).likelihood, totals.argmax(axis=0)
 
 
+def judge(base: Base, accepted: tuple[int, ...], levels: tuple[float, ...] = LEVELS) -> Profile:
+    """Return the profile beside what was accepted, the law of the accepted ones known to a share."""
+    key = frozenset(accepted), levels
+    if key not in base.profiles:
+        several = fields(base, accepted, law_share(base, accepted), levels)
+        scores, at = profile(several)
+        base.profiles[key] = Profile(scores, np.array(levels)[at], best_field(several).level)
+    return base.profiles[key]
+
+
 def log_bayes_factors(f: Field) -> Float1D:
     """Return the log Bayes factor of every candidate beside what was accepted, at the field's level, (l,) nats."""
     return _scores(f.design, f.schur[:-1, :-1], f.schur[:-1, -1:])[:, 0]
@@ -177,6 +208,8 @@ def visible_size(f: Field, candidate: int) -> float:
 
 def law_share(base: Base, accepted: tuple[int, ...]) -> Float1D:
     """Return the (p,) signal-to-noise ratio that accepted effects lend to the places of their kin."""
+    if frozenset(accepted) in base.shares:
+        return base.shares[frozenset(accepted)]
     design = base.design
     share = np.zeros(len(base.unit))
     for position, index in enumerate(accepted):
@@ -186,6 +219,7 @@ def law_share(base: Base, accepted: tuple[int, ...]) -> Float1D:
             if are_kin(design.candidates[index], candidate):
                 block = design.blocks[other]
                 share[block] = np.maximum(share[block], size)
+    base.shares[frozenset(accepted)] = share
     return share
 
 
@@ -238,7 +272,7 @@ def _metric(design: Design, gram: Float2D, weights: Float1D) -> tuple[Float2D, f
     scaled = gram[:, n + active] * weights[active]
     core = np.eye(len(active)) + scaled[n + active] * weights[active][:, None]
     lower = np.linalg.cholesky(core)
-    half = np.linalg.solve(lower, scaled.T)
+    half = solve_triangular(lower, scaled.T, lower=True, check_finite=False)
     return gram - half.T @ half, 2 * float(np.log(np.diag(lower)).sum())
 
 
@@ -259,45 +293,58 @@ def _scores(design: Design, schur: Float2D, vectors: Float2D) -> Float2D:
     """Return log Bayes factors (l, s) of all candidates for s right-hand sides.
 
     Where physics allows positive values only the prior is one half of the normal per parameter; by what share of the
-    two-sided posterior is positive in all of them the factor changes.
+    two-sided posterior is positive in all of them the factor changes.  Candidates of equal shape are taken together.
     """
     result = np.empty((len(design.blocks), vectors.shape[1]))
-    for index, block in enumerate(design.blocks):
-        matrix = np.eye(block.stop - block.start) + schur[block, block]
+    for members, columns, positive in _alike(design):
+        matrix = np.eye(columns.shape[1]) + schur[columns[:, :, None], columns[:, None, :]]
         lower = np.linalg.cholesky(matrix)
-        half = np.linalg.solve(lower, vectors[block])
-        result[index] = 0.5 * (half**2).sum(axis=0) - np.log(np.diag(lower)).sum()
-        positive = design.positive[block]
+        half = np.linalg.solve(lower, vectors[columns])
+        log_det = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        result[members] = 0.5 * (half**2).sum(axis=1) - log_det[:, None]
         if positive.any():
-            inverse = np.linalg.inv(lower)
-            covariance = (inverse.T @ inverse)[np.ix_(positive, positive)]
-            mean = (inverse.T @ half)[positive]
-            result[index] += positive.sum() * np.log(2) + log_positive(mean, covariance)
+            across = np.linalg.inv(lower).transpose(0, 2, 1)[:, positive]
+            share = log_positive(across @ half, across @ across.transpose(0, 2, 1))
+            result[members] += positive.sum() * np.log(2) + share
     return result
 
 
-def log_positive(mean: Float2D, covariance: Float2D) -> Float1D:
-    """Return the log probability that all of k joint normal variables are positive, (s,).
+def _alike(design: Design) -> list[tuple[Int1D, NDArray[np.int64], Bool1D]]:
+    """Group candidates of equal shape: their indices (c,), their columns (c, k), which parameters are positive (k,)."""
+    shapes: dict[bytes, list[int]] = {}
+    for index, block in enumerate(design.blocks):
+        shapes.setdefault(design.positive[block].tobytes(), []).append(index)
+    groups = []
+    for members in shapes.values():
+        columns = np.array([range(design.blocks[i].start, design.blocks[i].stop) for i in members])
+        groups.append((np.array(members), columns, design.positive[design.blocks[members[0]]]))
+    return groups
+
+
+def log_positive(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the log probability that all of k joint normal variables are positive, (..., s).
 
     One after another: after each, the others are given the moments that they have where it is positive, and are taken
     as normal again (Mendell and Elston 1974); exact for independent variables, and right in the far tail.
 
     Args:
-        mean: (k, s).
-        covariance: (k, k).
+        mean: (..., k, s).
+        covariance: (..., k, k).
     """
-    k, samples = mean.shape
+    k = mean.shape[-2]
     mean = mean.copy()
-    spread = np.tile(covariance, (samples, 1, 1))
-    result = np.zeros(samples)
+    spread = np.repeat(covariance[..., None], mean.shape[-1], axis=-1)  # (..., k, k, s)
+    result = np.zeros((*mean.shape[:-2], mean.shape[-1]))
     for i in range(k):
-        std = np.sqrt(spread[:, i, i])
-        z = mean[i] / std
+        std = np.sqrt(spread[..., i, i, :])
+        z = mean[..., i, :] / std
         share = log_ndtr(z)
         result += share
+        if i == k - 1:
+            break
         mills = np.exp(-0.5 * z**2 - share) / np.sqrt(2 * np.pi)
-        cross = spread[:, i, i + 1 :] / std[:, None]
-        mean[i + 1 :] += (cross * mills[:, None]).T
-        narrower = np.clip(mills * (mills + z), 0.0, 1.0 - TINY)
-        spread[:, i + 1 :, i + 1 :] -= narrower[:, None, None] * cross[:, :, None] * cross[:, None, :]
+        cross = spread[..., i, i + 1 :, :] / std[..., None, :]
+        mean[..., i + 1 :, :] += cross * mills[..., None, :]
+        narrower = np.clip(mills * (mills + z), 0.0, 1.0 - TINY)[..., None, None, :]
+        spread[..., i + 1 :, i + 1 :, :] -= narrower * cross[..., :, None, :] * cross[..., None, :, :]
     return result

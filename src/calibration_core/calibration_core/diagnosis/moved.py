@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from calibration_core.diagnosis.shape import Shape
+from calibration_core.identification.distributions import f_tail
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings
 
 CERTAIN = 1e-6
@@ -61,7 +61,7 @@ def _step_chance(series: Float2D, good: np.ndarray, first: int) -> tuple[float, 
     difference = after.mean(axis=0) - before.mean(axis=0)
     explained = float(difference @ difference) * len(before) * len(after) / (len(before) + len(after))
     freedom = 3 * (len(before) + len(after) - 2)
-    return explained, float(f_distribution.sf(explained / 3 / max(within / freedom, 1e-30), 3, freedom))
+    return explained, f_tail(explained / 3 / max(within / freedom, 1e-30), 3, freedom)
 
 
 def tracker_step(residual: Float2D, place: Float2D, axes: Float3D, readings: Readings) -> Step | None:
@@ -111,7 +111,7 @@ def tracker_step(residual: Float2D, place: Float2D, axes: Float3D, readings: Rea
     centre = place.mean(axis=0)
     shift = _motion(centre) @ values
     size = float(np.linalg.norm(shift))
-    if f_distribution.sf(ratio, 6, freedom) * k > CERTAIN or size < LEAST_TRACKER:
+    if f_tail(ratio, 6, freedom) * k > CERTAIN or size < LEAST_TRACKER:
         return None
     return Step(first, -1, shift, size)
 

@@ -164,26 +164,22 @@ def _shared(groups: list[_Group], own: Float1D, points: int) -> tuple[float, flo
     """Return size (over own) and memory of the shared part by maximum likelihood; zeros if it convinces too little."""
     best, result, alone = -np.inf, (0.0, 0.0), -np.inf
     for memory in MEMORY:
-        for variance in SHARED:
-            value = sum(_log_likelihood(group, own, points, variance, memory) for group in groups)
-            alone = value if variance == 0 and memory == 0 else alone
-            if value > best:
-                best, result = value, (float(np.sqrt(variance)), memory)
+        values = sum((_log_likelihoods(group, own, points, memory) for group in groups), np.zeros(len(SHARED)))
+        alone = float(values[0]) if memory == 0 else alone
+        most = int(np.argmax(values))
+        if values[most] > best:
+            best, result = float(values[most]), (float(np.sqrt(SHARED[most])), memory)
     return result if best > alone + CONVINCING else (0.0, 0.0)
 
 
-def _log_likelihood(group: _Group, own: Float1D, points: int, variance: float, memory: float) -> float:
+def _log_likelihoods(group: _Group, own: Float1D, points: int, memory: float) -> Float1D:
+    """Return the log likelihood of a group for every size in `SHARED`; one eigenbasis serves all sizes."""
     steps = len(group.basis)
     chain = memory ** np.abs(np.subtract.outer(np.arange(steps), np.arange(steps)))
-    remembered = variance * group.basis.T @ chain @ group.basis
-    total = 0.0
-    for axis in range(3):
-        white = 1 / points + float(group.known[axis]) / own[axis] ** 2
-        covariance = remembered + white * np.eye(group.left)
-        lower = np.linalg.cholesky(covariance)
-        half = np.linalg.solve(lower, group.mean[:, axis] / own[axis])
-        total -= 0.5 * float(half @ half) + float(np.log(np.diag(lower)).sum())
-    return total
+    values, vectors = np.linalg.eigh(group.basis.T @ chain @ group.basis)
+    white = 1 / points + group.known / own**2
+    variance = np.array(SHARED)[:, None, None] * values[:, None] + white  # (sizes, l, 3)
+    return np.asarray(-0.5 * ((vectors.T @ (group.mean / own)) ** 2 / variance + np.log(variance)).sum(axis=(1, 2)))
 
 
 def _ranks(readings: Readings) -> Int1D:

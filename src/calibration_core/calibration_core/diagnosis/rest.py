@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from calibration_core.diagnosis.design import Design
 from calibration_core.diagnosis.extended import Extended
 from calibration_core.diagnosis.finding import Rest
 from calibration_core.diagnosis.noise import Scatter
-from calibration_core.identification.distributions import chi2_tail
+from calibration_core.identification.distributions import chi2_tail, f_tail
 from calibration_core.timeseries import Float1D, Readings
 
 SIGNIFICANT = 0.001
@@ -32,7 +31,7 @@ def what_remains(extended: Extended, seen: Scatter, claimed: float, readings: Re
     rest, ratio, freedom = weighted_rest(extended)
     trusted = seen.freedom > 0
     if trusted:
-        sigma, tail = claimed * seen.total, float(f_distribution.sf(ratio, freedom, seen.freedom))
+        sigma, tail = claimed * seen.total, f_tail(ratio, freedom, seen.freedom)
     else:  # nothing but the claim to compare with
         ratio *= seen.total**2
         sigma, tail = claimed, chi2_tail(ratio * freedom, freedom)
@@ -73,7 +72,7 @@ def odd_configurations(rest: Float1D, design: Design, seen: Scatter) -> list[int
         used_up = design.n / len(numbers)
         freedom = max(float(inside.sum()) - used_up, 1.0)
         power = float(rest[inside] @ rest[inside]) / freedom
-        chances[int(k)] = float(f_distribution.sf(power, freedom, seen.freedom))
+        chances[int(k)] = f_tail(power, freedom, seen.freedom)
     return sorted((k for k in chances if chances[k] * len(numbers) < ODD), key=lambda k: chances[k])
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import chi2
 
+from calibration_core.identification.distributions import chi2_limit
 from calibration_core.identification.offsets import Rows, deleted
 from calibration_core.timeseries import Float2D, Int1D
 
@@ -32,8 +32,8 @@ def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
         some = dataclasses.replace(some, configuration=np.unique(some.configuration, return_inverse=True)[1])
         squared, _, _ = deleted(some, residual[used])
         testable = squared > 0
-        scale = float(np.median(squared[testable]) / chi2.median(3)) if testable.any() else 1.0
-        limit = float(chi2.isf(FALSE_EXCLUSION / m, 3)) * max(1.0, scale)
+        scale = float(np.median(squared[testable]) / chi2_limit(0.5, 3)) if testable.any() else 1.0
+        limit = chi2_limit(FALSE_EXCLUSION / m, 3) * max(1.0, scale)
         suspects = np.flatnonzero(squared > limit)
         if not len(suspects):
             break

@@ -18,13 +18,11 @@ from calibration_core.diagnosis.evidence import (
     Base,
     Field,
     base_of,
-    best_field,
     field,
-    fields,
+    judge,
     law_share,
     log_bayes_factors,
     posterior,
-    profile,
     threshold,
     visible_size,
     without_kin,
@@ -95,12 +93,10 @@ def select(design: Design, levels: tuple[float, ...] = LEVELS, freedom: int = 0)
     accepted: tuple[int, ...] = ()
     rejected, limit = "nothing came near the threshold", 0.0
     while True:
-        several = fields(base, accepted, law_share(base, accepted), levels)
-        now = best_field(several)
-        scores, at = profile(several)
-        _close_taken(design, scores, accepted)
-        limit = max(threshold(now, freedom), LEAST)
-        found, rejected = _first_that_passes(several, now, scores, at, limit)
+        at = judge(base, accepted, levels)
+        scores = _open_scores(base, accepted, levels)
+        limit = max(threshold(_field(base, accepted, at.level), freedom), LEAST)
+        found, rejected = _first_that_passes(base, accepted, scores, at.levels, limit)
         more = _together(base, accepted, limit, levels) if found is None else (found,)
         if not more or len(accepted) + len(more) > MOST:
             break
@@ -108,18 +104,23 @@ def select(design: Design, levels: tuple[float, ...] = LEVELS, freedom: int = 0)
         if set(refined) == set(accepted):
             break
         accepted = refined
-    return Selection(_choices(base, accepted, now.level), accepted, now.level, limit, rejected)
+    return Selection(_choices(base, accepted, at.level), accepted, at.level, limit, rejected)
 
 
-def _close_taken(design: Design, scores: Float1D, accepted: tuple[int, ...]) -> None:
-    """Exclude places that are taken."""
-    places = {design.candidates[index].place for index in accepted}
-    taken = [index for index, candidate in enumerate(design.candidates) if candidate.place in places]
-    scores[taken] = -np.inf
+def _field(base: Base, accepted: tuple[int, ...], level: float) -> Field:
+    return field(base, accepted, level, law_share(base, accepted))
+
+
+def _open_scores(base: Base, accepted: tuple[int, ...], levels: tuple[float, ...]) -> Float1D:
+    """Return the log Bayes factors of all candidates beside the accepted ones, (l,); -inf where a place is taken."""
+    candidates = base.design.candidates
+    places = {candidates[index].place for index in accepted}
+    taken = [candidate.place in places for candidate in candidates]
+    return np.where(taken, -np.inf, judge(base, accepted, levels).scores)
 
 
 def _first_that_passes(
-    several: tuple[Field, ...], now: Field, scores: Float1D, at: Float1D, limit: float
+    base: Base, accepted: tuple[int, ...], scores: Float1D, levels: Float1D, limit: float
 ) -> tuple[int | None, str]:
     order = np.argsort(-scores, kind="stable")[:TRIED]
     best = float(scores[order[0]]) if len(order) else -np.inf
@@ -128,9 +129,9 @@ def _first_that_passes(
     for index in order:
         if scores[index] <= limit or scores[index] < best - WITHIN:
             break
-        if _proven(several[int(at[index])], int(index)):
+        if _proven(_field(base, accepted, float(levels[index])), int(index)):
             return int(index), ""
-    name = now.design.candidates[int(order[0])].effect
+    name = base.design.candidates[int(order[0])].effect
     return None, f"{name}: log Bayes factor {best:.1f}, but no gain on configurations left out, or no larger than many"
 
 
@@ -149,14 +150,13 @@ def _together(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple
     """
     trial = accepted
     while len(trial) < MOST:
-        scores, _ = profile(fields(base, trial, law_share(base, trial), levels))
-        _close_taken(base.design, scores, trial)
+        scores = _open_scores(base, trial, levels)
         best = int(np.argmax(scores))
         if scores[best] <= limit:
             break
         trial = (*trial, best)
         more = trial[len(accepted) :]
-        left = best_field(fields(base, trial, law_share(base, trial), levels)).level
+        left = judge(base, trial, levels).level
         if (
             len(more) > 1
             and left <= CROWD_GONE
@@ -168,9 +168,8 @@ def _together(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple
 
 def _passes_beside(base: Base, trial: tuple[int, ...], index: int, limit: float, levels: tuple[float, ...]) -> bool:
     others = tuple(other for other in trial if other != index)
-    several = fields(base, others, law_share(base, others), levels)
-    scores, at = profile(several)
-    return bool(scores[index] > limit) and _proven(several[int(at[index])], index)
+    beside = judge(base, others, levels)
+    return bool(beside.scores[index] > limit) and _proven(_field(base, others, float(beside.levels[index])), index)
 
 
 def _refined(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]) -> tuple[int, ...]:
@@ -181,10 +180,8 @@ def _refined(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple[
         while position < len(accepted):
             current = accepted[position]
             others = accepted[:position] + accepted[position + 1 :]
-            several = fields(base, others, law_share(base, others), levels)
-            scores, _ = profile(several)
-            kept = scores[current]
-            _close_taken(base.design, scores, others)
+            kept = judge(base, others, levels).scores[current]
+            scores = _open_scores(base, others, levels)
             best = int(np.argmax(scores))
             if len(accepted) > 1 and max(scores[best], kept) <= limit:
                 accepted, changed = others, True
@@ -203,7 +200,7 @@ def _choices(base: Base, accepted: tuple[int, ...], level: float) -> tuple[Choic
     alone = {}
     for position, index in enumerate(accepted):
         others = accepted[:position] + accepted[position + 1 :]
-        f = field(base, others, level, law_share(base, others))
+        f = _field(base, others, level)
         scores = log_bayes_factors(f)
         alone[index] = (float(scores[index]), _equivalents(f, scores, index, others))
     order = sorted(accepted, key=lambda index: -alone[index][0])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -64,6 +63,8 @@ def fit_circle(points: Float2D) -> Circle:
     first, second, normal = axes
     start = _in_plane(points - middle, first, second)
     centre = middle + start[0] * first + start[1] * second
+    from scipy.optimize import least_squares  # slow to load
+
     solution = least_squares(
         _residual, np.r_[centre, 0.0, 0.0, start[2]], _jacobian, method="lm", args=(points, normal, first, second),
         xtol=1e-15, ftol=1e-15, gtol=1e-15,

@@ -27,7 +27,7 @@ def chi2_limit(probability: float, freedom: float) -> float:
 
 def f_tail(value: float, upper: float, lower: float) -> float:
     """Return the probability that F, with these degrees of freedom above and below the line, exceeds a value."""
-    return float(fdtrc(upper, lower, value))
+    return 1.0 if value <= 0 else float(fdtrc(upper, lower, value))
 
 
 def f_limit(probability: float, upper: float, lower: float) -> float:

@@ -12,8 +12,13 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+
+Int2D = NDArray[np.int64]
+Float4D = NDArray[np.float64]
+Float5D = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -161,20 +166,57 @@ def _groups(rows: Rows) -> Iterator[tuple[Int1D, Int1D]]:
 
 
 def _whiten(rows: Rows, index: Int1D) -> tuple[Float3D, Float3D]:
-    """Return the inverse Cholesky factor (b, md, md) and an orthonormal basis of the whitened offsets (b, md, o)."""
+    """Return the inverse Cholesky factor (b, md, md) and an orthonormal basis of the whitened offsets (b, md, o).
+
+    Only rows that share a wrench reading are correlated: the factor is found block by block.
+    """
     b, m = index.shape
     d = rows.noise.shape[1]
-    full = np.zeros((b, m, d, m, d))
-    diagonal = np.arange(m)
-    full[:, diagonal, :, diagonal, :] = rows.noise[index].transpose(1, 0, 2, 3)
-    shared = rows.shared[index]
-    if shared.shape[-1] and np.any(shared):
-        same = rows.load[index][:, :, None] == rows.load[index][:, None, :]
-        full += np.einsum("bmik,bnjk,bmn->bminj", shared, shared, same, optimize=True)
-    lower = np.linalg.cholesky(full.reshape(b, m * d, m * d))
-    white = np.linalg.inv(lower)
+    factor = np.zeros((b, m, d, m, d))
+    for group, place in _sharing(rows.load[index]):
+        factor[group[:, None, None], place[:, :, None], :, place[:, None, :]] = _inverse_root(
+            rows.noise[index[group[:, None], place]], rows.shared[index[group[:, None], place]]
+        )
+    white = factor.reshape(b, m * d, m * d)
     kinds, position = np.unique(rows.offset[index[0]], return_inverse=True)
     incidence = np.zeros((m, d, len(kinds), d))
-    incidence[diagonal, :, position, :] = np.eye(d)
+    incidence[np.arange(m), :, position, :] = np.eye(d)
     basis, _ = np.linalg.qr(white @ incidence.reshape(m * d, -1))
     return white, basis
+
+
+def _sharing(load: Int2D) -> Iterator[tuple[Int1D, Int2D]]:
+    """Yield the blocks of rows that share a wrench reading, those of equal size together.
+
+    Args:
+        load: (b, m).
+
+    Yields:
+        group: (n,) first index of each block; place: (n, c) second indices of its rows.
+    """
+    b, m = load.shape
+    order = np.argsort(load, axis=1, kind="stable")
+    ordered = np.take_along_axis(load, order, axis=1)
+    first = np.ones((b, m), dtype=bool)
+    first[:, 1:] = ordered[:, 1:] != ordered[:, :-1]
+    starts = np.flatnonzero(first)
+    counts = np.diff(np.append(starts, b * m))
+    for count in np.unique(counts):
+        begin = starts[counts == count]
+        yield begin // m, order.reshape(-1)[begin[:, None] + np.arange(count)]
+
+
+def _inverse_root(noise: Float4D, shared: Float4D) -> Float5D:
+    """Return the inverse Cholesky factors of blocks of rows, (n, c, c, d, d).
+
+    Args:
+        noise: (n, c, d, d).
+        shared: (n, c, d, w).
+    """
+    n, c, d, w = shared.shape
+    flat = shared.reshape(n, c * d, w)
+    full = (flat @ flat.transpose(0, 2, 1)).reshape(n, c, d, c, d)
+    diagonal = np.arange(c)
+    full[:, diagonal, :, diagonal, :] += noise.transpose(1, 0, 2, 3)
+    inverse = np.linalg.inv(np.linalg.cholesky(full.reshape(n, c * d, c * d)))
+    return inverse.reshape(n, c, d, c, d).transpose(0, 1, 3, 2, 4)

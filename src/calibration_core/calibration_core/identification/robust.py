@@ -10,7 +10,7 @@ from calibration_core.identification.distributions import chi2_limit
 from calibration_core.identification.estimate import Exclusion
 from calibration_core.identification.fit import LoadedFit, fit_compliance
 from calibration_core.identification.offsets import deleted
-from calibration_core.identification.problem import LoadedProblem
+from calibration_core.identification.problem import Linearised, LoadedProblem
 from calibration_core.timeseries import Bool1D, Float1D, Int1D
 
 FALSE_EXCLUSION = 0.01  # probability that a clean recording loses any reading
@@ -62,7 +62,7 @@ def fit_screened(
     budget = max(1, int(MAX_SHARE * m))
     while len(exclusions) < budget:
         index = np.flatnonzero(used)
-        squared, size, threshold = _suspicion(problem.select(index), fit.compliance, m)
+        squared, size, threshold = _suspicion(problem.linearise(fit.compliance), index, m)
         squared[kept[index]] = 0.0
         worst = _worst_per_configuration(squared, problem.configuration[index], threshold, problem.readings.step[index])
         if not len(worst):
@@ -71,11 +71,12 @@ def fit_screened(
             exclusions[int(index[row])] = _exclusion(problem, int(index[row]), size[row], squared[row], threshold)
             used[index[row]] = False
         fit = fit_compliance(problem.select(np.flatnonzero(used)), start)
+    linear = problem.linearise(fit.compliance)
     for row in list(exclusions):
         trial = used.copy()
         trial[row] = True
         index = np.flatnonzero(trial)
-        squared, _, threshold = _suspicion(problem.select(index), fit.compliance, m)
+        squared, _, threshold = _suspicion(linear, index, m)
         if squared[np.searchsorted(index, row)] < RETURN * threshold:
             used[row] = True
             del exclusions[row]
@@ -84,9 +85,8 @@ def fit_screened(
     return Screened(fit, used, tuple(exclusions[row] for row in sorted(exclusions)))
 
 
-def _suspicion(problem: LoadedProblem, compliance: Float1D, m: int) -> tuple[Float1D, Float1D, float]:
-    linear = problem.linearise(compliance)
-    squared, error, _ = deleted(linear.rows, linear.residual)
+def _suspicion(linear: Linearised, index: Int1D, m: int) -> tuple[Float1D, Float1D, float]:
+    squared, error, _ = deleted(linear.rows.select(index), linear.residual[index])
     testable = squared > 0
     scale = float(np.median(squared[testable]) / chi2_limit(0.5, 3)) if testable.any() else 1.0
     threshold = chi2_limit(FALSE_EXCLUSION / m, 3) * max(1.0, scale)

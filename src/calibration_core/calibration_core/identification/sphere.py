@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -52,6 +51,8 @@ def fit_sphere(points: Float2D) -> Sphere:
     *guess, c = np.linalg.lstsq(design, (arms**2).sum(axis=1), rcond=None)[0]
     centre = np.array(guess)
     start = np.r_[middle + centre, np.sqrt(max(c + centre @ centre, 1e-12))]
+    from scipy.optimize import least_squares  # slow to load
+
     solution = least_squares(
         _residual, start, _jacobian, method="lm", args=(points,), xtol=1e-15, ftol=1e-15, gtol=1e-15
     )

@@ -60,7 +60,8 @@ def posture(chain: Chain, q: Float2D) -> Posture:
         before.append(columns)
         origin.append(at)
         x, y, z = columns
-        columns = np.stack([cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, z])
+        columns = np.empty((3, 3, m))
+        columns[0], columns[1], columns[2] = cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, z
         body.append(columns)
     at = at + _mix(columns, chain.flange_translation)
     return Posture(tuple(before), tuple(origin), tuple(body), turned(columns, chain.flange_rotation), at)
@@ -93,7 +94,11 @@ def _mix(columns: Float3D, weights: Float1D) -> Float2D:
 
 def cross(a: Float2D, b: Float2D) -> Float2D:
     """Return the cross products of (3, m) vectors."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    result = np.empty(a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape))
+    np.subtract(a[1] * b[2], a[2] * b[1], out=result[0])  # half the time of stacking three results
+    np.subtract(a[2] * b[0], a[0] * b[2], out=result[1])
+    np.subtract(a[0] * b[1], a[1] * b[0], out=result[2])
+    return result
 
 
 def dot(a: Float2D, b: Float2D) -> Float1D:

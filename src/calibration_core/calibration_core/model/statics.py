@@ -85,6 +85,11 @@ def load_torque_derivative(at: Posture, load: Load) -> Float3D:
     n, m = len(at.origin), point.shape[1]
     follows = load.rotation is not None
     derivative = np.zeros((n, n, m))
+    columns = linear_jacobian(at, point)
+    moved = [cross(column, force) for column in columns]  # what the torque about the point gains when a joint turns
+    turned_force = [cross(at.axis(j), force) for j in range(n)] if follows else []
+    if follows:
+        moved = [moment + cross(at.axis(j), torque) for j, moment in enumerate(moved)]
     for i in range(n):
         axis, lever = at.axis(i), point - at.origin[i]
         moment = cross(lever, force) + torque
@@ -96,10 +101,9 @@ def load_torque_derivative(at: Posture, load: Load) -> Float3D:
                 d_lever = cross(turner, lever)
                 derivative[i, j] = dot(cross(turner, axis), moment) + dot(axis, cross(d_lever, force))
                 continue
-            d_moment = cross(cross(turner, point - at.origin[j]), force)
-            if follows:
-                d_moment = d_moment + cross(lever, cross(turner, force)) + cross(turner, torque)
-            derivative[i, j] = dot(axis, d_moment)
+            derivative[i, j] = dot(axis, moved[j])
+            if follows:  # a . (lever x f') = (a x lever) . f'
+                derivative[i, j] += dot(columns[i], turned_force[j])
     return derivative
 
 
@@ -115,6 +119,7 @@ def gravity_torque_derivative(chain: Chain, at: Posture) -> Float3D:
         mass += float(chain.mass[j])
         moment = moment + chain.mass[j] * _com(chain, at, j)
         shift = cross(at.axis(j), moment - mass * at.origin[j])  # how the moment of what is beyond joint j moves
+        pull = cross(shift, gravity)
         for i in range(j + 1):
-            derivative[i, j] = derivative[j, i] = dot(at.axis(i), cross(shift, gravity))
+            derivative[i, j] = derivative[j, i] = dot(at.axis(i), pull)
     return derivative

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -129,6 +130,10 @@ class State:
 
     def sequences(self) -> list[Int1D]:
         """Return index arrays (s, k): rows of one configuration and point in the order of steps, by length."""
+        return self._sequences
+
+    @functools.cached_property
+    def _sequences(self) -> list[Int1D]:
         order = np.lexsort((self.step, self.point_index, self.configuration))
         key = self.configuration[order] * (int(self.point_index.max()) + 1) + self.point_index[order]
         _, starts, counts = np.unique(key, return_index=True, return_counts=True)
