@@ -65,4 +65,6 @@ def test_what_no_catalogue_holds_is_flagged(table: Table) -> None:
 
 
 def test_a_recording_takes_seconds(table: Table) -> None:
-    assert table["s per recording (18 x 9 x 3), median"]["value"] <= 10.0
+    """Processor time, for other tests keep the machine busy; the diagnosis uses one core at a time."""
+    assert table["processor s per recording (18 x 9 x 3), 95 %"]["value"] <= 10.0
+    assert table["MB per recording, largest"]["value"] <= 500.0

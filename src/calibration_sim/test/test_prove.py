@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
+import os
 import shlex
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -287,6 +290,8 @@ def test_failures_and_time_limits_are_recorded_and_tried_again(tmp_path: Path, p
     assert well is not None
     assert well.exit == 0
     assert well.megabytes > 3.0
+    assert well.processor is not None
+    assert 0.0 < well.processor <= well.seconds * (os.cpu_count() or 1)
     assert result_path(out, "r0001").is_file()
 
 
@@ -316,3 +321,32 @@ def test_batch_answers_every_line() -> None:
     assert replies[0]["error"] == "two"
     assert replies[2]["error"] == "ValueError: a defect"
     assert replies[0]["megabytes"] > 3.0
+
+
+def test_batch_counts_the_processor_time_of_the_call_alone() -> None:
+    def call(arguments: list[str]) -> int:
+        begun = time.process_time()
+        while time.process_time() - begun < float(arguments[0]):
+            pass
+        return 0
+
+    answers = io.StringIO()
+    batch.serve(call, io.StringIO('["0.3"]\n["0.0"]\n'), answers)
+    busy, idle = (json.loads(line)["processor"] for line in answers.getvalue().splitlines())
+    assert 0.29 < busy < 1.0
+    assert idle < 0.2
+
+
+def test_the_table_holds_processor_time_against_the_bar() -> None:
+    label = {**_label(group="nothing"), "protocol": "L"}
+    slow, fast, old = (_case(label, _result(), seconds=99.0) for _ in range(3))
+    cases = [
+        dataclasses.replace(case, run=dataclasses.replace(case.run, processor=busy))
+        for case, busy in ((slow, 12.0), (fast, 2.0), (old, None))
+        if case.run is not None
+    ]
+    assert _measure(cases[1:], "processor s per recording") == Measure(
+        "processor s per recording (18 x 9 x 3), 95 %", 2.0, "<= 10", True, 1
+    )
+    assert _measure(cases, "processor s per recording").met is False
+    assert _measure(cases[2:], "processor s per recording").value is None

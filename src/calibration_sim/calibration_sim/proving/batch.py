@@ -1,7 +1,7 @@
 """`python -m calibration_sim.proving.batch MODULE:FUNCTION`: calls a program's main function once per line of stdin.
 
-Each line is a JSON list of arguments; each answer a JSON object with exit code, memory and the last line on stderr.
-What the function prints is dropped.
+Each line is a JSON list of arguments; each answer a JSON object with exit code, processor time, memory and the
+last line on stderr.  What the function prints is dropped.
 """
 
 from __future__ import annotations
@@ -20,10 +20,18 @@ from typing import Any, TextIO
 def serve(call: Callable[[list[str]], Any], requests: TextIO, answers: TextIO) -> None:
     """Answer requests until there are no more."""
     for line in requests:
+        begun = _processor_time()
         code, error = _called(call, json.loads(line))
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        answers.write(json.dumps({"exit": code, "megabytes": memory, "error": error}) + "\n")
+        answer = {"exit": code, "processor": _processor_time() - begun, "megabytes": memory, "error": error}
+        answers.write(json.dumps(answer) + "\n")
         answers.flush()
+
+
+def _processor_time() -> float:
+    """Return user and system time of this process and of those it has waited for, s."""
+    usages = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 def _called(call: Callable[[list[str]], Any], arguments: list[str]) -> tuple[int, str]:

@@ -52,6 +52,8 @@ class Run:
         seconds: Wall time.
         megabytes: Largest resident memory of the process.
         error: Last line on stderr.
+        processor: User and system time of the process and its children, s: what a quiet machine would take, for one
+            core at a time is used; None where it was not recorded.
     """
 
     sha256: str
@@ -59,6 +61,7 @@ class Run:
     seconds: float
     megabytes: float
     error: str = ""
+    processor: float | None = None
 
 
 def run_all(names: Sequence[str], out: Path, settings: Settings) -> None:
@@ -144,7 +147,9 @@ def _alone(name: str, out: Path, settings: Settings) -> Run:
         process.returncode = os.waitstatus_to_exitcode(status)
     exit_code = process.returncode if process.returncode >= 0 else -1
     seconds = time.monotonic() - begun
-    return Run(digest, exit_code, seconds, usage.ru_maxrss / MEGABYTE, _last_line(log.read_text(errors="replace")))
+    error = _last_line(log.read_text(errors="replace"))
+    processor = usage.ru_utime + usage.ru_stime
+    return Run(digest, exit_code, seconds, usage.ru_maxrss / MEGABYTE, error, processor)
 
 
 class _Server:
@@ -179,7 +184,8 @@ class _Server:
             self._stop()
             return Run(digest, -1, seconds, 0.0, "no answer within the time limit, or a crash")
         reply = json.loads(answer)
-        return Run(digest, int(reply["exit"]), seconds, float(reply["megabytes"]), str(reply["error"]))
+        megabytes, processor = float(reply["megabytes"]), float(reply["processor"])
+        return Run(digest, int(reply["exit"]), seconds, megabytes, str(reply["error"]), processor)
 
     def _start(self) -> subprocess.Popen[str]:
         self._process = subprocess.Popen(
