@@ -50,12 +50,17 @@ def speeds(cell: Cell, seed: int, log: Path) -> np.ndarray:
 )
 def test_no_point_is_ever_too_fast(tmp_path: Path, name: str, plans: int) -> None:
     cell = load_cell(CELLS / f"{name}.cell.yaml")
-    fastest, used = [], []
+    fastest, used, cruising = [], [], []
     for seed in range(plans):
         found = speeds(cell, seed, tmp_path / f"{seed}.log")
         fastest.append(found.max())
         used.append(found.mean() / LIMIT)
-    print(f"\n{name}: {plans} plans, fastest {1e3 * max(fastest):.1f} mm/s, in motion {np.mean(used):.2f} of the limit")
+        cruising.append(found[found > 0.5 * LIMIT].mean() / LIMIT)
+    print(
+        f"\n{name}: {plans} plans, fastest {1e3 * max(fastest):.1f} mm/s, "
+        f"cruising at {np.mean(cruising):.2f} of the limit, {np.mean(used):.2f} with starts and stops"
+    )
     assert max(fastest) <= LIMIT
-    if name == "demo":  # the small robot is held back by the limits of its joints
+    assert np.mean(cruising) >= 0.8
+    if name == "demo":  # the small robot moves so little that starts and stops are a large part
         assert np.mean(used) >= 0.8

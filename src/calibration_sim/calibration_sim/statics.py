@@ -142,16 +142,16 @@ class Mechanism:
         Returns:
             Origins (k, links, 3) m, rotations (k, 3, 3) and origins (k, 3) m of the flange, base frame.
         """
-        origins = np.empty((len(angles), len(self._links), 3))
-        rotations, flanges = np.empty((len(angles), 9)), np.empty((len(angles), 3))
         data = self.data
-        data.qpos[:] = 0.0
-        for row, each in enumerate(np.asarray(angles) + self._zero):
-            data.qpos[self._dofs] = each
+        qpos, positions, rotations = data.qpos, data.xpos, data.xmat  # views, of which each row is copied
+        at, turned = np.empty((len(angles), *positions.shape)), np.empty((len(angles), 9))
+        q = np.zeros((len(angles), self.model.nq))
+        q[:, self._dofs] = np.asarray(angles) + self._zero
+        for row, each in enumerate(q):
+            qpos[:] = each
             mujoco.mj_kinematics(self.model, data)
-            origins[row] = data.xpos[self._links]
-            rotations[row], flanges[row] = data.xmat[self._flange], data.xpos[self._flange]
-        return origins, rotations.reshape(-1, 3, 3), flanges
+            at[row], turned[row] = positions, rotations[self._flange]
+        return at[:, self._links], turned.reshape(-1, 3, 3), at[:, self._flange]
 
     def places(self) -> Float2D:
         """Return the origins (links, 3) of all links in the base frame, m, where the last solution left them."""
