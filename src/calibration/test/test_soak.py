@@ -127,14 +127,7 @@ def soak(
     return {"late": late, "recorder": grown[0], "force_torque": grown[1]}
 
 
-def test_ten_seconds_lose_nothing(
-    spinning: Any, until: Callable[..., None], tmp_path: Path, source_environment: dict[str, str]
-) -> None:
-    soak(10.0, spinning, until, tmp_path, source_environment)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seconds", [60.0, 600.0])
+@pytest.mark.parametrize("seconds", [60.0, pytest.param(600.0, marks=pytest.mark.slow)])
 def test_soak(
     spinning: Any, until: Callable[..., None], tmp_path: Path, source_environment: dict[str, str], seconds: float
 ) -> None:
