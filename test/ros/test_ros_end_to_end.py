@@ -30,6 +30,7 @@ CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 FAST = ROOT / "config" / "simulation.yaml"
 SPEED, LIMIT = 20.0, 0.25
 LONG = 60.0  # s, an answer may take on a busy machine
+IDENTIFIED = 2.0  # s, stiffnesses and report may take where nothing else runs
 BRISK = 30.0  # times real time, asked for where SPEED is to be reached
 FIRST, STEPS = 3, 4  # configurations of the short plan, load steps
 
@@ -99,13 +100,17 @@ def test_the_whole_measurement(suite: Any, plan: Path) -> None:
     took = time.monotonic() - began
     assert result.outcome.code == Outcome.OK, result.outcome.text
     assert (result.configurations_done, result.configurations_skipped) == (18, 0)
+    for name in set(suite.processes) - {"identification"}:  # a cell at so many times real time leaves no processor free
+        suite.end(name)
     asked = time.monotonic()
     answer = suite.call(
         IdentifyStiffness, "identification/identify_stiffness", patience=LONG, cell=str(CELL),
         out=str(suite.directory / "live"),
     )  # fmt: skip
-    print(f"\nmeasured in {took:.0f} s, identified in {time.monotonic() - asked:.1f} s")
+    identified = time.monotonic() - asked
+    print(f"\nmeasured in {took:.0f} s, identified in {identified:.1f} s")
     assert answer.outcome.code == Outcome.OK, answer.outcome.text
+    assert identified <= IDENTIFIED
     suite.stop()
     replayed = offline(suite.bag, suite.directory / "offline")
     live = json.loads(answer.result_json)
