@@ -146,8 +146,9 @@ def together(loaded: Diagnosis, absolute: Diagnosis) -> Diagnosis:
     others = tuple(a for a in absolute.anomalies if (a.kind, tuple(sorted(a.location.items()))) not in seen)
     rest = loaded.rest if loaded.rest.significant or not absolute.rest.significant else absolute.rest
     left = rest.significant
-    verdict: Verdict = "partly_explained" if findings and left else "missing_physics" if findings else "consistent"
-    if left and not findings:
+    physics = bool(loaded.physics or absolute.physics)
+    verdict: Verdict = "partly_explained" if physics and left else "missing_physics" if physics else "consistent"
+    if left and not physics:
         verdict = "unexplained"
     return dataclasses.replace(
         loaded,

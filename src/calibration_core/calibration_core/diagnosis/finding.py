@@ -13,6 +13,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 
 Location = Mapping[str, str | tuple[str, ...]]
+EMPIRICAL = "empirical"  # family of a law that fits and is no physics
 Verdict = Literal["consistent", "missing_physics", "partly_explained", "unexplained"]
 
 
@@ -124,7 +125,7 @@ class Diagnosis:
 
     Attributes:
         verdict: As in the contract.
-        findings: Largest effect on the measured point first.
+        findings: Largest effect on the measured point first; empirical laws among them are no physics.
         anomalies: Found before any physics.
         rest: What remains.
         next_measurements: What would separate what cannot be told apart now.
@@ -175,3 +176,8 @@ class Diagnosis:
     residual_before: Float2D | None = None
     where: Located | None = None
     next_text: str = ""
+
+    @property
+    def physics(self) -> tuple[Finding, ...]:
+        """Findings that are effects of the catalogue, not empirical laws."""
+        return tuple(finding for finding in self.findings if finding.family != EMPIRICAL)

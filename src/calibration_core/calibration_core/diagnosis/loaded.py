@@ -10,6 +10,8 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.anomalies import Checked, check_loaded, noise_understated, outlier_readings
 from calibration_core.diagnosis.design import Design
+from calibration_core.diagnosis.empirical import empirical_law
+from calibration_core.diagnosis.empirical_naming import law_findings, law_sentence
 from calibration_core.diagnosis.evidence import LEVELS, NOISE_ALONE
 from calibration_core.diagnosis.extended import Extended, design_at, extend, extended_model, loaded_state
 from calibration_core.diagnosis.finding import Diagnosis, Verdict
@@ -93,6 +95,12 @@ def diagnose_loaded(
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
         registered = registration_findings(prepared, extended.state, readings)
         findings = tuple(sorted((*findings, *registered), key=lambda finding: -finding.magnitude))
+    verdict = _verdict(bool(findings), rest.significant and checked.usable)
+    law = empirical_law(extended) if rest.significant and checked.usable else None
+    if law is not None:
+        fitted = law_findings(law, prepared.problem.chain.joints, prepared.problem.readings)
+        findings = tuple(sorted((*findings, *fitted), key=lambda finding: -finding.magnitude))
+        rest = dataclasses.replace(rest, text=f"{rest.text} {law_sentence(law)}")
     noise = identification.noise.claimed * seen.total
     joints = prepared.problem.chain.joints
     model = extended_model(prepared.parameters, extended)
@@ -100,7 +108,7 @@ def diagnose_loaded(
     if offers is not None and checked.usable:
         proposals = propose(extended, selection, offers, cell, seen, prepared.frames)
     return Diagnosis(
-        verdict=_verdict(bool(findings), rest.significant and checked.usable),
+        verdict=verdict,
         findings=findings,
         anomalies=anomalies,
         rest=rest,

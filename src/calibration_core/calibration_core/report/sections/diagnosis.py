@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.diagnosis.comparison import Comparison
-from calibration_core.diagnosis.finding import Diagnosis, Finding
+from calibration_core.diagnosis.finding import EMPIRICAL, Diagnosis, Finding
 from calibration_core.report.diagnosis_figures import before_after_figure, comparison_figure, where_figure
 from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table
 from calibration_core.report.rounding import fixed, padded, significant
@@ -115,7 +115,7 @@ def gain_blocks(found: Diagnosis) -> tuple[Block, ...]:
     ]
     readings = found.identification.readings
     before, after = found.residual_before, found.residual
-    if found.findings and before is not None and before.shape == after.shape == (len(readings), 3):
+    if found.physics and before is not None and before.shape == after.shape == (len(readings), 3):
         caption = "Residual without and with the findings: a) every configuration; b) share of readings below a length."
         drawing = before_after_figure(readings, before, after, found.noise)
         blocks.append(Figure("before-after", caption, "Residual before and after", drawing))
@@ -202,17 +202,19 @@ def story(found: Diagnosis) -> Facts:
 
 
 def _what(found: Diagnosis) -> str:
-    if not found.findings:
-        return "No effect of the catalogue stands out of the noise and of many small effects."
     listed = [
         f"{f.effect.replace('_', ' ')} at {_place(f.location) or 'a place that is not decided'} "
-        f"({1e6 * f.magnitude:.0f} µm rms)"
+        f"({1e6 * f.magnitude:.0f} µm rms)" + (", which is no physics" if f.family == EMPIRICAL else "")
         for f in found.findings
     ]
-    return "; ".join(listed)
+    if not found.physics:
+        listed.insert(0, "no effect of the catalogue stands out of the noise and of many small effects")
+    return "; ".join(listed) + ("" if listed[1:] or found.physics else ".")
 
 
 def _others(finding: Finding) -> Block:
+    if not finding.cannot_be_told_from and finding.family == EMPIRICAL:
+        return Paragraph("No function at another joint describes the rest nearly as well.")
     if not finding.cannot_be_told_from:
         return Paragraph("No other effect or place of the catalogue explains the recording nearly as well.")
     rows = tuple(
