@@ -114,6 +114,9 @@ def _joint_shares(axes: Axes, where: Located) -> None:
         place, [100 * share.own_axis for share in shares], height=0.34, facecolor=INK, label="its own axis"
     )  # fmt: skip
     axes.set_yticks(place, [drawable(share.joint, 16) for share in shares])
+    best = int(np.argmax([share.any_axis for share in shares]))
+    axes.barh(best, 100 * shares[best].any_axis, height=0.66, facecolor="none", edgecolor=ACCENT, linewidth=1.4)
+    axes.get_yticklabels()[best].set_fontweight("bold")
     axes.set_ylim(len(shares) - 0.5, -0.5)
     axes.set_xlim(0, 100)
     axes.set_xlabel("residual explained by turns about the joint [%]")

@@ -10,6 +10,7 @@ from loaded_cases import shifted, true_state
 from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
+from calibration_core.commands.diagnose_document import diagnosis_document
 from calibration_core.diagnosis import loaded
 from calibration_core.diagnosis.empirical import empirical_law
 from calibration_core.diagnosis.empirical_terms import dictionary
@@ -77,6 +78,10 @@ def test_a_law_is_said_but_stands_in_no_model_and_no_stiffness(
     assert content["unexplained"]["significant"]
     assert "no physics" in content["unexplained"]["text"]
     assert "Empirical, not physics" in diagnosis_summary(found)
+    words = str(diagnosis_document(found, cell, b"{}"))
+    assert "it is a law that fits, nothing more" in words
+    assert "no effect of the catalogue stands out" in words.lower()
+    assert "which is no physics" in words
 
 
 def test_a_rest_without_a_law_gives_none(diagnosed: tuple[Diagnosis, Extended]) -> None:

@@ -17,7 +17,6 @@ CONCERNED = {
     "load chain": "what was measured as load",
     "point chain": "what was measured as position",
     "absolute": "geometry and drives, without external load",
-    "empirical": "no physics of the catalogue; a law that fits, nothing more",
 }
 
 
@@ -65,7 +64,7 @@ def where_blocks(found: Diagnosis) -> tuple[Block, ...]:
     if where is not None and (where.shares or where.levels or where.dependences):
         left = (
             "How much of the residual turns about lines through every joint explain (grey: any axis, black: the "
-            "joint's own); "
+            "joint's own; framed and bold: the joint that explains most); "
             if where.shares
             else ""
         )
@@ -88,6 +87,8 @@ def finding_blocks(finding: Finding) -> tuple[Block, ...]:
     blocks: list[Block] = [Paragraph(finding.explanation)]
     if finding.family in CONCERNED:
         blocks.append(Paragraph(f"It concerns {CONCERNED[finding.family]}."))
+    if finding.family == EMPIRICAL:
+        blocks.append(Paragraph("No effect of the catalogue is meant: it is a law that fits, nothing more."))
     blocks.append(Table("Parameters", columns, padded(rows)))
     if finding.refinements:
         blocks.append(Paragraph("Of the same cause: " + "; ".join(finding.refinements) + "."))
