@@ -104,6 +104,13 @@ class RecorderNode(CalibrationNode):
 
         return take
 
+    def _drain(self) -> None:
+        """Take what has arrived and waits for its turn: whoever asks to close the bag sent it all before."""
+        for subscription, _ in self._heard.values():
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                    subscription.callback(taken[0])
+
     def _info(self, topic: Topic) -> LiveTopic:
         offered = self.get_publishers_info_by_topic(topic.relative)
         hashes = {str(one.topic_type_hash) for one in offered}
@@ -144,6 +151,7 @@ class RecorderNode(CalibrationNode):
             if self._bag is None:
                 response.success, response.message = False, "no bag is open"
                 return response
+            self._drain()
             response.success = self._write()
             response.message = f"{self._bag.messages} messages in {self._bag.file}"
             self._bag.close()

@@ -177,6 +177,23 @@ def test_close_and_open(spinning: Any, until: Callable[..., None], tmp_path: Pat
         assert reader.message_count == 2
 
 
+def test_what_came_before_the_bag_was_closed_is_in_it(
+    spinning: Any, until: Callable[..., None], tmp_path: Path
+) -> None:
+    """Also where the recorder lags behind."""
+    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
+    client = spinning.plain()
+    publisher = client.create_publisher(JointState, "joint_states", 1000)
+    until(publisher.get_subscription_count)
+    close = client.create_client(Trigger, "recorder/close")
+    assert close.wait_for_service(15.0)
+    publisher.publish(joint_state(0))
+    until(lambda: node._bag.messages)
+    for k in range(1, 500):
+        publisher.publish(joint_state(k))
+    assert close.call(Trigger.Request()).message == f"500 messages in {tmp_path / 'bag' / 'bag_0.mcap'}"
+
+
 def test_places_that_cannot_be_used(context: Any, tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="out: found nothing"):
         recorder(context, "")
