@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from calibration_core.timeseries import Float2D, Int1D
 
@@ -74,6 +73,8 @@ def posture_blocks(q: Float2D, configuration: Int1D, most: int = MOST) -> Blocks
 
 def _clusters(features: Float2D, count: int) -> Int1D:
     """Return the cluster of every row after Lloyd's iteration from spread-out rows; empty clusters vanish."""
+    from scipy.spatial import cKDTree  # slow to load, and loaded recordings do not need it
+
     centres = _spread(features, count)
     label = np.zeros(len(features), dtype=np.int64)
     for _ in range(ITERATIONS):

@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from calibration_core.diagnosis.comparison import Difference, Side
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
@@ -58,7 +57,7 @@ def relation(recorded: Float2D, simulated: Float2D) -> tuple[Link, ...] | None:
     n = recorded.shape[1]
     links = [[_link(recorded[:, i], simulated[:, j], j) for j in range(n)] for i in range(n)]
     cost = np.array([[_cost(links[i][j], i == j) for j in range(n)] for i in range(n)])
-    rows, columns = linear_sum_assignment(cost)
+    rows, columns = _assigned(cost)
     chosen = [links[i][j] for i, j in zip(rows, columns, strict=True)]
     return tuple(chosen) if all(link.misfit < SAME for link in chosen) else None
 
@@ -66,7 +65,7 @@ def relation(recorded: Float2D, simulated: Float2D) -> tuple[Link, ...] | None:
 def by_posture(recorded: Float2D, simulated: Float2D) -> tuple[Int1D, Int1D]:
     """Return indices of rows, (k, n) rad and (l, n) rad, that are the same posture, whatever their order."""
     distance = np.abs(recorded[:, None] - simulated[None]).max(axis=2)
-    rows, columns = linear_sum_assignment(np.minimum(distance, 1.0))
+    rows, columns = _assigned(np.minimum(distance, 1.0))
     near = distance[rows, columns] < SAME
     return rows[near], columns[near]
 
@@ -135,3 +134,11 @@ def _of(side: Side) -> str:
 
 
 _OTHER = {"simulation": "recording", "recording": "simulation"}
+
+
+def _assigned(cost: Float2D) -> tuple[Int1D, Int1D]:
+    """Return rows and columns of the cheapest assignment."""
+    from scipy.optimize import linear_sum_assignment  # slow to load, and a recording by itself does not need it
+
+    rows, columns = linear_sum_assignment(cost)
+    return rows, columns

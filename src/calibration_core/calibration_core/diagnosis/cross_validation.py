@@ -8,44 +8,61 @@ Q_kk^-1 (Q r)_k with covariance Q_kk^-1.
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from calibration_core.diagnosis.evidence import Field
-from calibration_core.timeseries import Float1D
+from calibration_core.timeseries import Float1D, Float2D
 
 FLAT = 1e3  # prior standard deviation of the null model's parameters, in units in which each column has length one
 GATE = 3.0  # nats
 
 
-def log_predictive_density(f: Field, more: tuple[int, ...] = ()) -> Float1D:
-    """Return, per configuration, the log density of its readings given all others, (k,) nats.
+def log_predictive_densities(f: Field, candidate: int) -> tuple[Float1D, Float1D]:
+    """Return, per configuration, the log density of its readings given all others, without and with a hypothesis.
+
+    With it, the precision changes by as many ranks as it has parameters (Woodbury).
 
     Args:
         f: The field; its discrepancy, nuisances and accepted effects are part of the covariance.
-        more: Further hypotheses that the model contains, with their priors.
+        candidate: The hypothesis, added with its prior.
+
+    Returns:
+        Two arrays (k,), nats.
     """
     design = f.design
-    norms = np.linalg.norm(design.null, axis=0)
-    weights = f.weights.copy()
-    for index in more:
-        block = design.blocks[index]
-        weights[block] = np.hypot(weights[block], 1.0)
-    active = weights > 0
+    norms = np.sqrt(np.clip(np.diag(f.base.gram)[: design.n], 0.0, None))
+    active = np.flatnonzero(f.weights > 0)
     wide = np.concatenate(
-        [design.null / np.where(norms > 0, norms, 1.0) * FLAT, design.columns[:, active] * weights[active]], axis=1
+        [
+            design.null * (FLAT / np.where(norms > 0, norms, 1.0)),
+            design.columns[:, active] * f.weights[active],
+        ],
+        axis=1,
     )
-    inner = np.linalg.inv(np.eye(wide.shape[1]) + wide.T @ wide)
-    scored = design.residual - wide @ (inner @ (wide.T @ design.residual))
+    lower = np.linalg.cholesky(np.eye(wide.shape[1]) + wide.T @ wide)
+    half = solve_triangular(lower, wide.T, lower=True, check_finite=False)
+    scored = design.residual - half.T @ (half @ design.residual)
+    block = design.columns[:, design.blocks[candidate]]
+    seen = block - half.T @ (half @ block)
+    root = np.linalg.cholesky(np.eye(block.shape[1]) + block.T @ seen)
+    change = np.linalg.solve(root, seen.T)
+    with_it = scored - change.T @ np.linalg.solve(root, block.T @ scored)
     numbers = np.unique(design.configuration)
-    density = np.empty(len(numbers))
+    before, after = np.empty(len(numbers)), np.empty(len(numbers))
     for k, number in enumerate(numbers):
-        rows = design.configuration == number
-        own = wide[rows]
-        precision = np.eye(len(own)) - own @ inner @ own.T
-        precision = (precision + precision.T) / 2
-        sign, log_det = np.linalg.slogdet(precision)
-        error = np.linalg.solve(precision, scored[rows])
-        density[k] = 0.5 * (log_det - float(error @ scored[rows])) if sign > 0 else -np.inf
-    return density
+        rows = np.flatnonzero(design.configuration == number)
+        precision = np.eye(len(rows)) - half[:, rows].T @ half[:, rows]
+        before[k] = _log_density(precision, scored[rows])
+        after[k] = _log_density(precision - change[:, rows].T @ change[:, rows], with_it[rows])
+    return before, after
+
+
+def _log_density(precision: Float2D, scored: Float1D) -> float:
+    """Return the log density of a configuration whose precision is Q_kk and for which Q r is `scored`, nats."""
+    sign, log_det = np.linalg.slogdet(precision)
+    if sign <= 0:
+        return -np.inf
+    return 0.5 * float(log_det - np.linalg.solve(precision, scored) @ scored)
 
 
 def passes(before: Float1D, after: Float1D) -> bool:

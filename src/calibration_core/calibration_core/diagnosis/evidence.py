@@ -16,6 +16,8 @@ Source: Kass and Raftery 1995 (Bayes factors); Kennedy and O'Hagan 2001 with a p
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,7 @@ from scipy.special import log_ndtr
 
 from calibration_core.diagnosis.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.kin import are_kin
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
 NOISE_ALONE = (0.0,)  # where the noise is what the model leaves, small effects are part of it
 LEVELS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5)
@@ -36,6 +38,21 @@ TINY = 1e-9  # keeps variances positive
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Alike:
+    """Candidates whose parameters are as many and as positive.
+
+    Attributes:
+        members: (c,) their indices.
+        columns: (c, k) their columns.
+        positive: (k,) which parameters physics lets not be negative.
+    """
+
+    members: Int1D
+    columns: NDArray[np.int64]
+    positive: Bool1D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Base:
     """What all levels share.
 
@@ -43,6 +60,7 @@ class Base:
         design: The whitened model.
         gram: Gram matrix of [null, columns, residual].
         unit: (p,) amplitude of the discrepancy per unit of signal-to-noise ratio, in prior standard deviations.
+        alike: Candidates of equal shape.
         shares: What `law_share` has returned, by what was accepted: the search comes back to the same sets.
         profiles: What `judge` has returned, likewise, and by the levels.
     """
@@ -50,6 +68,7 @@ class Base:
     design: Design
     gram: Float2D
     unit: Float1D
+    alike: tuple[Alike, ...]
     shares: dict[frozenset[int], Float1D] = dataclasses.field(default_factory=dict)
     profiles: dict[tuple[frozenset[int], tuple[float, ...]], Profile] = dataclasses.field(default_factory=dict)
 
@@ -78,7 +97,8 @@ class Field:
         level: c, signal-to-noise ratio of every place in the discrepancy.
         accepted: Indices of accepted candidates; their columns are in V with their priors.
         weights: (p,) w of every column.
-        schur: (p + 1, p + 1) Gram matrix of [columns, residual] in the metric of V^-1, null model projected out.
+        taken: (n + p + 1, a) T, what the metric of V^-1 and the null model take from the Gram matrix G of
+            [null, columns, residual]: G - T T^T is left.
         likelihood: Log marginal likelihood of the recording, nats, up to a constant.
     """
 
@@ -86,7 +106,7 @@ class Field:
     level: float
     accepted: tuple[int, ...]
     weights: Float1D
-    schur: Float2D
+    taken: Float2D
     likelihood: float
 
     @property
@@ -94,11 +114,17 @@ class Field:
         """The whitened model."""
         return self.base.design
 
+    @functools.cached_property
+    def schur(self) -> Float2D:
+        """(p + 1, p + 1) Gram matrix of [columns, residual] in the metric of V^-1, null model projected out."""
+        own = self.taken[self.design.n :]
+        return np.asarray(self.base.gram[self.design.n :, self.design.n :] - own @ own.T)
+
 
 def base_of(design: Design) -> Base:
     """Prepare a design."""
     gram = design.gram()
-    return Base(design, gram, _unit_weights(design, gram))
+    return Base(design, gram, _unit_weights(design, gram), _alike(design))
 
 
 def field(base: Base, accepted: tuple[int, ...], level: float, kin: Float1D | None = None) -> Field:
@@ -116,12 +142,13 @@ def field(base: Base, accepted: tuple[int, ...], level: float, kin: Float1D | No
     for index in accepted:
         weights[design.blocks[index]] = 1.0
     weights[design.nuisances] = 1.0
-    metric, log_det = _metric(design, base.gram, weights)
+    half, log_det = _half(design, base.gram, weights)
     n = design.n
-    schur = _schur(metric, list(range(n)))[n:, n:] if n else metric
-    _, log_null = np.linalg.slogdet(metric[:n, :n])
-    likelihood = -0.5 * (float(schur[-1, -1]) + log_det + float(log_null))
-    return Field(base, level, accepted, weights, schur, likelihood)
+    null = base.gram[:n] - half[:n] @ half.T
+    taken = np.concatenate([half, _projected(null, list(range(n)))], axis=1)
+    _, log_null = np.linalg.slogdet(null[:, :n])
+    left = float(base.gram[-1, -1] - taken[-1] @ taken[-1])
+    return Field(base, level, accepted, weights, taken, -0.5 * (left + log_det + float(log_null)))
 
 
 def without_kin(f: Field, candidate: int) -> Field:
@@ -169,7 +196,14 @@ def judge(base: Base, accepted: tuple[int, ...], levels: tuple[float, ...] = LEV
 
 def log_bayes_factors(f: Field) -> Float1D:
     """Return the log Bayes factor of every candidate beside what was accepted, at the field's level, (l,) nats."""
-    return _scores(f.design, f.schur[:-1, :-1], f.schur[:-1, -1:])[:, 0]
+    gram, n = f.base.gram, f.design.n
+    blocks = []
+    for alike in f.base.alike:
+        columns = n + alike.columns
+        own = f.taken[columns]
+        blocks.append(gram[columns[:, :, None], columns[:, None, :]] - own @ own.transpose(0, 2, 1))
+    vectors = gram[n:-1, -1:] - f.taken[n:-1] @ f.taken[-1:].T
+    return _scores(f.base.alike, blocks, vectors)[:, 0]
 
 
 def threshold(f: Field, freedom: int = 0, seed: int = 0) -> float:
@@ -187,7 +221,8 @@ def threshold(f: Field, freedom: int = 0, seed: int = 0) -> float:
     noise = rng.standard_normal((len(gram), SAMPLES))
     if freedom:
         noise /= np.sqrt(rng.chisquare(freedom, SAMPLES) / freedom)
-    scores = _scores(f.design, gram, root @ noise)
+    blocks = [gram[alike.columns[:, :, None], alike.columns[:, None, :]] for alike in f.base.alike]
+    scores = _scores(f.base.alike, blocks, root @ noise)
     return float(np.quantile(scores.max(axis=0, initial=-np.inf), 1 - FALSE_ALARM)) if len(scores) else 0.0
 
 
@@ -233,13 +268,14 @@ def estimates(f: Field) -> tuple[Float1D, Float2D]:
     own = [c for index in f.accepted for c in range(design.blocks[index].start, design.blocks[index].stop)]
     weights = f.weights.copy()
     weights[own] = 0.0
-    metric, _ = _metric(design, f.base.gram, weights)
+    half, _ = _half(design, f.base.gram, weights)
     columns = [*range(n), *(n + c for c in own)]
-    matrix = metric[np.ix_(columns, columns)] + np.diag(np.concatenate([np.zeros(n), np.ones(len(own))]))
+    metric = f.base.gram[columns] - half[columns] @ half.T
+    matrix = metric[:, columns] + np.diag(np.concatenate([np.zeros(n), np.ones(len(own))]))
     scale = np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
     inverse = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
     unit = np.concatenate([np.ones(n), design.prior[own]])
-    return (inverse @ metric[columns, -1]) * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
+    return (inverse @ metric[:, -1]) * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
 
 
 def signal_to_noise(design: Design) -> Float1D:
@@ -263,62 +299,69 @@ def _unit_weights(design: Design, gram: Float2D) -> Float1D:
     return weights
 
 
-def _metric(design: Design, gram: Float2D, weights: Float1D) -> tuple[Float2D, float]:
-    """Return the Gram matrix in the metric of V^-1, and log det V (Woodbury)."""
+def _half(design: Design, gram: Float2D, weights: Float1D) -> tuple[Float2D, float]:
+    """Return H (n + p + 1, a) with G - H H^T the Gram matrix in the metric of V^-1, and log det V (Woodbury)."""
     n = design.n
     active = np.flatnonzero(weights > 0)
-    if not len(active):
-        return gram, 0.0
     scaled = gram[:, n + active] * weights[active]
     core = np.eye(len(active)) + scaled[n + active] * weights[active][:, None]
     lower = np.linalg.cholesky(core)
-    half = solve_triangular(lower, scaled.T, lower=True, check_finite=False)
-    return gram - half.T @ half, 2 * float(np.log(np.diag(lower)).sum())
+    half = solve_triangular(lower, scaled.T, lower=True, check_finite=False) if len(active) else scaled.T
+    return half.T, 2 * float(np.log(np.diag(lower)).sum())
 
 
 def _schur(gram: Float2D, columns: list[int]) -> Float2D:
     """Project `columns` out of a Gram matrix; its shape stays, their rows become zero."""
+    half = _projected(gram[columns], columns)
+    return gram - half @ half.T
+
+
+def _projected(rows: Float2D, columns: list[int]) -> Float2D:
+    """Return H (p, k) with H H^T what the projection onto `columns` takes from a Gram matrix with these rows of it."""
     if not columns:
-        return gram
-    scale = np.sqrt(np.clip(np.diag(gram), 1e-300, None))[columns]
-    cross = gram[columns] / scale[:, None]
-    inner = gram[np.ix_(columns, columns)] / np.outer(scale, scale)
+        return np.zeros((rows.shape[1], 0))
+    scale = np.sqrt(np.clip(np.diag(rows[:, columns]), 1e-300, None))
+    cross = rows / scale[:, None]
+    inner = rows[:, columns] / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(inner)
     kept = values > 1e-10 * values[-1]
-    half = (vectors[:, kept] / np.sqrt(values[kept])).T @ cross
-    return gram - half.T @ half
+    return np.asarray(cross.T @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 
-def _scores(design: Design, schur: Float2D, vectors: Float2D) -> Float2D:
+def _scores(several: Sequence[Alike], blocks: Sequence[Float3D], vectors: Float2D) -> Float2D:
     """Return log Bayes factors (l, s) of all candidates for s right-hand sides.
 
     Where physics allows positive values only the prior is one half of the normal per parameter; by what share of the
-    two-sided posterior is positive in all of them the factor changes.  Candidates of equal shape are taken together.
+    two-sided posterior is positive in all of them the factor changes.
+
+    Args:
+        several: Candidates of equal shape together.
+        blocks: For each of them the (c, k, k) Gram matrices of their members.
+        vectors: (p, s).
     """
-    result = np.empty((len(design.blocks), vectors.shape[1]))
-    for members, columns, positive in _alike(design):
-        matrix = np.eye(columns.shape[1]) + schur[columns[:, :, None], columns[:, None, :]]
-        lower = np.linalg.cholesky(matrix)
-        half = np.linalg.solve(lower, vectors[columns])
+    result = np.empty((sum(len(alike.members) for alike in several), vectors.shape[1]))
+    for alike, block in zip(several, blocks, strict=True):
+        lower = np.linalg.cholesky(np.eye(block.shape[1]) + block)
+        half = np.linalg.solve(lower, vectors[alike.columns])
         log_det = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
-        result[members] = 0.5 * (half**2).sum(axis=1) - log_det[:, None]
-        if positive.any():
-            across = np.linalg.inv(lower).transpose(0, 2, 1)[:, positive]
+        result[alike.members] = 0.5 * (half**2).sum(axis=1) - log_det[:, None]
+        if alike.positive.any():
+            across = np.linalg.inv(lower).transpose(0, 2, 1)[:, alike.positive]
             share = log_positive(across @ half, across @ across.transpose(0, 2, 1))
-            result[members] += positive.sum() * np.log(2) + share
+            result[alike.members] += alike.positive.sum() * np.log(2) + share
     return result
 
 
-def _alike(design: Design) -> list[tuple[Int1D, NDArray[np.int64], Bool1D]]:
-    """Group candidates of equal shape: their indices (c,), their columns (c, k), which parameters are positive (k,)."""
+def _alike(design: Design) -> tuple[Alike, ...]:
+    """Group candidates of equal shape."""
     shapes: dict[bytes, list[int]] = {}
     for index, block in enumerate(design.blocks):
         shapes.setdefault(design.positive[block].tobytes(), []).append(index)
     groups = []
     for members in shapes.values():
         columns = np.array([range(design.blocks[i].start, design.blocks[i].stop) for i in members])
-        groups.append((np.array(members), columns, design.positive[design.blocks[members[0]]]))
-    return groups
+        groups.append(Alike(np.array(members), columns, design.positive[design.blocks[members[0]]]))
+    return tuple(groups)
 
 
 def log_positive(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -90,6 +90,7 @@ def loaded_state(problem: LoadedProblem, cell: Cell, compliance: Float1D) -> Sta
         temperature=readings.temperature,
         tracker=problem.parameters.tracker,
         rated_load=cell.robot.rated_load,
+        rest=problem.rest(compliance),
     )
 
 

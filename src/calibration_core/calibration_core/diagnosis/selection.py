@@ -11,7 +11,7 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.diagnosis.cross_validation import log_predictive_density, passes
+from calibration_core.diagnosis.cross_validation import log_predictive_densities, passes
 from calibration_core.diagnosis.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.evidence import (
     LEVELS,
@@ -139,8 +139,7 @@ def _proven(here: Field, index: int) -> bool:
     """Return whether a candidate stands out from the small effects and predicts configurations left out."""
     if visible_size(here, index) < STANDS_OUT * here.level:
         return False
-    other = without_kin(here, index)
-    return passes(log_predictive_density(other), log_predictive_density(other, (index,)))
+    return passes(*log_predictive_densities(without_kin(here, index), index))
 
 
 def _together(base: Base, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]) -> tuple[int, ...]:

@@ -101,7 +101,7 @@ def whitened(rows: Rows, data: Float3D) -> tuple[Float2D, Int1D]:
         white, basis = _whiten(rows, index)
         b, size = len(index), white.shape[1]
         rest = np.linalg.qr(basis, mode="complete")[0][:, :, basis.shape[2] :]
-        flat = rest.transpose(0, 2, 1) @ (white @ data[index].reshape(b, size, data.shape[2]))
+        flat = (rest.transpose(0, 2, 1) @ white) @ data[index].reshape(b, size, data.shape[2])
         parts.update(zip(map(int, group), flat, strict=True))
     order = sorted(parts)
     configuration = np.concatenate([np.full(len(parts[k]), k, dtype=np.int64) for k in order])

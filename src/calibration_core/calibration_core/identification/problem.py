@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from collections.abc import Callable
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from calibration_core.cell import Cell
 from calibration_core.identification.offsets import Rows
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects.state import wrench_response
-from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import recorded_load
@@ -19,6 +20,8 @@ from calibration_core.model.statics import Load, load_torque
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
+KEPT = 3  # equilibria and linearisations that a problem remembers: the diagnosis comes back to a few compliances
+T = TypeVar("T")
 Method = Literal["equilibrium", "linear"]
 Weights = Literal["instrument", "plain"]
 
@@ -55,6 +58,8 @@ class LoadedProblem:
         wrench_root: (m, 6, w) square root of the covariance of the wrench as recorded.
         configuration: (m,) index of the configuration of each reading.
         method: `equilibrium`, or `linear` for equations (6) and (7) of the standard as they stand.
+        solved: The last equilibria, by the bytes of the compliances.
+        linearised: What `linearise` has returned last, likewise.
     """
 
     chain: Chain
@@ -67,6 +72,8 @@ class LoadedProblem:
     wrench_root: Float3D
     configuration: Int1D
     method: Method
+    solved: dict[bytes, Equilibrium] = dataclasses.field(default_factory=dict, init=False, repr=False)
+    linearised: dict[bytes, Linearised] = dataclasses.field(default_factory=dict, init=False, repr=False)
 
     def select(self, rows: Int1D) -> LoadedProblem:
         """Return the problem of some of the readings (indices); configurations keep their index."""
@@ -82,6 +89,19 @@ class LoadedProblem:
 
     def linearise(self, compliance: Float1D) -> Linearised:
         """Predict all readings with these compliances, (n,) rad/(N*m), and differentiate."""
+        return _remembered(self.linearised, compliance, self._linearise)
+
+    def rest(self, compliance: Float1D) -> Equilibrium:
+        """Return the equilibrium of all readings at these compliances, (n,) rad/(N*m).
+
+        Raises:
+            EquilibriumError: The load is beyond what the joints can carry.
+        """
+        return _remembered(
+            self.solved, compliance, lambda at: solve_equilibrium(self.chain, self.readings.q, at, self.load)
+        )
+
+    def _linearise(self, compliance: Float1D) -> Linearised:
         if self.method == "linear":
             predicted, columns, by_wrench = self._linear(compliance)
         else:
@@ -104,11 +124,22 @@ class LoadedProblem:
         return self.unloaded + columns @ compliance, columns, by_wrench
 
     def _equilibrium(self, compliance: Float1D) -> tuple[Float2D, Float3D, Float3D]:
-        rest = solve_equilibrium(self.chain, self.readings.q, compliance, self.load)
+        rest = self.rest(compliance)
         points = self._points()
         answer = np.einsum("anm,njm->ajm", rest.point_jacobian(points), rest.amplification)
         columns = np.moveaxis(answer * rest.torque, -1, 0)
         return rest.at.point(points).T, columns, wrench_response(answer * compliance[:, None], rest.at, self.load)
+
+
+def _remembered(known: dict[bytes, T], compliance: Float1D, solve: Callable[[Float1D], T]) -> T:
+    """Return what was found at these compliances before, or find it now and forget the oldest."""
+    key = compliance.tobytes()
+    if key not in known:
+        found = solve(compliance)
+        while len(known) >= KEPT:
+            del known[next(iter(known))]
+        known[key] = found
+    return known[key]
 
 
 def build_problem(

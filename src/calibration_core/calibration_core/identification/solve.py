@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.optimize import nnls
 
 from calibration_core.timeseries import Bool1D, Float1D, Float2D
 
@@ -78,6 +77,10 @@ def _bounded(scaled: Float2D, vector: Float1D, scale: Float1D, fixed: Float1D) -
     right = vector[free] - scaled[np.ix_(free, ~free)] @ (result[~free] * scale[~free])
     values, vectors = np.linalg.eigh(scaled[np.ix_(free, free)])
     root = np.sqrt(np.clip(values, 1e-300, None))
-    solution, _ = nnls(root[:, None] * vectors.T, (vectors.T @ right) / root)
+    solution = vectors @ ((vectors.T @ right) / root**2)
+    if values[0] <= SINGULAR * values[-1] or (solution < 0).any():
+        from scipy.optimize import nnls  # slow to load, and few recordings meet the bound
+
+        solution, _ = nnls(root[:, None] * vectors.T, (vectors.T @ right) / root)
     result[free] = solution / scale[free]
     return result

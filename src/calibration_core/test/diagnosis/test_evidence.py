@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from calibration_core.diagnosis.cross_validation import FLAT, log_predictive_density, passes
+from calibration_core.diagnosis.cross_validation import FLAT, log_predictive_densities, passes
 from calibration_core.diagnosis.design import Design
 from calibration_core.diagnosis.evidence import (
     base_of,
@@ -122,19 +122,19 @@ def test_estimates_are_those_of_generalised_least_squares() -> None:
 def test_left_out_densities_are_conditional_densities() -> None:
     d = design(6, {4: 0.6})
     f = field(base_of(d), (), 1.0)
-    seen = log_predictive_density(f, (2,))
-    weights = f.weights.copy()
-    weights[4:6] = np.hypot(weights[4:6], 1.0)
+    more = f.weights.copy()
+    more[4:6] = np.hypot(more[4:6], 1.0)
     null = d.null / np.linalg.norm(d.null, axis=0) * FLAT
-    covariance = np.eye(ROWS) + null @ null.T + (d.columns * weights**2) @ d.columns.T
-    expected = []
-    for k in range(CONFIGURATIONS):
-        out, rest = np.flatnonzero(d.configuration == k), np.flatnonzero(d.configuration != k)
-        gain = covariance[np.ix_(out, rest)] @ np.linalg.inv(covariance[np.ix_(rest, rest)])
-        conditional = covariance[np.ix_(out, out)] - gain @ covariance[np.ix_(rest, out)]
-        density = multivariate_normal(gain @ d.residual[rest], (conditional + conditional.T) / 2)
-        expected.append(density.logpdf(d.residual[out]) + 0.5 * len(out) * np.log(2 * np.pi))
-    np.testing.assert_allclose(seen, expected, atol=1e-4)
+    for seen, weights in zip(log_predictive_densities(f, 2), (f.weights, more), strict=True):
+        covariance = np.eye(ROWS) + null @ null.T + (d.columns * weights**2) @ d.columns.T
+        expected = []
+        for k in range(CONFIGURATIONS):
+            out, rest = np.flatnonzero(d.configuration == k), np.flatnonzero(d.configuration != k)
+            gain = covariance[np.ix_(out, rest)] @ np.linalg.inv(covariance[np.ix_(rest, rest)])
+            conditional = covariance[np.ix_(out, out)] - gain @ covariance[np.ix_(rest, out)]
+            density = multivariate_normal(gain @ d.residual[rest], (conditional + conditional.T) / 2)
+            expected.append(density.logpdf(d.residual[out]) + 0.5 * len(out) * np.log(2 * np.pi))
+        np.testing.assert_allclose(seen, expected, atol=1e-4)
     assert passes(np.zeros(5), np.full(5, 1.0))
     assert not passes(np.zeros(5), np.array([9.0, -1.0, -1.0, -1.0, -1.0]))  # one configuration alone
 

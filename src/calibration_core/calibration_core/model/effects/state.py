@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from calibration_core.model.chain import Chain
-from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import Posture, cross, dot, linear_jacobian, turned
 from calibration_core.model.statics import Load, gravity_torque, load_torque
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
@@ -162,6 +162,7 @@ def state_of(
     temperature: Float1D,
     tracker: Float2D,
     rated_load: float,
+    rest: Equilibrium | None = None,
 ) -> State:
     """Solve the equilibrium and gather everything that effects need.
 
@@ -179,12 +180,13 @@ def state_of(
         temperature: (m,) degrees Celsius.
         tracker: (4, 4) pose in the base frame.
         rated_load: kg.
+        rest: The equilibrium, where it is known already; None: it is solved here.
 
     Raises:
         EquilibriumError: The load is beyond what the joints can carry.
     """
     m = len(q)
-    rest = solve_equilibrium(chain, q, compliance, load)
+    rest = solve_equilibrium(chain, q, compliance, load) if rest is None else rest
     answer = np.einsum("anm,njm->ajm", rest.point_jacobian(points), rest.amplification)
     zero = np.zeros((3, m))
     if load is None:
