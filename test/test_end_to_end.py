@@ -35,13 +35,24 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def identified(recorded: Path) -> dict[str, Path]:
+    """Return the outputs of `identify` for the bag and for the table."""
+    outputs = {}
+    for source in ("bag", "table.csv"):
+        out = recorded / "identified" / source
+        done = run("calibration", "identify", recorded / source, "--cell", CELL, "--out", out)
+        assert done.returncode == 0, done.stderr
+        assert done.stderr == ""
+        assert str(out / "report.html") in done.stdout
+        outputs[source] = out
+    return outputs
+
+
 @pytest.mark.parametrize("source", ["bag", "table.csv"])
-def test_the_hidden_stiffness_is_found(recorded: Path, tmp_path: Path, source: str) -> None:
-    done = run("calibration", "identify", recorded / source, "--cell", CELL, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert str(tmp_path / "report.html") in done.stdout
-    result = json.loads((tmp_path / "result.json").read_text())
+def test_the_hidden_stiffness_is_found(recorded: Path, identified: dict[str, Path], source: str) -> None:
+    out = identified[source]
+    result = json.loads((out / "result.json").read_text())
     truth = yaml.safe_load((recorded / "truth.yaml").read_text())["stiffness"]
     assert result["schema"] == 1
     assert result["command"] == "identify"
@@ -54,18 +65,17 @@ def test_the_hidden_stiffness_is_found(recorded: Path, tmp_path: Path, source: s
         assert abs(joint["value"] - truth[joint["joint"]]) < 5 * joint["std"] + 0.01 * truth[joint["joint"]]
     assert result["fit"]["rms_after"] < 2.5e-5 < result["fit"]["rms_before"]
     for name in ("report.html", "report.pdf", "table1.csv", "table2.csv", "model.yaml"):
-        assert (tmp_path / name).stat().st_size > 0
-    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
-    with (tmp_path / "table2.csv").open() as file:
+        assert (out / name).stat().st_size > 0
+    assert (out / "report.pdf").read_bytes().startswith(b"%PDF")
+    with (out / "table2.csv").open() as file:
         assert len(list(csv.reader(file))) == 7
 
 
-def test_the_identified_model_predicts_another_recording(recorded: Path, tmp_path: Path) -> None:
-    assert (
-        run("calibration", "identify", recorded / "table.csv", "--cell", CELL, "--out", tmp_path / "a").returncode == 0
-    )
+def test_the_identified_model_predicts_another_recording(
+    recorded: Path, identified: dict[str, Path], tmp_path: Path
+) -> None:
     done = run(
-        "calibration", "predict", recorded / "bag", "--cell", CELL, "--model", tmp_path / "a/model.yaml",
+        "calibration", "predict", recorded / "bag", "--cell", CELL, "--model", identified["table.csv"] / "model.yaml",
         "--out", tmp_path / "b",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
