@@ -24,6 +24,7 @@ from calibration_core.observations.samples import Limits, Problem
 from calibration_core.observations.window import Settled, Waiting
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
+LISTENERS_WAIT = 2.0  # s of wall time from the start, in which nothing is averaged that nobody hears
 LOOK = 0.1  # s of wall time between looks at publishers and problems
 REPORT = 10  # looks between two reports of a stream whose health has not changed
 POLL = 0.005  # s of wall time between looks at an average
@@ -82,6 +83,7 @@ class AcquisitionNode(CalibrationNode):
         self.streams: dict[str, Stream] = {}
         self._sources: dict[str, Source] = {}
         self._looks = 0
+        self._alone_until = time.monotonic() + LISTENERS_WAIT
         self._told: dict[str, Problem] = {}
         self.group = ReentrantCallbackGroup()
         self._checks = self.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
@@ -122,6 +124,17 @@ class AcquisitionNode(CalibrationNode):
     def tare_number(self) -> int:
         """Return the number of the tare in force; 0: none."""
         return 0
+
+    def outputs(self) -> Sequence[Any]:
+        """Return the publishers of what is measured."""
+        raise NotImplementedError
+
+    def _wait_for_listeners(self) -> None:
+        """Let the recorder find a node that has just been started, or it would miss what is measured first."""
+        while time.monotonic() < self._alone_until:
+            if all(publisher.get_subscription_count() for publisher in self.outputs()):
+                self._alone_until = -math.inf
+            time.sleep(POLL)
 
     def _look(self) -> None:
         for source in self._sources.values():
@@ -178,6 +191,7 @@ class AcquisitionNode(CalibrationNode):
         Raises:
             MeasuringError: Cancelled, timed out, or nothing arrived.
         """
+        self._wait_for_listeners()
         running = [
             (stream, stream.start(request.window, self.tolerance(stream), request.min_samples))
             for stream in request.streams

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -88,6 +89,10 @@ class ForceTorqueNode(AcquisitionNode):
         self.create_subscription(joints.message, joints.relative, self._on_joints, profile)
         self.create_service(Tare, "~/tare", self._on_tare, callback_group=self.group)
         self.create_service(SelfTest, "~/self_test", self._on_self_test, callback_group=self.group)
+
+    def outputs(self) -> Sequence[Any]:
+        """Return the publisher of the wrench."""
+        return (self._publisher,) if self._forwards else ()
 
     def tolerance(self, stream: Stream) -> Float1D:  # noqa: ARG002  # there is one stream only
         """Return the (6,) change over a window that does not matter, N and N*m."""

@@ -88,6 +88,10 @@ class TrackerNode(AcquisitionNode):
         if stream.take(sample, sample.stamp) and stream.name in self._outputs:
             self._outputs[stream.name].publish(to_point_stamped(self.labelled(sample)))
 
+    def outputs(self) -> Sequence[Any]:
+        """Return the publishers of the points."""
+        return tuple(self._outputs.values())
+
     def tolerance(self, stream: Stream) -> Float1D:  # noqa: ARG002  # the same for every point
         """Return the (3,) change over a window that does not matter, m."""
         return np.full(3, self.value("tolerance"))
