@@ -9,6 +9,7 @@ share its error too.  Both are handled per configuration; configurations are ind
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 
 import numpy as np
@@ -42,6 +43,14 @@ class Rows:
     def select(self, rows: Int1D) -> Rows:
         """Return some of the rows."""
         return Rows(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+
+    @functools.cached_property
+    def contrasts(self) -> tuple[tuple[Int1D, Int1D, Float3D], ...]:
+        """Configurations of equal shape: their indices (b,), their rows (b, m), and what whitens these, (b, r, m d).
+
+        The designs of one search share their rows, so that this is found once.
+        """
+        return tuple((group, index, _contrast(self, index)) for group, index in _groups(self))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,11 +106,8 @@ def whitened(rows: Rows, data: Float3D) -> tuple[Float2D, Int1D]:
         configuration: (r,) index of the configuration of every row.
     """
     parts: dict[int, Float2D] = {}
-    for group, index in _groups(rows):
-        white, basis = _whiten(rows, index)
-        b, size = len(index), white.shape[1]
-        rest = np.linalg.qr(basis, mode="complete")[0][:, :, basis.shape[2] :]
-        flat = (rest.transpose(0, 2, 1) @ white) @ data[index].reshape(b, size, data.shape[2])
+    for group, index, contrast in rows.contrasts:
+        flat = contrast @ data[index].reshape(len(index), contrast.shape[2], data.shape[2])
         parts.update(zip(map(int, group), flat, strict=True))
     order = sorted(parts)
     configuration = np.concatenate([np.full(len(parts[k]), k, dtype=np.int64) for k in order])
@@ -163,6 +169,13 @@ def _groups(rows: Rows) -> Iterator[tuple[Int1D, Int1D]]:
     for (count, _), members in shapes.items():
         index = order[starts[members][:, None] + np.arange(count)[None, :]]
         yield present[members], index
+
+
+def _contrast(rows: Rows, index: Int1D) -> Float3D:
+    """Return (b, r, md): products with it are free of offsets, independent and of unit variance."""
+    white, basis = _whiten(rows, index)
+    rest = np.linalg.qr(basis, mode="complete")[0][:, :, basis.shape[2] :]
+    return np.asarray(rest.transpose(0, 2, 1) @ white)
 
 
 def _whiten(rows: Rows, index: Int1D) -> tuple[Float3D, Float3D]:
