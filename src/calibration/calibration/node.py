@@ -275,23 +275,27 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
 def _until(node: CalibrationNode, stop: threading.Event) -> int:
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
-    thread = threading.Thread(target=spin, args=(executor, node), name="executor", daemon=True)
+    ending = threading.Event()
+    thread = threading.Thread(target=spin, args=(executor, node, ending), name="executor", daemon=True)
     thread.start()
     while not stop.wait(POLL) and not node.failed.is_set():
         pass
     try:
         node.stop()
     finally:
-        executor.shutdown(timeout_sec=1.0)
+        ending.set()
+        executor.create_task(lambda: None)  # wakes it: an executor that is shut down while it spins breaks
         thread.join(timeout=1.0)
+        executor.shutdown(timeout_sec=1.0)
         node.destroy_node()
     return 1 if node.failed.is_set() else 0
 
 
-def spin(executor: SingleThreadedExecutor, node: CalibrationNode) -> None:
-    """Spin until the executor is shut down; an exception out of a callback ends the node and stands in the log."""
+def spin(executor: SingleThreadedExecutor, node: CalibrationNode, ending: threading.Event) -> None:
+    """Spin until told to end; an exception out of a callback ends the node and stands in the log."""
     try:
-        executor.spin()
+        while not ending.is_set():
+            executor.spin_once()
     except (ExternalShutdownException, ShutdownException):
         return
     except Exception:  # noqa: BLE001  # told in full, and the process ends

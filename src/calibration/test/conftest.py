@@ -73,6 +73,7 @@ class Spinning:
         self.executor = SingleThreadedExecutor(context=context)
         self.nodes: list[Any] = []
         self.errors: list[BaseException] = []
+        self._ending = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
 
     def start(self) -> None:
@@ -82,7 +83,8 @@ class Spinning:
         from rclpy.executors import ExternalShutdownException, ShutdownException
 
         try:
-            self.executor.spin()
+            while not self._ending.is_set():
+                self.executor.spin_once()
         except (ExternalShutdownException, ShutdownException):
             return
         except BaseException as error:
@@ -106,8 +108,10 @@ class Spinning:
         for node in self.nodes:
             if hasattr(node, "stop"):
                 node.stop()
-        self.executor.shutdown(timeout_sec=2.0)
+        self._ending.set()
+        self.executor.create_task(lambda: None)  # wakes it: an executor that is shut down while it spins breaks
         self._thread.join(2.0)
+        self.executor.shutdown(timeout_sec=2.0)
         for node in self.nodes:
             for action in [one for one in node.waitables if isinstance(one, ActionClient | ActionServer)]:
                 action.destroy()  # a node does not take its actions down: they would be found by the next test

@@ -48,15 +48,17 @@ def main(args: Sequence[str] | None = None) -> int:
 
         def spin() -> None:
             try:
-                executor.spin()
+                while not stop.is_set():
+                    executor.spin_once()
             except (ExternalShutdownException, ShutdownException):
                 return
 
         thread = threading.Thread(target=spin, name="executor", daemon=True)
         thread.start()
         live_on(node, stop)
-        executor.shutdown(timeout_sec=1.0)
+        executor.create_task(lambda: None)  # wakes it: an executor that is shut down while it spins breaks
         thread.join(timeout=1.0)
+        executor.shutdown(timeout_sec=1.0)
         node.close()
         node.destroy_node()
         return 0
