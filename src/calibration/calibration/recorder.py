@@ -125,8 +125,11 @@ class RecorderNode(CalibrationNode):
             if not self._write():
                 return
 
-    def _write(self) -> bool:
-        """Bring everything onto the disk that has come; False once that fails."""
+    def _write(self, *, last: bool = False) -> bool:
+        """Bring everything onto the disk that has come; False once that fails.
+
+        What came before the first word of a simulated clock waits for it: it counts as received then.
+        """
         try:
             with self._lock:
                 written = False
@@ -134,6 +137,10 @@ class RecorderNode(CalibrationNode):
                     topic, received, payload = self._queue.popleft()
                     if self._bag is None:
                         continue
+                    received = received or self.now_ns()
+                    if not received and not last:
+                        self._queue.appendleft((topic, received, payload))
+                        break
                     if topic.name not in self._numbers:
                         self._numbers[topic.name] = self._bag.add_topic(self._infos[topic.name])
                     self._bag.write(self._numbers[topic.name], received, payload)
@@ -152,7 +159,7 @@ class RecorderNode(CalibrationNode):
                 response.success, response.message = False, "no bag is open"
                 return response
             self._drain()
-            response.success = self._write()
+            response.success = self._write(last=True)
             response.message = f"{self._bag.messages} messages in {self._bag.file}"
             self._bag.close()
             self._bag = None
@@ -186,7 +193,7 @@ class RecorderNode(CalibrationNode):
         self._ending.set()
         self._writer.join(timeout=5.0)
         with self._lock:
-            if self._bag is not None and not self.failed.is_set() and self._write():
+            if self._bag is not None and not self.failed.is_set() and self._write(last=True):
                 self._bag.close()
             self._bag = None
 
