@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import signal
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import NonSeekingReader
 from numpy.lib.stride_tricks import sliding_window_view
+from rosbags.typesys import Stores, get_typestore
 
 pytest.importorskip("rclpy")
 
@@ -18,11 +21,12 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.procedure.session import Session
 from calibration_core.procedure.session_values import ConfirmedReading
 from calibration_core.recording.bag import read_bag
-from calibration_core.timeseries import TimeSeries
+from calibration_core.timeseries import NANOSECONDS
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRST, CONFIGURATIONS = 3, 18  # of the short plan and of the whole one
 KILLS = 30
+Samples = tuple[np.ndarray, np.ndarray]  # stamps and positions
 WITHIN = 2.0  # s, a process may take to end
 
 
@@ -156,24 +160,44 @@ class Killing:
             assert len(session.completed) == CONFIGURATIONS
             readings = session.confirmed()
         assert announced <= {row[:3] for row in self.seen}
-        samples = read_bag(self.suite.bag, cell).points
-        if self.name == "simulated_cell":  # its clock began anew each time: stamps come more than once
-            return
+        samples: Mapping[str, Samples] = {
+            name: (series.time, series.values) for name, series in read_bag(self.suite.bag, cell).points.items()
+        }
+        if (
+            self.name == "simulated_cell"
+        ):  # its clock began anew each time: stamps come more than once, and are no order
+            samples = as_written(self.suite.bag, cell)
         lost = [
             (one.configuration, one.step, one.point)
             for one in readings
-            if one.configuration not in self.blind | {0} and not holds(samples[one.point], one)
+            if one.configuration not in self.blind | {0} and not holds(*samples[one.point], one)
         ]
         assert lost == []
 
 
-def holds(samples: TimeSeries, reading: ConfirmedReading) -> bool:
+def as_written(bag: Path, cell: Cell) -> dict[str, Samples]:
+    """Return stamps (m,) ns and positions (m, 3) m of every point, in the order in which they were written."""
+    rows: dict[str, list[tuple[int, float, float, float]]] = {point: [] for point in cell.points}
+    topics, store = {f"/tracker/{point}": point for point in cell.points}, get_typestore(Stores.ROS2_JAZZY)
+    for path in sorted(bag.glob("*.mcap")):
+        with path.open("rb") as file:
+            for schema, channel, raw in NonSeekingReader(file).iter_messages(list(topics), log_time_order=False):
+                assert schema is not None
+                message: Any = store.deserialize_cdr(raw.data, schema.name)
+                stamp, at = message.header.stamp, message.point
+                rows[topics[channel.topic]].append((stamp.sec * NANOSECONDS + stamp.nanosec, at.x, at.y, at.z))
+    return {
+        point: (np.array([row[0] for row in some]), np.array([row[1:] for row in some])) for point, some in rows.items()
+    }
+
+
+def holds(stamps: np.ndarray, positions: np.ndarray, reading: ConfirmedReading) -> bool:
     """Tell whether the samples of which a reading is the mean stand one after another in the bag."""
     n = reading.samples
-    if len(samples.time) < n:
+    if len(stamps) < n:
         return False
-    middle = sliding_window_view(samples.time - reading.time, n).mean(axis=1)
-    mean = sliding_window_view(samples.values, n, axis=0).mean(axis=2)
+    middle = sliding_window_view(stamps - reading.time, n).mean(axis=1)
+    mean = sliding_window_view(positions, n, axis=0).mean(axis=2)
     return bool(np.any((np.abs(middle) < 1e6) & (np.abs(mean - reading.position).max(axis=1) < 1e-9)))
 
 
