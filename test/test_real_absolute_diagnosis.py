@@ -14,12 +14,13 @@ import pytest
 from calibration_core.cell import load_cell
 from calibration_core.diagnosis.absolute import diagnose_absolute
 from calibration_core.diagnosis.absolute_selection import MOST_PARAMETERS
-from calibration_core.diagnosis.finding import Diagnosis
+from calibration_core.diagnosis.finding import Diagnosis, Finding
 from calibration_core.recording.table import read_table
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 UR10 = ("A", "B", "C", "D")
 GEOMETRY = {"A": 0.44e-3, "B": 0.44e-3, "C": 0.48e-3, "D": 0.40e-3}  # m, 3-d rms that geometry alone leaves, at least
+GEOMETRY_FINDINGS = {"geometry_error", "joint_zero_offset"}  # geometry is refitted beforehand, so not in the rest
 
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
 
@@ -35,8 +36,13 @@ def _ur10(series: str) -> Diagnosis:
     return _diagnose(f"ur10_{series}", f"ur10_{series}")
 
 
+def _in_the_rest(found: Diagnosis) -> list[Finding]:
+    """Return what was found in the rest that the refitted geometry leaves, without what is said of the geometry."""
+    return [finding for finding in found.findings if finding.effect not in GEOMETRY_FINDINGS]
+
+
 def _named(found: Diagnosis) -> set[tuple[str, str]]:
-    return {(finding.effect, str(*finding.location.values())) for finding in found.findings}
+    return {(finding.effect, str(*finding.location.values())) for finding in _in_the_rest(found)}
 
 
 def _parameters(found: Diagnosis) -> int:
@@ -70,7 +76,7 @@ def test_wam_is_left_where_it_came_from_and_not_elastic() -> None:
 @pytest.mark.parametrize("series", UR10)
 def test_ur10_the_rest_is_located_and_named(series: str) -> None:
     found = _ur10(series)
-    for finding in found.findings[:3]:
+    for finding in _in_the_rest(found)[:3]:
         assert finding.held_out_gain > 0.1
         assert finding.magnitude > 0.1e-3
         assert finding.log_bayes_factor > 50

@@ -18,6 +18,7 @@ from calibration_core.diagnosis.absolute_design import (
 )
 from calibration_core.diagnosis.absolute_drift import DriftControl, slow_blocks
 from calibration_core.diagnosis.absolute_fit import AbsoluteExtended, extend_absolute
+from calibration_core.diagnosis.absolute_geometry import geometry_findings
 from calibration_core.diagnosis.absolute_naming import absolute_findings
 from calibration_core.diagnosis.absolute_rest import what_remains_absolute
 from calibration_core.diagnosis.absolute_selection import (
@@ -28,7 +29,7 @@ from calibration_core.diagnosis.absolute_selection import (
     select_absolute,
 )
 from calibration_core.diagnosis.blocks import Blocks, posture_blocks, time_blocks
-from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
+from calibration_core.diagnosis.finding import Diagnosis, Finding, Rest, Verdict, by_size
 from calibration_core.identification.absolute import Evaluated, evaluate_absolute, identification_of
 from calibration_core.identification.absolute_problem import absolute_problem
 from calibration_core.identification.distributions import chi2_limit
@@ -48,6 +49,7 @@ from calibration_core.timeseries import Float2D, Int1D, Readings
 
 GROSS = 0.01  # probability that a clean recording has any reading beyond the limit
 LOW_ORDERS = 64  # of transmission errors, searched first; higher ones if there is room left
+DWARFS = 10.0  # times what remains unexplained, that a geometry error beside it must move the points
 REPORTED = {"time": 10, "posture": 20}  # blocks left out in the figures that are reported
 
 
@@ -128,6 +130,7 @@ def diagnose_absolute(
     rest = what_remains_absolute(
         extended, design, selection.accepted, searched.partitions[0], readings, identification.noise
     )
+    findings = by_size((*findings, *_geometry(case, extended, rest)))
     rest = _with_refusals(rest, selection)
     kinds = {"time": time_blocks(readings.configuration, REPORTED["time"]),
              "posture": posture_blocks(readings.q, readings.configuration, REPORTED["posture"])}  # fmt: skip
@@ -212,6 +215,19 @@ def fitting_after_all(extended: AbsoluteExtended, readings: Readings) -> frozens
     rows = np.flatnonzero(~extended.used & (squares < limit))
     names = readings.points
     return frozenset((int(readings.configuration[k]), int(readings.step[k]), names[readings.point[k]]) for k in rows)
+
+
+def _geometry(case: Case, extended: AbsoluteExtended, rest: Rest) -> tuple[Finding, ...]:
+    """Return the joints whose geometry is far from where the cell file, or the given model, puts it.
+
+    Geometry is fitted to whatever else is missing, too: beside a significant rest only what dwarfs it is believed.
+    """
+    ladder = case.evaluated.ladder
+    gain = 1 - (ladder.final.held_out_rms / ladder.frames.held_out_rms) ** 2
+    blocks = time_blocks(case.readings.configuration)
+    found = geometry_findings(extended, case.terms, case.evaluated.nominal, blocks, gain)
+    least = DWARFS * rest.rms if rest.significant else 0.0
+    return tuple(finding for finding in found if finding.magnitude > least)
 
 
 def _freed(extended: AbsoluteExtended, readings: Readings) -> Readings:

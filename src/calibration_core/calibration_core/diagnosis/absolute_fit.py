@@ -118,7 +118,7 @@ def extend_absolute(
             break
         value = value + change[len(change) - len(value) :]
         parameters = _softened(moved(parameters, terms, change[:n]), nuisances, change[n : n + len(nuisances)])
-    covariance = _sandwich(wide[fitted], rest[fitted], partition.of(np.flatnonzero(used)))
+    covariance = sandwich(wide[fitted], rest[fitted], partition.of(np.flatnonzero(used)))
     covariance = covariance / np.outer(length, length)
     tail = slice(len(length) - len(value), len(length))
     return AbsoluteExtended(
@@ -135,7 +135,7 @@ def _softened(parameters: ModelParameters, nuisances: Sequence[Candidate], chang
     return parameters.replace(compliance=compliance)
 
 
-def _sandwich(columns: Float2D, rest: Float1D, partition: Blocks) -> Float2D:
+def sandwich(columns: Float2D, rest: Float1D, partition: Blocks) -> Float2D:
     """Return the covariance of least squares from the scatter of blocks (Liang and Zeger 1986)."""
     inverse = np.linalg.pinv(columns.T @ columns, rcond=TINY, hermitian=True)
     label = np.repeat(partition.label, 3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal
 
 from calibration_core.diagnosis.comparison import Comparison
@@ -77,6 +77,11 @@ class Finding:
     explanation: str
     separate_by: str
     refinements: tuple[str, ...] = ()
+
+
+def by_size(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings in the order of the contract: largest effect on the measured points first."""
+    return tuple(sorted(findings, key=lambda finding: -finding.magnitude))
 
 
 @dataclasses.dataclass(frozen=True)

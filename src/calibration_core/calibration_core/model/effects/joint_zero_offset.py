@@ -39,12 +39,16 @@ def _torque_slope(state: State, joint: int) -> np.ndarray:
     return slopes
 
 
+def zero_offset(joint: int, name: str, rated_load: float) -> Candidate:
+    """Return the hypothesis that a joint's zero is elsewhere than its encoder says."""
+    parameters = (Parameter("offset", "rad", typical("joint_zero_offset", rated_load)),)
+    columns = partial(_columns, joint=joint)
+    return Candidate(EFFECT.name, EFFECT.family, {"joint": name}, "zero", parameters, columns)
+
+
 def _candidates(state: State) -> Iterator[Candidate]:
-    size = typical("joint_zero_offset", state.rated_load)
     for joint, name in enumerate(state.chain.joints):
-        parameters = (Parameter("offset", "rad", size),)
-        columns = partial(_columns, joint=joint)
-        yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, "zero", parameters, columns)
+        yield zero_offset(joint, name, state.rated_load)
 
 
 EFFECT = Effect(
