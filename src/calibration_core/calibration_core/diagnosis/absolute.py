@@ -30,6 +30,7 @@ from calibration_core.diagnosis.absolute_selection import (
 )
 from calibration_core.diagnosis.blocks import Blocks, posture_blocks, time_blocks
 from calibration_core.diagnosis.finding import Diagnosis, Finding, Rest, Verdict, by_size
+from calibration_core.diagnosis.known_stiffness import Considered, KnownCompliance, divided
 from calibration_core.identification.absolute import Evaluated, evaluate_absolute, identification_of
 from calibration_core.identification.absolute_problem import absolute_problem
 from calibration_core.identification.distributions import chi2_limit
@@ -43,6 +44,7 @@ from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.joint_elasticity import turned_columns
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.transmission_error import order_of
+from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.covariance import position_covariance
 from calibration_core.timeseries import Float2D, Int1D, Readings
@@ -64,7 +66,8 @@ class Case:
         terms: Frames and, where identifiable, geometry.
         parameters: The null model, fitted.
         state: All readings' state there.
-        nuisances: Joint compliances of the null model: stiffnesses that the cell file states are refitted.
+        nuisances: Joint compliances of the null model that are refitted.
+        considered: Joint compliances of the null model that are held.
         rows: Readings of the search.
         partitions: Of those, into blocks.
         control: Controls of elasticity and drift.
@@ -77,6 +80,7 @@ class Case:
     parameters: ModelParameters
     state: State
     nuisances: tuple[Candidate, ...]
+    considered: Considered
     rows: Int1D
     partitions: tuple[Blocks, ...]
     control: Control
@@ -92,12 +96,17 @@ class Case:
         """Fit the given effects together with frames and geometry to all readings used."""
         return extend_absolute(
             self.evaluated.problem, self.evaluated.used, self.parameters, self.terms, chosen, self.readings, self.cell,
-            time_blocks(self.readings.configuration), self.nuisances,
+            time_blocks(self.readings.configuration), self.nuisances, self.considered,
         )  # fmt: skip
 
 
 def diagnose_absolute(
-    readings: Readings, cell: Cell, *, test: Readings | None = None, believed: ModelParameters | None = None
+    readings: Readings,
+    cell: Cell,
+    *,
+    test: Readings | None = None,
+    believed: ModelParameters | None = None,
+    known: KnownCompliance | None = None,
 ) -> Diagnosis:
     """Say what the model of an absolute recording leaves out.
 
@@ -106,23 +115,26 @@ def diagnose_absolute(
         cell: The cell file.
         test: A second recording, predicted but not fitted.
         believed: Model to start from; None: what the cell file believes.
+        known: Compliances that are known from elsewhere; None: those of the model are refitted.
 
     Raises:
         InputError: As `identify_absolute`.
     """
-    case = prepare(readings, cell, evaluate_absolute(readings, cell, believed=believed))
+    if known is not None:
+        believed = (nominal_parameters(cell) if believed is None else believed).replace(compliance=known.value)
+    case = prepare(readings, cell, evaluate_absolute(readings, cell, believed=believed), known)
     stepped = select_changes(case.design, readings, case.partitions, (), dwarfing=True)
     moved = _anomalies(case.extend(stepped.found), readings, stepped)
     if stepped.found:  # everything else is judged on readings freed of what moved
         readings = _freed(case.extend(stepped.found), readings)
-        case = prepare(readings, cell, evaluate_absolute(readings, cell, believed=believed))
+        case = prepare(readings, cell, evaluate_absolute(readings, cell, believed=believed), known)
     searched = case
     design, selection, steps = search(searched)
     hypotheses = tuple(design.candidates[i] for i in selection.accepted)
     extended = case.extend(hypotheses)
     readmit = fitting_after_all(extended, readings)
     if readmit:
-        case = prepare(readings, cell, evaluate_absolute(readings, cell, readmit=readmit, believed=believed))
+        case = prepare(readings, cell, evaluate_absolute(readings, cell, readmit=readmit, believed=believed), known)
         extended = case.extend(hypotheses)
     null = case.extend(())
     identification = identification_of(case.evaluated, readings, cell, test=test)
@@ -164,28 +176,39 @@ def diagnose_absolute(
     )
 
 
-def prepare(readings: Readings, cell: Cell, evaluated: Evaluated) -> Case:
-    """Fit the null model: frames, identifiable geometry, and refitted stiffnesses where the cell file states them."""
+def prepare(readings: Readings, cell: Cell, evaluated: Evaluated, known: KnownCompliance | None = None) -> Case:
+    """Fit the null model: frames, identifiable geometry, and refitted stiffnesses where the cell file states them.
+
+    Args:
+        readings: The recording.
+        cell: The cell file.
+        evaluated: Decisions of the identification.
+        known: Compliances of the evaluated model that are known; None: they are refitted.
+    """
     problem, used = evaluated.problem, np.flatnonzero(evaluated.used)
     final = evaluated.ladder.final.fit
     terms = tuple(term for term in final.terms if not isinstance(term, ElasticityTerm))
     start = final.parameters.replace(compliance=evaluated.nominal.compliance)
     parameters = fit(problem.select(used), start, terms).parameters
     state = absolute_state(problem, parameters, readings, cell)
+    rows = sample(readings.configuration, used)
+    part = problem.select(rows)
     stated = bool(np.any(evaluated.nominal.compliance))
     nuisances = tuple(c for c in candidates(state) if stated and c.effect == "joint_elasticity")
-    rows = sample(readings.configuration, used)
+    considered = Considered()
+    if known is not None:
+        size = [_rms(weighted(part, parameters, c.columns(state)[rows])) for c in nuisances]
+        nuisances, considered = divided(known, nuisances, size)
     partitions = (
         time_blocks(readings.configuration[rows]),
         posture_blocks(readings.q[rows], readings.configuration[rows]),
     )
-    part = problem.select(rows)
     turned = {
         name: weighted(part, parameters, turned_columns(state, joint)[rows])
         for joint, name in enumerate(state.chain.joints)
     }
     control = DriftControl(slow_blocks(readings.configuration[rows]), GravityControl(partitions, turned))
-    return Case(readings, cell, evaluated, terms, parameters, state, nuisances, rows, partitions, control)
+    return Case(readings, cell, evaluated, terms, parameters, state, nuisances, considered, rows, partitions, control)
 
 
 def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, Steps]:
@@ -194,7 +217,10 @@ def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, Steps]:
     Returns:
         The design of the last search, what was accepted in it, and the steps.
     """
-    offered = tuple(c for c in candidates(case.state) if not (case.nuisances and c.effect == "joint_elasticity"))
+    stated = {str(c.location["joint"]) for c in (*case.nuisances, *case.considered.candidates)}
+    offered = tuple(
+        c for c in candidates(case.state) if c.effect != "joint_elasticity" or c.location["joint"] not in stated
+    )
     low = tuple(c for c in offered if _order(c) <= LOW_ORDERS)
     high = len(low) < len(offered)
     design, selection = _select(case, (), low)

@@ -10,6 +10,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.absolute_design import absolute_state, null_columns, unweighted, weighted
 from calibration_core.diagnosis.blocks import Blocks
+from calibration_core.diagnosis.known_stiffness import Considered
 from calibration_core.diagnosis.left_out import left_out
 from calibration_core.identification.geometry import AbsoluteProblem, moved
 from calibration_core.identification.terms import Term, names_of
@@ -34,7 +35,7 @@ class AbsoluteExtended:
         parameters: Frames, geometry, compliances.
         candidates: The effects in the model.
         value: (p,) their parameters.
-        covariance: (p, p), from the scatter of whole blocks in time.
+        covariance: (p, p), from the scatter of whole blocks in time, and from compliances that are held.
         columns: (3 m, n + p) weighted columns of length one, for leaving out blocks.
         rest: (3 m,) weighted residual.
     """
@@ -83,6 +84,7 @@ def extend_absolute(
     cell: Cell,
     partition: Blocks,
     nuisances: Sequence[Candidate] = (),
+    considered: Considered | None = None,
 ) -> AbsoluteExtended:
     """Fit terms and effects together, linearised again until nothing moves.
 
@@ -96,6 +98,7 @@ def extend_absolute(
         cell: The cell file.
         partition: Blocks for the covariance.
         nuisances: Compliances that belong to the null model (`joint_elasticity` of joints); they move `parameters`.
+        considered: Compliances that are held, and whose covariance enters that of the effects.
     """
     value = np.zeros(sum(len(candidate.parameters) for candidate in candidates))
     n = len(names_of(terms))
@@ -119,6 +122,10 @@ def extend_absolute(
         value = value + change[len(change) - len(value) :]
         parameters = _softened(moved(parameters, terms, change[:n]), nuisances, change[n : n + len(nuisances)])
     covariance = sandwich(wide[fitted], rest[fitted], partition.of(np.flatnonzero(used)))
+    if considered is not None and considered.candidates:
+        held = [weighted(problem, parameters, candidate.columns(state))[fitted] for candidate in considered.candidates]
+        answer = np.linalg.lstsq(wide[fitted], np.concatenate(held, axis=1), rcond=TINY)[0]
+        covariance = covariance + answer @ considered.covariance @ answer.T
     covariance = covariance / np.outer(length, length)
     tail = slice(len(length) - len(value), len(length))
     return AbsoluteExtended(

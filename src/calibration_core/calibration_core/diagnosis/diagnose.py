@@ -12,6 +12,7 @@ from calibration_core.diagnosis.absolute import diagnose_absolute
 from calibration_core.diagnosis.compare import compare
 from calibration_core.diagnosis.comparison import Comparison
 from calibration_core.diagnosis.finding import Diagnosis, Rest, Verdict
+from calibration_core.diagnosis.known_stiffness import known_compliance
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.locate import locate
 from calibration_core.diagnosis.next_offers import Offer
@@ -20,6 +21,7 @@ from calibration_core.identification.identify import is_loaded, with_given
 from calibration_core.identification.known import without_effects
 from calibration_core.identification.loaded import Options
 from calibration_core.model.given import GivenModel
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Readings
 
 NO_PHYSICS = Rest(
@@ -45,8 +47,8 @@ def diagnose(
     """Say what the model of a recording leaves out.
 
     A recording may hold configurations with several steps and others with one: the first are searched as loaded data;
-    the second, with the first steps of the others where nothing pulls, as absolute positions.  The findings stand
-    together.
+    the second, with the first steps of the others where nothing pulls, as absolute positions, with the compliances that
+    the loaded steps tell.  The findings stand together.
 
     Args:
         readings: The recording.
@@ -134,11 +136,16 @@ def _diagnose(
         return diagnose_loaded(readings, cell, options, test, offers)
     loaded = diagnose_loaded(readings.select(~single), cell, options, test, offers)
     still = dataclasses.replace(readings.select(single | _unloaded_start(readings)), wrench=None)
-    return together(loaded, diagnose_absolute(still, cell, believed=options.start))
+    known = known_compliance(loaded, cell.robot.rated_load)
+    return together(loaded, diagnose_absolute(still, cell, believed=options.start, known=known))
 
 
 def together(loaded: Diagnosis, absolute: Diagnosis) -> Diagnosis:
-    """Join the diagnosis of loaded steps and that of single steps of one recording; figures are the loaded one's."""
+    """Join the diagnosis of loaded steps and that of single steps of one recording; figures are the loaded one's.
+
+    The extended model has the compliances of the loaded steps, frames and geometry of the single ones, which tell them
+    better, and the effects of both.
+    """
     known = {(finding.effect, tuple(sorted(finding.location.items()))) for finding in loaded.findings}
     more = tuple(f for f in absolute.findings if (f.effect, tuple(sorted(f.location.items()))) not in known)
     findings = tuple(sorted((*loaded.findings, *more), key=lambda finding: -finding.magnitude))
@@ -156,8 +163,18 @@ def together(loaded: Diagnosis, absolute: Diagnosis) -> Diagnosis:
         findings=findings,
         anomalies=(*loaded.anomalies, *others),
         rest=rest,
+        model=_both(loaded.model, absolute.model),
         located=(*loaded.located, *absolute.located),
     )
+
+
+def _both(loaded: ModelParameters | None, absolute: ModelParameters | None) -> ModelParameters | None:
+    """Return one model of the two; where both hold an effect at a place, it is the loaded one's."""
+    if loaded is None or absolute is None:
+        return loaded
+    held = {(effect.effect, tuple(sorted(effect.location.items()))) for effect in loaded.effects}
+    more = (e for e in absolute.effects if (e.effect, tuple(sorted(e.location.items()))) not in held)
+    return absolute.replace(compliance=loaded.compliance, effects=(*loaded.effects, *more))
 
 
 def _unloaded_start(readings: Readings) -> Bool1D:

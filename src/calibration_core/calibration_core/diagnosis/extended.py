@@ -38,7 +38,7 @@ class Extended:
         accepted: Candidates in the model.
         base_compliance: (n,) rad/(N*m), about which the design is linear.
         compliance: (n,) rad/(N*m), fitted.
-        compliance_std: (n,).
+        compliance_covariance: (n, n).
         value: (p,) parameters of the accepted candidates.
         std: (p,) their standard deviations.
         shift: (m, 3) m, what the accepted candidates move, all readings.
@@ -54,12 +54,17 @@ class Extended:
     accepted: tuple[int, ...]
     base_compliance: Float1D
     compliance: Float1D
-    compliance_std: Float1D
+    compliance_covariance: Float2D
     value: Float1D
     std: Float1D
     shift: Float2D
     raw: Float2D
     residual: Float2D
+
+    @property
+    def compliance_std(self) -> Float1D:
+        """(n,) rad/(N*m)."""
+        return np.asarray(np.sqrt(np.clip(np.diag(self.compliance_covariance), 0.0, None)))
 
     def parameters_of(self, candidate: int) -> slice:
         """Return where in `value` an accepted candidate's parameters are."""
@@ -166,7 +171,7 @@ def extend(
         accepted=accepted,
         base_compliance=compliance,
         compliance=np.clip(compliance + final[:n], 0.0, None),
-        compliance_std=std[:n],
+        compliance_covariance=covariance[:n, :n],
         value=final[n:],
         std=std[n:],
         shift=state.since_step_zero(shift),

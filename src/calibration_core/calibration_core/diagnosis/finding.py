@@ -153,6 +153,7 @@ class Diagnosis:
         residual_before: (m, 3) m, what the null model leaves, without offsets where these are free.
         where: The location without a hypothesis, in numbers.
         next_text: What no further measurement of this kind can decide, or why none is proposed.
+        compliance_covariance: (n, n) of `compliance`, (rad/(N*m))^2; None where it was not fitted.
     """
 
     verdict: Verdict
@@ -181,6 +182,7 @@ class Diagnosis:
     residual_before: Float2D | None = None
     where: Located | None = None
     next_text: str = ""
+    compliance_covariance: Float2D | None = None
 
     @property
     def physics(self) -> tuple[Finding, ...]:

@@ -130,6 +130,7 @@ def diagnose_loaded(
         residual_before=_before(prepared, extended),
         shift=extended.shift,
         compliance=extended.compliance,
+        compliance_covariance=extended.compliance_covariance,
         test=None if test is None else tested_on(test, cell, prepared.problem.chain, prepared.fit.compliance, model),
         model=model,
         aliases=ALIASES,

@@ -97,5 +97,10 @@ def test_loads_and_single_steps_in_one_recording_are_both_freed_of_what_is_known
     readings = dataclasses.replace(readings, position=readings.position + moved)
     bare = diagnose(readings, cell)
     assert {"off_axis_compliance", "transmission_error"} <= {finding.effect for finding in bare.findings}
+    assert bare.model is not None
+    assert {"off_axis_compliance", "transmission_error"} <= {effect.effect for effect in bare.model.effects}
+    alone = readings.select(readings.configuration > 14)  # single steps, which the loaded part knows nothing of
+    error = alone.position - predict_readings(alone, cell, bare.model)
+    assert np.sqrt(np.mean(error**2)) < 2 * cell.instruments.tracker.sigma  # noise, and the doubt of the sag
     found = diagnose(readings, cell, given=given(model))
     assert (found.verdict, found.findings) == ("consistent", ())
