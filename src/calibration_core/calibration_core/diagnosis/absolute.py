@@ -67,7 +67,7 @@ class Case:
         parameters: The null model, fitted.
         state: All readings' state there.
         nuisances: Joint compliances of the null model that are refitted.
-        considered: Joint compliances of the null model that are held.
+        considered: Joint compliances of the null model that are held, and what is known of the refitted ones.
         rows: Readings of the search.
         partitions: Of those, into blocks.
         control: Controls of elasticity and drift.

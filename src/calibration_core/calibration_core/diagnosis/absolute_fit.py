@@ -22,6 +22,7 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Readings
 ROUNDS = 5
 CONVERGED = 1e-8  # m and rad
 TINY = 1e-9  # of columns of length one: directions below it stay as they are
+NOTHING_KNOWN = Considered()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -84,7 +85,7 @@ def extend_absolute(
     cell: Cell,
     partition: Blocks,
     nuisances: Sequence[Candidate] = (),
-    considered: Considered | None = None,
+    considered: Considered = NOTHING_KNOWN,
 ) -> AbsoluteExtended:
     """Fit terms and effects together, linearised again until nothing moves.
 
@@ -98,7 +99,8 @@ def extend_absolute(
         cell: The cell file.
         partition: Blocks for the covariance.
         nuisances: Compliances that belong to the null model (`joint_elasticity` of joints); they move `parameters`.
-        considered: Compliances that are held, and whose covariance enters that of the effects.
+        considered: Compliances that are held, whose covariance enters that of the effects, and what is known of the
+            nuisances.
     """
     value = np.zeros(sum(len(candidate.parameters) for candidate in candidates))
     n = len(names_of(terms))
@@ -115,16 +117,18 @@ def extend_absolute(
         length = np.where(length > 0, length, 1.0)
         wide = wide / length
         rest = residual - own @ value
-        step = np.linalg.lstsq(wide[fitted], rest[fitted], rcond=TINY)[0]
-        change = step / length
+        prior, lacking = _prior(considered, nuisances, parameters, n, length)
+        matrix, right = np.vstack([wide[fitted], prior]), np.concatenate([rest[fitted], lacking])
+        change = np.linalg.lstsq(matrix, right, rcond=TINY)[0] / length
         if rounds == ROUNDS or np.abs(change[:n]).max(initial=0.0) < CONVERGED:
             break
         value = value + change[len(change) - len(value) :]
         parameters = _softened(moved(parameters, terms, change[:n]), nuisances, change[n : n + len(nuisances)])
-    covariance = sandwich(wide[fitted], rest[fitted], partition.of(np.flatnonzero(used)))
-    if considered is not None and considered.candidates:
+    covariance = sandwich(wide[fitted], rest[fitted], partition.of(np.flatnonzero(used)), prior)
+    if considered.candidates:
         held = [weighted(problem, parameters, candidate.columns(state))[fitted] for candidate in considered.candidates]
-        answer = np.linalg.lstsq(wide[fitted], np.concatenate(held, axis=1), rcond=TINY)[0]
+        silent = np.zeros((len(prior), len(considered.candidates)))
+        answer = np.linalg.lstsq(matrix, np.vstack([np.concatenate(held, axis=1), silent]), rcond=TINY)[0]
         covariance = covariance + answer @ considered.covariance @ answer.T
     covariance = covariance / np.outer(length, length)
     tail = slice(len(length) - len(value), len(length))
@@ -142,10 +146,30 @@ def _softened(parameters: ModelParameters, nuisances: Sequence[Candidate], chang
     return parameters.replace(compliance=compliance)
 
 
-def sandwich(columns: Float2D, rest: Float1D, partition: Blocks) -> Float2D:
-    """Return the covariance of least squares from the scatter of blocks (Liang and Zeger 1986)."""
-    inverse = np.linalg.pinv(columns.T @ columns, rcond=TINY, hermitian=True)
+def _prior(
+    considered: Considered, nuisances: Sequence[Candidate], parameters: ModelParameters, n: int, length: Float1D
+) -> tuple[Float2D, Float1D]:
+    """Return rows that hold what is known of nuisances, (f, columns) scaled by `length`, and what they lack, (f,)."""
+    rows = np.zeros((len(considered.expected), len(length)))
+    if not len(rows):
+        return rows, np.zeros(0)
+    rows[:, n : n + len(nuisances)] = considered.root
+    now = parameters.compliance[[parameters.joints.index(str(one.location["joint"])) for one in nuisances]]
+    return rows / length, considered.root @ (considered.expected - now)
+
+
+def sandwich(columns: Float2D, rest: Float1D, partition: Blocks, prior: Float2D | None = None) -> Float2D:
+    """Return the covariance of least squares from the scatter of blocks (Liang and Zeger 1986).
+
+    Args:
+        columns: (r, p) weighted.
+        rest: (r,) residual.
+        partition: Into blocks.
+        prior: (f, p) rows of a prior, each of standard deviation one.
+    """
+    known = np.zeros((len(columns.T), len(columns.T))) if prior is None else prior.T @ prior
+    inverse = np.linalg.pinv(columns.T @ columns + known, rcond=TINY, hermitian=True)
     label = np.repeat(partition.label, 3)
     scores = np.stack([np.bincount(label, column * rest) for column in columns.T], axis=1)
-    meat = scores.T @ scores * (partition.count / max(partition.count - 1, 1))
+    meat = scores.T @ scores * (partition.count / max(partition.count - 1, 1)) + known
     return np.asarray(inverse @ meat @ inverse, dtype=np.float64)

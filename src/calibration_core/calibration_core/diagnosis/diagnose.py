@@ -137,14 +137,17 @@ def _diagnose(
     loaded = diagnose_loaded(readings.select(~single), cell, options, test, offers)
     still = dataclasses.replace(readings.select(single | _unloaded_start(readings)), wrench=None)
     known = known_compliance(loaded, cell.robot.rated_load)
-    return together(loaded, diagnose_absolute(still, cell, believed=options.start, known=known))
+    return together(loaded, diagnose_absolute(still, cell, believed=options.start, known=known), tied=known is not None)
 
 
-def together(loaded: Diagnosis, absolute: Diagnosis) -> Diagnosis:
+def together(loaded: Diagnosis, absolute: Diagnosis, *, tied: bool) -> Diagnosis:
     """Join the diagnosis of loaded steps and that of single steps of one recording; figures are the loaded one's.
 
-    The extended model has the compliances of the loaded steps, frames and geometry of the single ones, which tell them
-    better, and the effects of both.
+    Args:
+        loaded: Of the loaded steps.
+        absolute: Of the single ones.
+        tied: Whether the second knew the first one's compliances: the extended model then is the second one's, which
+            tells frames and geometry better, with the effects of both; else it is the first one's.
     """
     known = {(finding.effect, tuple(sorted(finding.location.items()))) for finding in loaded.findings}
     more = tuple(f for f in absolute.findings if (f.effect, tuple(sorted(f.location.items()))) not in known)
@@ -163,7 +166,7 @@ def together(loaded: Diagnosis, absolute: Diagnosis) -> Diagnosis:
         findings=findings,
         anomalies=(*loaded.anomalies, *others),
         rest=rest,
-        model=_both(loaded.model, absolute.model),
+        model=_both(loaded.model, absolute.model) if tied else loaded.model,
         located=(*loaded.located, *absolute.located),
     )
 
@@ -174,7 +177,7 @@ def _both(loaded: ModelParameters | None, absolute: ModelParameters | None) -> M
         return loaded
     held = {(effect.effect, tuple(sorted(effect.location.items()))) for effect in loaded.effects}
     more = (e for e in absolute.effects if (e.effect, tuple(sorted(e.location.items()))) not in held)
-    return absolute.replace(compliance=loaded.compliance, effects=(*loaded.effects, *more))
+    return absolute.replace(effects=(*loaded.effects, *more))
 
 
 def _unloaded_start(readings: Readings) -> Bool1D:

@@ -2,7 +2,8 @@
 
 Sag under the robot's own weight resembles the first harmonics of transmissions.  Compliances that loaded steps tell are
 therefore not fitted to absolute positions again: they are considered, that is, held, and their covariance enters that
-of everything fitted beside them.  A joint whose doubt is large against the noise of the positions stays free.
+of everything fitted beside them.  A joint whose doubt is large against the noise of the positions is fitted again, with
+what the loads tell as its prior.
 Source: Schmidt 1966 (consider covariance).
 """
 
@@ -48,10 +49,19 @@ class KnownCompliance:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Considered:
-    """Compliances that are held: what they move, and their (k, k) covariance, (rad/(N*m))^2."""
+    """What is known of compliances beside a fit.
+
+    Attributes:
+        candidates: `joint_elasticity` of the k joints that are held.
+        covariance: (k, k) of those, (rad/(N*m))^2.
+        expected: (f,) of the free ones, rad/(N*m); empty where nothing is known of them.
+        root: (f, f) inverse square root of their covariance, N*m/rad: `root @ (c - expected)` is standard normal.
+    """
 
     candidates: tuple[Candidate, ...] = ()
     covariance: Float2D = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    expected: Float1D = dataclasses.field(default_factory=lambda: np.zeros(0))
+    root: Float2D = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def known_compliance(loaded: Diagnosis, rated_load: float) -> KnownCompliance | None:
@@ -72,7 +82,7 @@ def known_compliance(loaded: Diagnosis, rated_load: float) -> KnownCompliance | 
 def divided(
     known: KnownCompliance, offered: Sequence[Candidate], size: Sequence[float]
 ) -> tuple[tuple[Candidate, ...], Considered]:
-    """Divide compliances into those that stay free and those that are held.
+    """Divide compliances into those that are fitted, with a prior, and those that are held.
 
     Args:
         known: What is known.
@@ -82,4 +92,7 @@ def divided(
     doubts = [known.std(str(c.location["joint"])) * s for c, s in zip(offered, size, strict=True)]
     free = tuple(c for c, doubt in zip(offered, doubts, strict=True) if doubt > LOOSE)
     held = tuple(c for c, doubt in zip(offered, doubts, strict=True) if doubt <= LOOSE)
-    return free, Considered(held, known.of([str(c.location["joint"]) for c in held]))
+    names = [str(c.location["joint"]) for c in free]
+    root = np.linalg.inv(np.linalg.cholesky(known.of(names)))
+    expected = known.value[[known.joints.index(name) for name in names]]
+    return free, Considered(held, known.of([str(c.location["joint"]) for c in held]), expected, root)

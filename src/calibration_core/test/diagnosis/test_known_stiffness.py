@@ -111,7 +111,9 @@ def test_an_effect_that_was_taken_for_sag_is_named_with_known_stiffnesses(
     assert named(tied) == {(WAVE.effect, "joint_2")}
 
 
-def test_only_a_stiffness_whose_doubt_shows_stays_free(known: KnownCompliance) -> None:
+def test_only_a_stiffness_whose_doubt_shows_stays_free_and_keeps_what_is_known_as_its_prior(
+    known: KnownCompliance,
+) -> None:
     def sag(joint: str) -> Candidate:
         return Candidate("joint_elasticity", "absolute", {"joint": joint}, "axial", (), lambda _: np.zeros((0, 3, 0)))
 
@@ -120,3 +122,17 @@ def test_only_a_stiffness_whose_doubt_shows_stays_free(known: KnownCompliance) -
     assert [c.location["joint"] for c in free] == ["joint_2"]
     assert [c.location["joint"] for c in held.candidates] == ["joint_3"]
     assert np.allclose(held.covariance, [[known.std("joint_3") ** 2]])
+    assert np.allclose(held.expected, known.value[known.joints.index("joint_2")])
+    assert np.allclose(held.root * doubt, 1.0)
+
+
+def test_a_stiffness_that_stays_free_is_fitted_with_what_loads_tell_as_its_prior(
+    still: Readings, cell: Cell, known: KnownCompliance
+) -> None:
+    loose, tight = (dataclasses.replace(known, covariance=np.diag((by * known.value) ** 2)) for by in (10.0, 0.05))
+    (first, wide), (second, narrow) = (fitted(still, cell, each) for each in (loose, tight))
+    unheld, free = fitted(still, cell, None)
+    assert np.allclose(first, unheld, atol=0.5 * free.min())
+    assert np.allclose(wide, free, rtol=0.1)
+    assert narrow[0] < 0.9 * wide[0]
+    assert np.all(np.abs(second - [SINE, COSINE]) < 3 * narrow)
