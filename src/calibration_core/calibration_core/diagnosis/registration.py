@@ -11,6 +11,7 @@ import numpy as np
 from calibration_core.diagnosis.finding import Finding, FoundParameter
 from calibration_core.identification.frames import FrameFit
 from calibration_core.identification.loaded import PreparedLoaded
+from calibration_core.model.chain import rotation_vector
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.priors import typical
@@ -35,7 +36,7 @@ def registration_findings(prepared: PreparedLoaded, state: State, readings: Read
     covariance = frames.covariance * max(steps, 1.0)  # steps of one configuration share its geometric error
     nominal, by = prepared.nominal.tracker, prepared.stated_by
     found = []
-    turn = _rotation_vector(frames.tracker[:3, :3] @ nominal[:3, :3].T)
+    turn = rotation_vector(frames.tracker[:3, :3] @ nominal[:3, :3].T)
     usual = typical("registration_rotation", state.rated_load)
     if _beyond(turn, usual, covariance[3:6, 3:6]):
         found.append(
@@ -113,10 +114,3 @@ def _candidate(several: list[Candidate], point: int | None) -> Candidate:
     if point is None:
         return several[0]
     return next(candidate for candidate in several if candidate.location["point"] == f"#{point}")
-
-
-def _rotation_vector(rotation: Float2D) -> Float1D:
-    """Return the rotation vector (3,) rad of a small rotation."""
-    return np.array([
-        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
-    ]) / 2  # fmt: skip

@@ -23,6 +23,7 @@ class Circle:
             points' own scatter.
         rms: Root mean square of the distances from the circle, per degree of freedom, m.
         arc: Angle that the points span, rad.
+        points: Number of points.
         tilts: (2, 3) unit vectors in which the normal moves when it tilts by the two angles of `covariance`.
     """
 
@@ -32,6 +33,7 @@ class Circle:
     covariance: Float2D
     rms: float
     arc: float
+    points: int
     tilts: Float2D
 
     @property
@@ -83,6 +85,7 @@ def fit_circle(points: Float2D) -> Circle:
         covariance=covariance,
         rms=float(np.sqrt(variance)),
         arc=float(np.ptp(angles)),
+        points=len(points),
         tilts=sense * np.stack([first - turned * (turned @ first), second - turned * (turned @ second)]),
     )
 

@@ -11,8 +11,9 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.circle import Circle, fit_circle
+from calibration_core.identification.coaxial import fit_coaxial
 from calibration_core.identification.sweeps import Sweep, single_joint_sweeps
-from calibration_core.model.chain import Chain, rpy_of
+from calibration_core.model.chain import Chain, rotation_vector, rpy_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Float1D, Float2D, Readings
@@ -27,11 +28,11 @@ class Axis:
 
     Attributes:
         joint: Index of the joint.
-        point: (3,) m, centre of its best circle.
+        point: (3,) m, centre of that circle whose centre is known best.
         direction: (3,) unit vector, in the positive sense of the joint.
         q: (n,) rad, where the other joints stood.
-        circles: The circles it was made of, one per measurement point.
-        covariance: (6, 6) of point (m) and direction (-), from the circles' own scatter.
+        circles: The circles it was made of, one per measurement point, each fitted alone; the axis is fitted to all.
+        covariance: (6, 6) of point (m) and direction (-), from the points' own scatter about all circles.
     """
 
     joint: int
@@ -63,9 +64,14 @@ class BaseFrame:
     """The base coordinate system in the tracker frame (CWA 17384, 7.1).
 
     Attributes:
-        tracker: (4, 4) pose of the tracker frame in the base frame.
+        tracker: (4, 4) pose of the tracker frame in the robot's base frame: the axes of joints 1 and 2, and the foot of
+            their common normal on axis 1, laid on their nominal places.
         covariance: (6, 6) of its x, y, z (m), roll, pitch, yaw (rad).
-        origin: (3,) m, tracker frame: foot of joint 2's circle on the axis of joint 1, as the standard defines it.
+        origin: (3,) m, tracker frame, as clause 7.1 has it: x and y of the centre of joint 1's circle, z of the centre
+            of joint 2's, in the base coordinate system's own axes.
+        axes_in_tracker: (3, 3) columns x, y, z of the base coordinate system in the tracker frame, as clause 7.1 has
+            it: z the normal of joint 1's circle, y along the cross product of the normals of joints 1 and 2.
+        clause_covariance: (6, 6) of `origin` (m) and of a rotation vector of `axes_in_tracker` (rad), tracker frame.
         axis_angle_error: rad, angle between the axes of joints 1 and 2 less its nominal value.
         axes: The two axes.
         warnings: What limits the result.
@@ -74,6 +80,8 @@ class BaseFrame:
     tracker: Float2D
     covariance: Float2D
     origin: Float1D
+    axes_in_tracker: Float2D
+    clause_covariance: Float2D
     axis_angle_error: float
     axes: tuple[Axis, Axis]
     warnings: tuple[str, ...]
@@ -166,7 +174,7 @@ def _corrections(chain: Chain, axes: tuple[Axis, ...], lines: Float2D) -> Float2
         axes: Which joints the lines are of, and where the other joints stood; joints 1 and 2 first.
         lines: (k, 6) points (m) and directions, tracker frame.
     """
-    base, _ = _pose(chain, axes[1].q, lines[0], lines[1])
+    base = _pose(chain, axes[1].q, lines[0], lines[1])
     rotation, shift = base[:3, :3], base[:3, 3]
     geometry = np.zeros((chain.n, 6))
     for axis, line in zip(axes[1:], lines[1:], strict=True):
@@ -200,21 +208,15 @@ def _axis(readings: Readings, joint: int, sweeps: list[Sweep]) -> Axis:
             raise IdentificationError(path, f"joint {joint + 1}", str(error), "points on a circle") from None
         turns = np.sign(np.median(np.diff(readings.q[sweep.rows, joint])))
         circles.append(dataclasses.replace(circle, normal=turns * circle.normal, tilts=turns * circle.tilts))
-    weights = np.array([1 / max(np.trace(c.covariance[3:5, 3:5]), 1e-30) for c in circles])
-    weights = weights / weights.sum()
-    direction = np.einsum("k,ki->i", weights, np.stack([c.normal for c in circles]))
-    best = int(np.argmin([float(np.trace(c.covariance[:3, :3])) for c in circles]))
-    covariance = np.zeros((6, 6))
-    for k, (weight, circle) in enumerate(zip(weights, circles, strict=True)):
-        share = np.diag(np.repeat([float(k == best), weight], 3))
-        covariance += share @ circle.line_covariance @ share
+    together = fit_coaxial(circles, [readings.position[sweep.rows] for sweep in same])
+    best = int(np.argmin([float(np.trace(together.line_covariance(k)[:3, :3])) for k in range(len(circles))]))
     return Axis(
         joint=joint,
-        point=circles[best].centre,
-        direction=direction / np.linalg.norm(direction),
+        point=together.centres[best],
+        direction=together.normal,
         q=home,
         circles=tuple(circles),
-        covariance=covariance,
+        covariance=together.line_covariance(best),
     )
 
 
@@ -227,13 +229,18 @@ def _base(readings: Readings, chain: Chain, axes: dict[int, Axis]) -> BaseFrame:
     first, second = axes[0], axes[1]
 
     lines = np.stack([first.line, second.line])
-    pose, foot = _pose(chain, second.q, *lines)
+    pose = _pose(chain, second.q, *lines)
+    origin, axes_seen = _clause(*lines)
     angles = rpy_of(pose[:3, :3])
 
     def vector(moved: Float2D) -> Float1D:
-        there, _ = _pose(chain, second.q, moved[0], moved[1])
+        there = _pose(chain, second.q, moved[0], moved[1])
         turned = rpy_of(there[:3, :3])
         return np.concatenate([there[:3, 3], turned - 2 * np.pi * np.round((turned - angles) / (2 * np.pi))])
+
+    def clause(moved: Float2D) -> Float1D:
+        there, turned = _clause(moved[0], moved[1])
+        return np.concatenate([there, rotation_vector(turned @ axes_seen.T)])
 
     nominal = posture(chain, second.q[None, :])
     expected = float(nominal.axis(0)[:, 0] @ nominal.axis(1)[:, 0])
@@ -247,15 +254,29 @@ def _base(readings: Readings, chain: Chain, axes: dict[int, Axis]) -> BaseFrame:
     return BaseFrame(
         tracker=pose,
         covariance=_carried(vector, lines, [first.covariance, second.covariance]),
-        origin=foot,
+        origin=origin,
+        axes_in_tracker=axes_seen,
+        clause_covariance=_carried(clause, lines, [first.covariance, second.covariance]),
         axis_angle_error=float(np.arccos(np.clip(found, -1, 1)) - np.arccos(np.clip(expected, -1, 1))),
         axes=(first, second),
         warnings=warnings,
     )
 
 
-def _pose(chain: Chain, q: Float1D, first: Float1D, second: Float1D) -> tuple[Float2D, Float1D]:
-    """Return the pose (4, 4) of the tracker frame in the base frame, and the foot (3,) m in the tracker frame.
+def _clause(first: Float1D, second: Float1D) -> tuple[Float1D, Float2D]:
+    """Return origin (3,) m and axes (3, 3) of the base coordinate system in the tracker frame (CWA 17384, 7.1).
+
+    Args:
+        first: (6,) centre (m) and normal of joint 1's circle, tracker frame.
+        second: (6,) the same of joint 2.
+    """
+    z, other = (line[3:] / np.linalg.norm(line[3:]) for line in (first, second))
+    frame, _ = _triad(z, first[:3], other, second[:3])
+    return first[:3] + z * (z @ (second[:3] - first[:3])), frame
+
+
+def _pose(chain: Chain, q: Float1D, first: Float1D, second: Float1D) -> Float2D:
+    """Return the pose (4, 4) of the tracker frame in the base frame.
 
     Args:
         chain: The nominal robot.
@@ -271,7 +292,7 @@ def _pose(chain: Chain, q: Float1D, first: Float1D, second: Float1D) -> tuple[Fl
     pose = np.eye(4)
     pose[:3, :3] = frame @ seen_frame.T
     pose[:3, 3] = foot - pose[:3, :3] @ seen_foot
-    return pose, seen_foot
+    return pose
 
 
 def _carried(function: Callable[[Float2D], Float1D], lines: Float2D, covariances: list[Float2D]) -> Float2D:

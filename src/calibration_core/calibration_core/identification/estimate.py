@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from calibration_core.identification.phase import Decoupled, PhaseEstimate
 from calibration_core.identification.standard_geometry import StandardGeometry
 from calibration_core.model.given import GivenModel
 from calibration_core.model.parameters import ModelParameters
@@ -348,6 +349,9 @@ class Identification:
         notes: Further remarks, those of the readings included.
         standard: Base frame, joint axes and wrist centre by the standard's methods; None for a loaded recording.
         given: The model that was handed in to start from, whose effects were taken off the readings; None without.
+        phases: What the phases of the calibration found one after another; empty for a recording of one phase.
+        decoupled: Stiffnesses of arm and wrist identified apart, beside the joint identification; None without.
+        not_decoupled: Why there is none; empty if there is one.
     """
 
     kind: Literal["loaded", "absolute"]
@@ -372,3 +376,6 @@ class Identification:
     notes: tuple[Note, ...] = ()
     standard: StandardGeometry | None = None
     given: GivenModel | None = None
+    phases: tuple[PhaseEstimate, ...] = ()
+    decoupled: Decoupled | None = None
+    not_decoupled: str = ""

@@ -7,7 +7,8 @@ are also what cross-validation works with (normal matrices of folds add up).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -148,6 +149,14 @@ class NormalEquations:
         )
 
 
+class Prior(Protocol):
+    """What is known of the parameters before the readings."""
+
+    def normal(self, parameters: ModelParameters) -> NormalEquations:
+        """Return what it adds to the normal equations at these values (no readings)."""
+        ...
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class GeometryFit:
     """The least-squares solution for a list of terms.
@@ -208,20 +217,33 @@ def fit_geometry(
     return fit(AbsoluteProblem(chain, q, measured, tuple(start.points), point, 1.0 / sigma), start, terms)
 
 
-def fit(problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term]) -> GeometryFit:
+def fit(
+    problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term], prior: Prior | None = None
+) -> GeometryFit:
     """Minimise the weighted sum of squares by Gauss-Newton under the terms' bounds, damped where a step fails.
+
+    Args:
+        problem: The readings.
+        start: First guess.
+        terms: What is fitted.
+        prior: What is known of the same terms already; its part of the sum counts like that of the readings.
 
     Raises:
         EquilibriumError: The start does not carry the robot's own weight.
     """
-    parameters, normal, damping = start, normal_equations(problem, start, terms), 0.0
+
+    def linearised(at: ModelParameters) -> NormalEquations:
+        seen = normal_equations(problem, at, terms)
+        return seen if prior is None else seen + prior.normal(at)
+
+    parameters, normal, damping = start, linearised(start), 0.0
     for iteration in range(1, ITERATIONS + 1):
         step = bounded_step(normal, lower_steps(terms, parameters), damping)
         if float(normal.gradient @ step) <= CONVERGED * (normal.cost + 1.0):
             last = moved(parameters, terms, step) if not np.any(parameters.compliance) else parameters
             return GeometryFit(last, tuple(terms), normal, iteration, converged=True)
         trial = moved(parameters, terms, step)
-        after = _attempt(problem, trial, terms)
+        after = _attempt(linearised, trial)
         if after is not None and after.cost <= normal.cost:
             parameters, normal = trial, after
             damping = 0.0 if damping < 1e-6 else damping / 10
@@ -232,10 +254,12 @@ def fit(problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term])
     return GeometryFit(parameters, tuple(terms), normal, ITERATIONS, converged=False)
 
 
-def _attempt(problem: AbsoluteProblem, trial: ModelParameters, terms: Sequence[Term]) -> NormalEquations | None:
+def _attempt(
+    linearised: Callable[[ModelParameters], NormalEquations], trial: ModelParameters
+) -> NormalEquations | None:
     """Linearise at trial values; None where such compliances would not carry the robot."""
     try:
-        return normal_equations(problem, trial, terms)
+        return linearised(trial)
     except EquilibriumError:
         return None
 

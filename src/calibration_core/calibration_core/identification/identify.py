@@ -8,9 +8,11 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.absolute import identify_absolute
+from calibration_core.identification.decoupled import with_decoupled
 from calibration_core.identification.estimate import Identification
 from calibration_core.identification.known import without_effects
-from calibration_core.identification.loaded import Options, identify_loaded
+from calibration_core.identification.loaded import Options, identify_prepared, prepare_loaded
+from calibration_core.identification.phases import holds_phases, identify_phases
 from calibration_core.identification.standard_geometry import standard_geometry
 from calibration_core.model.given import GivenModel
 from calibration_core.timeseries import Note, Readings
@@ -60,8 +62,11 @@ def with_given(found: Identification, given: GivenModel) -> Identification:
 
 
 def _identify(readings: Readings, cell: Cell, options: Options, test: Readings | None) -> Identification:
+    if is_loaded(readings) and holds_phases(readings):
+        return identify_phases(readings, cell, options, test)
     if is_loaded(readings):
-        return identify_loaded(readings, cell, options, test)
+        prepared = prepare_loaded(readings, cell, options)
+        return with_decoupled(identify_prepared(prepared, cell, options, test), prepared)
     readings = readings.with_notes(*_without_effect(options))
     found = identify_absolute(
         readings, cell, robust=options.robust, test=test, readmit=options.readmit, believed=options.start

@@ -155,7 +155,7 @@ class PreparedLoaded:
         nominal: What the cell file believes, or the model to start from.
         parameters: Identified model.
         frames: Refitted frames; None for displacement recordings.
-        stated_by: Who says where the tracker is: `the cell file`, `the given model`, or nobody (None).
+        stated_by: Who says where the tracker is: `the cell file`, `the given model`, `earlier phases`; None: nobody.
     """
 
     problem: LoadedProblem
@@ -173,7 +173,7 @@ def prepare_loaded(readings: Readings, cell: Cell, options: Options) -> Prepared
     chain = chain_of(cell).corrected(nominal.geometry)
     stated_by = "the given model" if options.start is not None else "the cell file" if cell.frames.tracker else None
     guess = None if stated_by is None else nominal.tracker
-    _require_load(readings)
+    require_load(readings)
     parameters, frames = _with_frames(readings, cell, chain, nominal, guess)
     problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
     screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
@@ -202,14 +202,15 @@ def predict_loaded(
         parameters: The identified model.
         before: (n,) compliances of the cell file, for comparison.
     """
-    _require_load(readings)
+    require_load(readings)
     problem = build_problem(readings, cell, chain, parameters)
     after, nominal = (_relative(problem, problem.linearise(c), cell) for c in (parameters.compliance, before))
     shown = _shown(problem, cell)
     return TestResult.of(readings, after[shown], nominal[shown])
 
 
-def _require_load(readings: Readings) -> None:
+def require_load(readings: Readings) -> None:
+    """Raise IdentificationError unless several configurations have several steps, and the load changes."""
     path = readings.provenance.path
     if readings.wrench is None:
         raise IdentificationError(path, "fx ... tz", "no wrench", "the measured load (a loaded recording)")

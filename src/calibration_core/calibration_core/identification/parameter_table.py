@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.choice import Candidate, Choice
 from calibration_core.identification.estimate import ParameterEstimate
-from calibration_core.identification.geometry import GeometryFit
 from calibration_core.identification.terms import AXES
 from calibration_core.model.chain import rotation_y, rotation_z, rpy_of
 from calibration_core.model.parameters import ModelParameters
@@ -40,7 +39,26 @@ class Uncertainty:
         return float(np.sqrt(self.covariance[index, index]))
 
 
-def uncertainty_of(result: GeometryFit, scale: float) -> Uncertainty:
+class Fitted(Protocol):
+    """Fitted values with their covariance, the tracker pose first, as a twist."""
+
+    @property
+    def parameters(self) -> ModelParameters:
+        """All values."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fitted parameters."""
+        ...
+
+    @property
+    def covariance(self) -> Float2D:
+        """(p, p), SI units."""
+        ...
+
+
+def uncertainty_of(result: Fitted, scale: float) -> Uncertainty:
     """Return the covariance of the fitted parameters, with the standard deviations widened by `scale`."""
     p = len(result.names)
     change = np.eye(p)

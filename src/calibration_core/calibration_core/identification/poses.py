@@ -15,12 +15,18 @@ from calibration_core.timeseries import Float2D, Float3D
 MIN_SPREAD = 1e-3  # m: second singular value of the centred points; below it they lie on one line
 
 
-def as_poses(problem: LoadedProblem, linear: Linearised) -> tuple[Rows, Float2D, Float3D]:
+def as_poses(problem: LoadedProblem, linear: Linearised, about: Float2D | None = None) -> tuple[Rows, Float2D, Float3D]:
     """Combine the points of every step into a displacement of the tool.
+
+    Args:
+        problem: The readings.
+        linear: The problem at some compliances.
+        about: (m, 3) m, base frame, the same for all readings of a step: the point of the tool whose translation is
+            wanted; None: the centroid of the step's points.
 
     Returns:
         rows: Grouping and 6 x 6 noise of the steps with at least three points that are not collinear.
-        residual: (s, 6) translation of the centroid (m) and rotation (rad), base axes, measured - predicted.
+        residual: (s, 6) translation of that point (m) and rotation (rad), base axes, measured - predicted.
         columns: (s, 6, n) their derivatives by the compliances.
 
     Raises:
@@ -38,6 +44,8 @@ def as_poses(problem: LoadedProblem, linear: Linearised) -> tuple[Rows, Float2D,
         arms = at - at.mean(axis=0)
         if np.linalg.svd(arms, compute_uv=False)[1] < MIN_SPREAD:
             continue
+        if about is not None:
+            arms = at - about[members[0]]
         reduce, covariance = _rigid(arms, linear.rows.noise[members])
         residual.append(reduce @ linear.residual[members].reshape(-1))
         columns.append(reduce @ linear.columns[members].reshape(3 * len(members), -1))

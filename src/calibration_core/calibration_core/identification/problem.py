@@ -101,6 +101,12 @@ class LoadedProblem:
             self.solved, compliance, lambda at: solve_equilibrium(self.chain, self.readings.q, at, self.load)
         )
 
+    def residual(self, compliance: Float1D) -> Float2D:
+        """Return measured minus predicted, (m, 3) m, base axes, at these compliances, (n,) rad/(N*m)."""
+        if self.method == "linear":
+            return self.measured - self._linear(compliance)[0]
+        return self.measured - self.rest(compliance).at.point(self._points()).T
+
     def _linearise(self, compliance: Float1D) -> Linearised:
         if self.method == "linear":
             predicted, columns, by_wrench = self._linear(compliance)

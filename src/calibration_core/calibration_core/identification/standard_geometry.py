@@ -72,7 +72,7 @@ def standard_geometry(
             reasons[name] = str(error)
             return None
 
-    readings = _unbent(readings, cell, model)
+    readings = unbent(readings, cell, model)
     rows = [names.index(name) if name in names else -1 for point in readings.points for name in _coordinates(point)]
     fitted = np.array(rows) >= 0
     of_points = np.where(np.outer(fitted, fitted), covariance[np.ix_(rows, rows)], 0.0) if fitted.any() else None
@@ -94,7 +94,7 @@ def standard_geometry(
     )
 
 
-def _unbent(readings: Readings, cell: Cell, model: ModelParameters) -> Readings:
+def unbent(readings: Readings, cell: Cell, model: ModelParameters) -> Readings:
     """Return the readings as a rigid robot would have given them: bending by its own weight and by loads taken off."""
     problem = absolute_problem(readings, cell, chain_of(cell), model, position_covariance(readings, cell))
     rigid = model.replace(compliance=np.zeros_like(model.compliance))

@@ -110,6 +110,15 @@ def rotation_about(vector: Float1D) -> Float2D:
     return np.asarray(np.eye(3) + once * cross + twice * cross @ cross)
 
 
+def rotation_vector(rotation: Float2D) -> Float1D:
+    """Return the (3,) rad vector of a (3, 3) rotation of less than half a turn, the inverse of `rotation_about`."""
+    twice_sin = np.array([
+        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
+    ])  # fmt: skip
+    angle = np.arctan2(np.linalg.norm(twice_sin), np.trace(rotation) - 1.0)
+    return twice_sin / (2 * np.sinc(angle / np.pi))
+
+
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> Float2D:
     """Return Rz(yaw) Ry(pitch) Rx(roll), fixed axes (contract, section 2), angles in rad."""
     return rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)

@@ -22,7 +22,7 @@ from calibration_core.report.document import (
 from calibration_core.report.rendering import document_number
 from calibration_core.report.result import result_dict, result_json, tested
 from calibration_core.report.rounding import counted, length_unit, listed, shortened, significant, spread
-from calibration_core.report.sections import procedure, records, residuals, standard, stiffness, uncertainty
+from calibration_core.report.sections import phases, procedure, records, residuals, standard, stiffness, uncertainty
 from calibration_core.report.shown import shown
 from calibration_core.report.standard_result import standard_rows
 from calibration_core.report.verdict import Rest, rest
@@ -158,7 +158,10 @@ def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, 
     sections = [
         Section("What the recording determines", "8", stiffness.limits(result)),
         Section("Agreement of model and recording", "", stiffness.fit_section(result, cell, left)),
+        *phases.phase_sections(result),
     ]
+    if result.decoupled is not None:
+        sections.append(Section("Arm and wrist", "5.2", phases.decoupled_blocks(result.decoupled)))
     if result.stages and result.stiffness:
         sections.append(Section("Stages of the identification", "7", uncertainty.stage_blocks(result)))
     sections.append(Section("Test parameters", "8 f)", procedure.parameters(result, cell)))

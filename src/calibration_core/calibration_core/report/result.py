@@ -14,6 +14,7 @@ from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification, JointStiffness
 from calibration_core.model.given import GivenModel
 from calibration_core.report.output import RESULT, write_files
+from calibration_core.report.phases_result import decoupled_dict, phases_dict
 from calibration_core.report.provenance import digests, software
 from calibration_core.report.scene import space_dict
 from calibration_core.report.standard_result import standard_dict
@@ -151,6 +152,8 @@ def _further(result: Identification, cell: Cell) -> dict[str, Any]:
         "safety_rated_speed": safety_rated_speed(cell),
         "operating_space": space_dict(result.space),
         "standard_geometry": standard_dict(result.standard, cell),
+        "phases": phases_dict(result),
+        "decoupled": decoupled_dict(result),
     }
 
 

@@ -1,0 +1,174 @@
+"""Joint stiffness with what earlier phases left uncertain: frames, points and geometry are nuisances with covariance.
+
+The deflections depend on them through levers and directions.  Beside the columns of the compliances stand those of
+the nuisances, by differences on the deformed geometry, and their information from earlier phases is added; offsets are
+eliminated as ever.  Residuals, exclusions and proofs are those of any loaded recording.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.fit import CONVERGED, LoadedFit, fit_compliance
+from calibration_core.identification.geometry import moved
+from calibration_core.identification.knowledge import Knowledge, difference
+from calibration_core.identification.loaded import Options, PreparedLoaded, require_load
+from calibration_core.identification.offsets import normal_equations
+from calibration_core.identification.poses import as_poses
+from calibration_core.identification.problem import Linearised, LoadedProblem, build_problem
+from calibration_core.identification.robust import fit_screened
+from calibration_core.identification.solve import Solution, solve_non_negative
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Readings
+
+STEP = 1e-6  # m and rad, of the differences by which the nuisances' columns are found
+ITERATIONS = 6
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Carried:
+    """A loaded recording fitted on top of earlier phases.
+
+    Attributes:
+        prepared: What `identify_prepared` takes.
+        known: Frames, points and geometry after the loaded readings, compliances left aside.
+        covariance: (n + p, n + p) of the compliances and of the parameters of `known`, for the claimed noise.
+        exact: (n, n) covariance of the compliances if the earlier phases had left no doubt.
+    """
+
+    prepared: PreparedLoaded
+    known: Knowledge
+    covariance: Float2D
+    exact: Float2D
+
+
+def fit_carried(readings: Readings, cell: Cell, options: Options, known: Knowledge) -> Carried:
+    """Fit the compliances of a loaded recording; frames, points and geometry come from earlier phases.
+
+    Args:
+        readings: The loaded configurations.
+        cell: The cell file.
+        options: How to evaluate; `start` says what is believed of the compliances.
+        known: Frames, points and geometry, without compliances.
+
+    Raises:
+        IdentificationError: Fewer than two steps everywhere, or no load.
+        EquilibriumError: The load is beyond what the joints can carry.
+    """
+    require_load(readings)
+    nominal = nominal_parameters(cell) if options.start is None else options.start
+    believed = known.parameters.replace(compliance=nominal.compliance)
+    problem = _problem(readings, cell, options, believed)
+    screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
+    parameters = believed.replace(compliance=screened.fit.compliance)
+    total, solution = _normal(readings, cell, options, known, parameters, screened.used), None
+    for _ in range(ITERATIONS):
+        solution, nuisance = _solved(total, parameters.compliance, nominal.compliance)
+        change = float(np.abs(solution.value - parameters.compliance).max())
+        parameters = moved(parameters.replace(compliance=solution.value), known.terms, nuisance)
+        total = _normal(readings, cell, options, known, parameters, screened.used)
+        if change <= 1e4 * CONVERGED * max(float(np.abs(solution.value).max()), 1e-30):
+            break
+    assert solution is not None  # noqa: S101 - there is at least one iteration
+    problem = _problem(readings, cell, options, parameters)
+    some = problem.select(np.flatnonzero(screened.used))
+    plain = fit_compliance(some, parameters.compliance, options.deflections)
+    chi2 = _chi2(some, parameters.compliance, options)
+    n = len(parameters.compliance)
+    fit = LoadedFit(parameters.compliance, solution, plain.normal, chi2, plain.freedom)
+    prepared = PreparedLoaded(
+        problem, dataclasses.replace(screened, fit=fit), fit, nominal, parameters, None, "earlier phases"
+    )
+    after = dataclasses.replace(known, parameters=parameters, information=total[0][n:, n:])
+    return Carried(prepared, after, _inverse(total[0], solution), plain.solution.covariance)
+
+
+def _problem(readings: Readings, cell: Cell, options: Options, parameters: ModelParameters) -> LoadedProblem:
+    chain = chain_of(cell).corrected(parameters.geometry)
+    return build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
+
+
+def _normal(
+    readings: Readings, cell: Cell, options: Options, known: Knowledge, parameters: ModelParameters, used: Bool1D
+) -> tuple[Float2D, Float1D]:
+    """Return the normal equations of compliances and nuisances together, their prior information included."""
+    problem = _problem(readings, cell, options, parameters)
+    linear = problem.linearise(parameters.compliance)
+    columns = np.concatenate([linear.columns, _nuisances(readings, cell, options, known, parameters, linear)], axis=2)
+    rows = np.flatnonzero(used)
+    whole = dataclasses.replace(
+        linear,
+        predicted=linear.predicted[rows],
+        residual=linear.residual[rows],
+        columns=columns[rows],
+        rows=linear.rows.select(rows),
+    )
+    if options.deflections == "pose":
+        grouped, residual, designs = as_poses(problem.select(rows), whole)
+        normal = normal_equations(grouped, residual, designs)
+    else:
+        normal = normal_equations(whole.rows, whole.residual, whole.columns)
+    matrix, vector = normal.matrix.sum(axis=0), normal.vector.sum(axis=0)
+    n = len(parameters.compliance)
+    matrix[n:, n:] += known.information
+    vector[n:] -= known.information @ difference(known.terms, known.parameters, parameters)
+    return matrix, vector
+
+
+def _nuisances(
+    readings: Readings,
+    cell: Cell,
+    options: Options,
+    known: Knowledge,
+    parameters: ModelParameters,
+    linear: Linearised,
+) -> Float3D:
+    """Return minus the derivative of the residual by the parameters of `known`, (m, 3, p), by differences."""
+    p = len(known.names)
+    columns = np.empty((*linear.residual.shape, p))
+    for k in range(p):
+        step = np.zeros(p)
+        step[k] = STEP
+        shifted = _problem(readings, cell, options, moved(parameters, known.terms, step))
+        columns[:, :, k] = (linear.residual - shifted.residual(parameters.compliance)) / STEP
+    return columns
+
+
+def _solved(total: tuple[Float2D, Float1D], compliance: Float1D, believed: Float1D) -> tuple[Solution, Float1D]:
+    """Solve for the compliances with the nuisances eliminated, and return these nuisances' step."""
+    matrix, vector = total
+    n = len(compliance)
+    across = matrix[n:, :n]
+    inverse = np.linalg.solve(matrix[n:, n:], np.column_stack([across, vector[n:]]))
+    reduced = matrix[:n, :n] - across.T @ inverse[:, :n]
+    right = vector[:n] - across.T @ inverse[:, n]
+    solution = solve_non_negative((reduced + reduced.T) / 2, right + reduced @ compliance, believed)
+    step = solution.value - compliance
+    return solution, inverse[:, n] - inverse[:, :n] @ step
+
+
+def _inverse(matrix: Float2D, solution: Solution) -> Float2D:
+    """Return the covariance of everything; infinite where a compliance is not determined."""
+    n = len(solution.value)
+    kept = np.r_[solution.determined, np.ones(len(matrix) - n, dtype=bool)]
+    scale = 1 / np.sqrt(np.diag(matrix)[kept])
+    covariance = np.zeros_like(matrix)
+    covariance[np.ix_(kept, kept)] = np.linalg.inv(matrix[np.ix_(kept, kept)] * np.outer(scale, scale)) * np.outer(
+        scale, scale
+    )
+    covariance[~kept, ~kept] = np.inf
+    return covariance
+
+
+def _chi2(problem: LoadedProblem, compliance: Float1D, options: Options) -> float:
+    linear = problem.linearise(compliance)
+    if options.deflections == "pose":
+        rows, residual, columns = as_poses(problem, linear)
+    else:
+        rows, residual, columns = linear.rows, linear.residual, linear.columns
+    return float(normal_equations(rows, residual, columns).chi2.sum())
