@@ -78,12 +78,13 @@ def identify_decoupled(prepared: PreparedLoaded, scale: float, wrist_centre: Flo
     apart = together = prepared.parameters.compliance
     for _ in range(ITERATIONS):
         rows, residual, columns = displacements(apart)
-        separate = _separate(rows, columns, n - WRIST, path)
-        apart = apart + _applied(separate, residual)
+        apart = apart + _applied(_separate(rows, columns, n - WRIST, path), residual)
         rows, residual, columns = displacements(together)
-        whole = _gains(rows, columns, path)
-        together = together + _applied(whole, residual)
-    spread, joint = _errors(rows, separate), _errors(rows, whole)
+        together = together + _applied(_gains(rows, columns, path), residual)
+    rows, _, columns = displacements(apart)
+    spread = _errors(rows, _separate(rows, columns, n - WRIST, path))
+    rows, _, columns = displacements(together)
+    joint = _errors(rows, _gains(rows, columns, path))
     between = scale * (spread - joint)
     chi2, freedom = _distance(apart - together, between @ between.T, scale * np.linalg.norm(joint, axis=1))
     return Decoupled(
