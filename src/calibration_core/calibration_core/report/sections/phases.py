@@ -6,13 +6,21 @@ import numpy as np
 
 from calibration_core.identification.arc import arc_for, centre_std
 from calibration_core.identification.circle_point import BaseFrame
-from calibration_core.identification.decoupled import Decoupled
 from calibration_core.identification.estimate import Identification
-from calibration_core.identification.phase import BASE_FRAME, GEOMETRY, POINTS, STIFFNESS, WRIST_CENTRE, PhaseEstimate
+from calibration_core.identification.phase import (
+    BASE_FRAME,
+    GEOMETRY,
+    POINTS,
+    STIFFNESS,
+    WRIST_CENTRE,
+    Decoupled,
+    PhaseEstimate,
+)
 from calibration_core.identification.point_frame import frame_of
 from calibration_core.report.document import Block, Column, Items, Paragraph, Section, Table
 from calibration_core.report.rounding import STIFFNESS as UNIT
 from calibration_core.report.rounding import counted, decimals, fixed, padded, significant
+from calibration_core.timeseries import Float1D
 
 TITLES = {
     BASE_FRAME: "Base coordinate system",
@@ -118,11 +126,9 @@ def _table(phase: PhaseEstimate) -> Table:
 def _clause(base: BaseFrame, sigma: float) -> list[Block]:
     """Return origin and axes as clause 7.1 has them, and what the arcs are worth."""
     std = np.sqrt(np.diag(base.clause_covariance))
-    rows = [("origin", *(fixed(1e3 * x, 3) for x in base.origin), f"{significant(MICRO * np.linalg.norm(std[:3]))} µm")]
+    rows = [("origin", *(fixed(1e3 * x, 3) for x in base.origin), f"{_micro(std[:3])} µm")]
     for axis, column in zip("xyz", base.axes_in_tracker.T, strict=True):
-        rows.append(
-            (f"{axis} axis", *(fixed(x, 6) for x in column), f"{significant(MICRO * np.linalg.norm(std[3:]))} µrad")
-        )
+        rows.append((f"{axis} axis", *(fixed(x, 6) for x in column), f"{_micro(std[3:])} µrad"))
     columns = (Column("", "left", wide=True), Column("x"), Column("y"), Column("z"), Column("Standard uncertainty"))
     note = (
         "Tracker frame; origin in mm. x and y of the origin are those of joint 1's circle, z that of joint 2's; "
@@ -130,8 +136,8 @@ def _clause(base: BaseFrame, sigma: float) -> list[Block]:
     )
     blocks: list[Block] = [Table("Base coordinate system in the tracker frame", columns, padded(rows), note)]
     texts = []
-    for joint, axis in enumerate(base.axes, start=1):
-        circle = max(axis.circles, key=lambda one: one.arc)
+    for joint, swept in enumerate(base.axes, start=1):
+        circle = max(swept.circles, key=lambda one: one.arc)
         expected = centre_std(min(circle.arc, 2 * np.pi), sigma, circle.points)
         enough = arc_for(WANTED, sigma, circle.points)
         text = (
@@ -142,6 +148,11 @@ def _clause(base: BaseFrame, sigma: float) -> list[Block]:
             text += f"; for {MICRO * WANTED:.0f} µm {np.degrees(enough):.0f} degrees are enough"
         texts.append(text)
     return [*blocks, Items(tuple(texts))]
+
+
+def _micro(std: Float1D) -> str:
+    """Return the length of several standard deviations in millionths."""
+    return significant(MICRO * float(np.linalg.norm(std)))
 
 
 def _frame(phase: PhaseEstimate) -> list[Block]:
@@ -163,7 +174,7 @@ def _frame(phase: PhaseEstimate) -> list[Block]:
     columns = (Column("", "left", wide=True), Column("x"), Column("y"), Column("z"))
     note = (
         f"Flange frame. Origin in {whole[0]}, x towards {whole[1]}, {whole[2]} on the side of positive y. Standard "
-        f"uncertainty {significant(MICRO * np.linalg.norm(found.std[:3]))} µm and "
-        f"{significant(MICRO * np.linalg.norm(found.std[3:]))} µrad."
+        f"uncertainty {_micro(found.std[:3])} µm and "
+        f"{_micro(found.std[3:])} µrad."
     )
     return [Table(f"Frame of {', '.join(whole)}", columns, padded(rows), note)]
