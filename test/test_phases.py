@@ -13,8 +13,14 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
+from calibration_core.identification.absolute_problem import absolute_problem
 from calibration_core.identification.estimate import Identification
+from calibration_core.identification.kinematic_phases import identify_kinematics, split
+from calibration_core.identification.knowledge import difference
 from calibration_core.identification.phases import holds_phases, identify_phases
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.observations.covariance import position_covariance
 from calibration_core.timeseries import Readings
 from calibration_sim.configurations import random_protocol
 from calibration_sim.protocol import FOUR_STEPS, Configuration, Protocol
@@ -37,8 +43,6 @@ def bare_cell() -> Cell:
 
 def arc_of(joint: int, arc: float, cell: Cell = CELL) -> np.ndarray:
     """Return the angles of one joint's sweep about its home, within its limits, rad."""
-    from calibration_core.model.robot import chain_of
-
     low, high = chain_of(cell).limits[joint] + np.array([0.02, -0.02])
     middle = np.clip(HOME[joint], low + arc / 2, high - arc / 2) if high - low > arc else (low + high) / 2
     half = min(arc, high - low) / 2
@@ -78,6 +82,85 @@ def covered(found: Identification, truth: Truth) -> np.ndarray:
     return np.array(
         [one.interval[0] <= k <= one.interval[1] for one, k in zip(found.stiffness, truth.stiffness, strict=True)]
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """How one cell came out.
+
+    Attributes:
+        covered: (6,) whether the stiffness intervals hold the truth.
+        errors: (6,) of the compliances, in standard deviations.
+        names: What was fitted in the kinematic phases.
+        kinematic: (p,) errors of these against what noise-free readings give, in standard deviations.
+        rest: Root mean square of what noise-free readings leave, m: what is kept nominal and should not be.
+        hidden: Names of DH-like parameters that stay nominal.
+    """
+
+    covered: np.ndarray
+    errors: np.ndarray
+    names: tuple[str, ...]
+    kinematic: np.ndarray
+    rest: float
+    hidden: tuple[str, ...]
+
+
+def score(seed: int) -> Score:
+    """Play one cell and identify it, with and without noise."""
+    cell = bare_cell()
+    truth = draw_truth(CELL, seed, spread=NOMINAL_ONLY)
+    solved = solve(CELL, truth, protocol(seed))
+    readings = measure(solved, CELL, seed)
+    found = identify_phases(readings, cell)
+    errors = [
+        (one.compliance - 1 / k) / one.compliance_std for one, k in zip(found.stiffness, truth.stiffness, strict=True)
+    ]
+    free = split(readings).kinematic
+    clean = dataclasses.replace(readings, position=solved.states.points.reshape(-1, 3)).select(free)
+    seen, exact = (identify_kinematics(some, cell, nominal_parameters(cell)) for some in (readings.select(free), clean))
+    assert seen.final.names == exact.final.names
+    step = difference(seen.final.terms, exact.final.parameters, seen.final.parameters)
+    problem = absolute_problem(
+        exact.readings, cell, chain_of(cell), exact.final.parameters, position_covariance(exact.readings, cell)
+    )
+    return Score(
+        covered(found, truth),
+        np.array(errors),
+        seen.final.names,
+        step / np.sqrt(np.diag(seen.final.covariance)),
+        float(np.sqrt(np.mean(problem.residual(exact.final.parameters) ** 2))),
+        tuple(one.name for one in seen.choice.nominal),
+    )
+
+
+def report_of(scores: list[Score]) -> str:
+    """Return the figures of many cells as text."""
+    stiffness = 100 * np.mean([one.covered for one in scores], axis=0)
+    lines = [f"{len(scores)} cells: 95 % intervals of the stiffnesses cover {np.round(stiffness, 1)} %"]
+    for name, share in shares(scores).items():
+        lines.append(f"  {name}: {100 * share:.1f} %")
+    lines.append(f"  noise-free readings leave {1e6 * np.median([one.rest for one in scores]):.2f} µm rms (median)")
+    lines.append(f"  nominal and named: {sorted({name for one in scores for name in one.hidden})}")
+    return "\n".join(lines)
+
+
+def shares(scores: list[Score]) -> dict[str, float]:
+    """Return for every kinematic parameter how often its 95 % interval holds what noise-free readings give."""
+    inside: dict[str, list[bool]] = {}
+    for one in scores:
+        for name, error in zip(one.names, one.kinematic, strict=True):
+            if not name.startswith("C "):  # no result: its prior is in it
+                inside.setdefault(name, []).append(bool(abs(error) <= 1.96))
+    return {name: float(np.mean(found)) for name, found in inside.items()}
+
+
+@pytest.mark.slow
+def test_intervals_cover_in_two_hundred_cells() -> None:
+    scores = [score(seed) for seed in range(1, 201)]
+    print("\n" + report_of(scores))
+    stiffness = np.mean([one.covered for one in scores], axis=0)
+    assert np.all((stiffness >= 0.92) & (stiffness <= 0.98))
+    assert all(0.92 <= share <= 0.98 for share in shares(scores).values())
 
 
 @pytest.mark.parametrize("seed", [1])

@@ -21,6 +21,8 @@ from calibration_core.identification.poses import as_poses
 from calibration_core.identification.problem import Linearised, LoadedProblem, build_problem
 from calibration_core.identification.robust import fit_screened
 from calibration_core.identification.solve import Solution, solve_non_negative
+from calibration_core.identification.terms import PointTerm, TrackerTerm, View
+from calibration_core.model.chain import Chain
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
@@ -63,19 +65,20 @@ def fit_carried(readings: Readings, cell: Cell, options: Options, known: Knowled
     require_load(readings)
     nominal = nominal_parameters(cell) if options.start is None else options.start
     believed = known.parameters.replace(compliance=nominal.compliance)
-    problem = _problem(readings, cell, options, believed)
+    case = _Case(readings, cell, chain_of(cell), options, known)
+    problem = case.problem(believed)
     screened = fit_screened(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
     parameters = believed.replace(compliance=screened.fit.compliance)
-    total, solution = _normal(readings, cell, options, known, parameters, screened.used), None
+    total, solution = _normal(case, parameters, screened.used), None
     for _ in range(ITERATIONS):
         solution, nuisance = _solved(total, parameters.compliance, nominal.compliance)
         change = float(np.abs(solution.value - parameters.compliance).max())
         parameters = moved(parameters.replace(compliance=solution.value), known.terms, nuisance)
-        total = _normal(readings, cell, options, known, parameters, screened.used)
+        total = _normal(case, parameters, screened.used)
         if change <= 1e4 * CONVERGED * max(float(np.abs(solution.value).max()), 1e-30):
             break
     assert solution is not None  # noqa: S101 - there is at least one iteration
-    problem = _problem(readings, cell, options, parameters)
+    problem = case.problem(parameters)
     some = problem.select(np.flatnonzero(screened.used))
     plain = fit_compliance(some, parameters.compliance, options.deflections)
     chi2 = _chi2(some, parameters.compliance, options)
@@ -88,27 +91,31 @@ def fit_carried(readings: Readings, cell: Cell, options: Options, known: Knowled
     return Carried(prepared, after, _inverse(total[0], solution), plain.solution.covariance)
 
 
-def _problem(readings: Readings, cell: Cell, options: Options, parameters: ModelParameters) -> LoadedProblem:
-    chain = chain_of(cell).corrected(parameters.geometry)
-    return build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Case:
+    """What does not change from one iteration to the next."""
+
+    readings: Readings
+    cell: Cell
+    chain: Chain
+    options: Options
+    known: Knowledge
+
+    def problem(self, parameters: ModelParameters) -> LoadedProblem:
+        """Return the loaded problem with these frames, points and geometry."""
+        chain = self.chain.corrected(parameters.geometry)
+        how = self.options
+        return build_problem(self.readings, self.cell, chain, parameters, method=how.method, weights=how.weights)
 
 
-def _normal(
-    readings: Readings, cell: Cell, options: Options, known: Knowledge, parameters: ModelParameters, used: Bool1D
-) -> tuple[Float2D, Float1D]:
+def _normal(case: _Case, parameters: ModelParameters, used: Bool1D) -> tuple[Float2D, Float1D]:
     """Return the normal equations of compliances and nuisances together, their prior information included."""
-    problem = _problem(readings, cell, options, parameters)
+    problem, known = case.problem(parameters), case.known
     linear = problem.linearise(parameters.compliance)
-    columns = np.concatenate([linear.columns, _nuisances(readings, cell, options, known, parameters, linear)], axis=2)
+    columns = np.concatenate([linear.columns, _nuisances(case, problem, parameters, linear)], axis=2)
     rows = np.flatnonzero(used)
-    whole = dataclasses.replace(
-        linear,
-        predicted=linear.predicted[rows],
-        residual=linear.residual[rows],
-        columns=columns[rows],
-        rows=linear.rows.select(rows),
-    )
-    if options.deflections == "pose":
+    whole = Linearised(linear.predicted[rows], linear.residual[rows], columns[rows], linear.rows.select(rows))
+    if case.options.deflections == "pose":
         grouped, residual, designs = as_poses(problem.select(rows), whole)
         normal = normal_equations(grouped, residual, designs)
     else:
@@ -120,23 +127,33 @@ def _normal(
     return matrix, vector
 
 
-def _nuisances(
-    readings: Readings,
-    cell: Cell,
-    options: Options,
-    known: Knowledge,
-    parameters: ModelParameters,
-    linear: Linearised,
-) -> Float3D:
-    """Return minus the derivative of the residual by the parameters of `known`, (m, 3, p), by differences."""
-    p = len(known.names)
-    columns = np.empty((*linear.residual.shape, p))
-    for k in range(p):
-        step = np.zeros(p)
-        step[k] = STEP
-        shifted = _problem(readings, cell, options, moved(parameters, known.terms, step))
-        columns[:, :, k] = (linear.residual - shifted.residual(parameters.compliance)) / STEP
-    return columns
+def _nuisances(case: _Case, problem: LoadedProblem, parameters: ModelParameters, linear: Linearised) -> Float3D:
+    """Return minus the derivative of the residual by the parameters of `known`, (m, 3, p).
+
+    Tracker pose and points as any absolute position has them; geometry, which also changes the torques of the load and
+    with them the deflection, by differences.
+    """
+    rest, readings = problem.rest(parameters.compliance), problem.readings
+    target, measured = linear.predicted.T, problem.measured.T
+    view = View(problem.chain, parameters, rest.at, target, measured, readings.point, rest)
+    p = len(case.known.names)
+    columns, first = np.zeros((p, 3, len(readings))), 0
+    for term in case.known.terms:
+        count = len(term.names)
+        place = slice(first, first + count)
+        if isinstance(term, TrackerTerm):
+            term.write(view, columns[place])
+        elif isinstance(term, PointTerm):
+            if term.point in readings.points:
+                PointTerm(term.point, readings.points.index(term.point), term.axes).write(view, columns[place])
+        else:
+            for k in range(count):
+                step = np.zeros(p)
+                step[first + k] = STEP
+                shifted = case.problem(moved(parameters, case.known.terms, step))
+                columns[first + k] = (linear.residual - shifted.residual(parameters.compliance)).T / STEP
+        first += count
+    return np.moveaxis(columns, -1, 0).transpose(0, 2, 1)
 
 
 def _solved(total: tuple[Float2D, Float1D], compliance: Float1D, believed: Float1D) -> tuple[Solution, Float1D]:

@@ -166,6 +166,20 @@ def identify_axes(readings: Readings, cell: Cell) -> AxisGeometry:
     )
 
 
+def first_guess(readings: Readings, cell: Cell) -> tuple[Float2D, Float2D]:
+    """Return tracker pose (4, 4) and corrections (n, 6) by circles, without their uncertainty; see `identify_axes`.
+
+    Raises:
+        IdentificationError: As `identify_base_frame`.
+    """
+    chain = chain_of(cell)
+    axes = _axes(readings, chain)
+    _require_both(readings, chain, axes)
+    used = tuple(axes.values())
+    lines = np.stack([axis.line for axis in used])
+    return _pose(chain, axes[1].q, axes[0].line, axes[1].line), _corrections(chain, used, lines)
+
+
 def _corrections(chain: Chain, axes: tuple[Axis, ...], lines: Float2D) -> Float2D:
     """Return the corrections (n, 6) that put every joint from the second on its line.
 
@@ -220,12 +234,16 @@ def _axis(readings: Readings, joint: int, sweeps: list[Sweep]) -> Axis:
     )
 
 
-def _base(readings: Readings, chain: Chain, axes: dict[int, Axis]) -> BaseFrame:
+def _require_both(readings: Readings, chain: Chain, axes: dict[int, Axis]) -> None:
     for joint in (0, 1):
         if joint not in axes:
             raise IdentificationError(
                 readings.provenance.path, chain.joints[joint], "no sweep", "five or more poses in which only it moves"
             )
+
+
+def _base(readings: Readings, chain: Chain, axes: dict[int, Axis]) -> BaseFrame:
+    _require_both(readings, chain, axes)
     first, second = axes[0], axes[1]
 
     lines = np.stack([first.line, second.line])

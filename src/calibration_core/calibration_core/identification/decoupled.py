@@ -24,7 +24,7 @@ from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import Posture, cross, posture
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
-MEETS = 2e-3  # m: how far the wrist axes may pass by the wrist centre
+MEETS = 5e-3  # m: how far the wrist axes may pass by the wrist centre; their share in its displacement is subtracted
 PARALLEL = 1e-3  # sine of the angle between the last two axes
 SINGULAR = 1e-8  # inverse condition number of the scaled normal matrix
 ITERATIONS = 3  # the equilibrium is nearly linear in the compliances

@@ -18,7 +18,7 @@ from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.absolute_problem import absolute_problem, start_parameters
 from calibration_core.identification.choice import Choice, candidates, choose, choose_frames
-from calibration_core.identification.circle_point import identify_axes
+from calibration_core.identification.circle_point import first_guess
 from calibration_core.identification.estimate import Exclusion, Unidentified
 from calibration_core.identification.geometry import AbsoluteProblem
 from calibration_core.identification.knowledge import Knowledge, learn
@@ -160,14 +160,14 @@ def without_sensor_noise(readings: Readings, cell: Cell) -> Readings:
 def _circles_first(readings: Readings, cell: Cell, start: ModelParameters, choice: Choice) -> ModelParameters:
     """Return the start with base frame and joint axes of the circles, where joints were swept alone."""
     try:
-        found = identify_axes(unbent(readings, cell, start), cell)
+        tracker, found = first_guess(unbent(readings, cell, start), cell)
     except IdentificationError:  # no such sweeps: the linear start is enough
         return start
     geometry = start.geometry.copy()
     for one in choice.chosen:
-        if found.geometry[one.joint].any():
-            geometry[one.joint, one.kind] = found.geometry[one.joint, one.kind]
-    return start.replace(tracker=found.base.tracker, geometry=geometry)
+        if found[one.joint].any():
+            geometry[one.joint, one.kind] = found[one.joint, one.kind]
+    return start.replace(tracker=tracker, geometry=geometry)
 
 
 def _later(frames: list[Term], readings: Readings, rows: Rows) -> list[PointTerm]:
