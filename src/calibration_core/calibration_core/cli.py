@@ -152,6 +152,12 @@ def _plan(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of the search (default 0)")
     parser.add_argument(
+        "--criterion",
+        choices=("D", "A", "worst", "condition", "observability", "trace"),
+        default="D",
+        help="what makes a choice good: determinant, mean or worst variance, or one of CWA 17384, 5.4 (default D)",
+    )
+    parser.add_argument(
         "--load-levels",
         type=float,
         nargs="+",

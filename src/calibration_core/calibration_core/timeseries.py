@@ -20,6 +20,7 @@ Float2D = NDArray[np.float64]  # (m, n)
 Float3D = NDArray[np.float64]  # (k, m, n)
 Int1D = NDArray[np.int64]  # (n,)
 Bool1D = NDArray[np.bool_]  # (n,)
+Bool2D = NDArray[np.bool_]  # (m, n)
 
 NANOSECONDS = 1_000_000_000
 

@@ -39,7 +39,7 @@ def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ..
     if not is_loaded(readings) or cell.frames.wrench_point is None:
         return None
     parameters = nominal_parameters(cell)
-    site = Site.of(chain_of(cell), parameters, tracker_known=cell.frames.tracker is not None)
+    site = Site.of(chain_of(cell), parameters, cell)
     rng = np.random.default_rng([seed, 0])
     low, high = joint_range(site.chain, SpaceRules())
     found = np.empty((0, site.chain.n))

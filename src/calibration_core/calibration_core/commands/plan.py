@@ -16,7 +16,7 @@ from calibration_core.model.model_file import read_model
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.simulate import Schedule
 from calibration_core.procedure.loads import NINE_STEPS, LoadRules
-from calibration_core.procedure.plan import Plan
+from calibration_core.procedure.plan import Expected, Plan
 from calibration_core.procedure.plan_file import plan_dict, plan_text
 from calibration_core.procedure.planning import PlanningRules, make_plan
 from calibration_core.procedure.space import SpaceRules
@@ -84,7 +84,7 @@ def rules_of(arguments: argparse.Namespace) -> PlanningRules:
         largest_force=arguments.largest_force,
         largest_torque=arguments.largest_torque,
     )
-    return PlanningRules(space=SpaceRules(box=_box(arguments.box)), load=load)
+    return PlanningRules(space=SpaceRules(box=_box(arguments.box)), load=load, criterion=arguments.criterion)
 
 
 def _box(ends: list[float] | None) -> tuple[tuple[float, float], ...] | None:
@@ -142,6 +142,14 @@ def largest_force(plan: Plan) -> float:
     return float(max(np.linalg.norm(c.steps[:, :3], axis=1).max() for c in plan.configurations))
 
 
+def certificate(expected: Expected) -> str:
+    """Return what is certain of the choice, in words."""
+    if expected.efficiency is None:
+        return f"chosen by criterion {expected.criterion}, for which nothing certifies an optimum"
+    share = 100 * expected.efficiency
+    return f"criterion {expected.criterion}: certainly at least {share:.1f} % of what any choice could reach"
+
+
 def plan_summary(plan: Plan) -> str:
     """Return what came out, in a few lines."""
     lines = [
@@ -153,15 +161,15 @@ def plan_summary(plan: Plan) -> str:
     expected = plan.expected
     if expected is None:
         return lines[0]
-    lines.append(
-        f"certified share of the best D-efficiency {100 * expected.efficiency:.1f} %, "
-        f"condition number {expected.condition:.2f}"
-    )
+    lines.append(f"{certificate(expected)}; condition number {expected.condition:.2f}")
     if expected.stiffness_std is not None:
         shares = (
-            f"{joint} {spread(100 * std)} %" for joint, std in zip(plan.joints, expected.stiffness_std, strict=True)
+            f"{joint} {spread(100 * std) + ' %' if math.isfinite(std) else 'not at all'}"
+            for joint, std in zip(plan.joints, expected.stiffness_std, strict=True)
         )
         lines.append(f"expected standard deviation of the stiffness: {', '.join(shares)}")
+    if expected.unidentifiable:
+        lines.append(f"not identifiable from here: {', '.join(plan.joints[i] for i in expected.unidentifiable)}")
     if expected.unclear_moves:
         moves = counted(expected.unclear_moves, "motion comes", "motions come")
         lines.append(f"{moves} too near to floor or arm on the straight path in joint space: lead it by hand")

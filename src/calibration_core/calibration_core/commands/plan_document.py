@@ -12,7 +12,8 @@ from calibration_core.identification.estimate import OperatingSpace, Preconditio
 from calibration_core.identification.preconditions import MIN_CONFIGURATIONS, NEAR_SINGULAR, TEST_UNCERTAINTY_RATIO
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.instruments import tracker_covariance
-from calibration_core.procedure.plan import Plan, PlannedConfiguration
+from calibration_core.procedure.criteria import CRITERIA
+from calibration_core.procedure.plan import Expected, Plan, PlannedConfiguration
 from calibration_core.report.document import (
     Block,
     Column,
@@ -188,21 +189,18 @@ def _verdict(plan: Plan, cell: Cell, space: OperatingSpace, demands: tuple[Preco
     if expected is not None:
         if expected.stiffness_std is not None:
             worst = int(np.argmax(expected.stiffness_std))
-            share = spread(100 * float(expected.stiffness_std[worst]))
-            headline += f"; every stiffness expected to {share} % or better"
-            lines.append(
-                (
-                    "Uncertainty",
-                    f"largest expected relative standard uncertainty {share} % ({shortened(plan.joints[worst])})",
-                )
-            )
+            if np.isfinite(expected.stiffness_std[worst]):
+                share = spread(100 * float(expected.stiffness_std[worst]))
+                headline += f"; every stiffness expected to {share} % or better"
+                text = f"largest expected relative standard uncertainty {share} % ({shortened(plan.joints[worst])})"
+                lines.append(("Uncertainty", text))
+        if expected.unidentifiable:
+            names = ", ".join(shortened(plan.joints[i]) for i in expected.unidentifiable)
+            lines.append(("Not identifiable", f"from these configurations and loads: {names}"))
         lines.append(
             (
                 "Choice",
-                (
-                    f"for certain at least {100 * expected.efficiency:.1f} % of the D-efficiency that any choice among "
-                    f"the candidates could reach; condition number {significant(expected.condition, 3)}"
-                ),
+                f"{_certificate(expected)}; condition number {significant(expected.condition, 3)}",
             )
         )
         lines.append(("Motion", _motion(plan)))
@@ -235,11 +233,12 @@ def _expected_table(plan: Plan, cell: Cell) -> tuple[Block, ...]:
     rows = []
     for i, joint in enumerate(plan.joints):
         value = std = share = DASH
-        if relative is not None and stated is not None:
+        if relative is not None and stated is not None and np.isfinite(relative[i]):
             size = float(relative[i]) * stated[i] * STIFFNESS.factor
             value, std = fixed(stated[i] * STIFFNESS.factor, max(decimals(size), 0)), spread(size)
             share = spread(100 * float(relative[i]))
-        compliance = significant(1e9 * float(expected.compliance_std[i]))
+        told = bool(np.isfinite(expected.compliance_std[i]))
+        compliance = significant(1e9 * float(expected.compliance_std[i])) if told else "cannot be told"
         rows.append((symbol(i + 1), shortened(joint), value, std, share, compliance))
     columns = (
         Column("Joint", "left"),
@@ -258,9 +257,10 @@ def _choice(plan: Plan, seed: int) -> tuple[Block, ...]:
     if expected is None:
         return (Paragraph("The plan states nothing about what it promises."),)
     rows = [
-        ("Criterion", "determinant of the information on all joint compliances (D-optimal), then evenly spread"),
-        ("Certificate", f"at least {100 * expected.efficiency:.1f} % of the attainable D-efficiency, by duality bound"),
-        ("Condition number", f"{significant(expected.condition, 3)}, columns scaled to equal length"),
+        ("Criterion", f"{CRITERIA[expected.criterion].text}, then evenly spread"),
+        ("Certificate", _certificate(expected)),
+        ("Condition number", f"{significant(expected.condition, 3)} (5.4, 1), stacked Jacobian, relative stiffnesses"),
+        *_figures(expected),
         (
             "Spacing",
             f"{1e3 * expected.spacing:.0f} mm from a place of the operating space to the nearest configuration",
@@ -283,6 +283,25 @@ def _choice(plan: Plan, seed: int) -> tuple[Block, ...]:
         "number could reach."
     )
     return (Paragraph(text), Facts(tuple(rows)))
+
+
+def _certificate(expected: Expected) -> str:
+    if expected.efficiency is None:
+        return "none: the criterion is not concave, so nothing bounds what another choice could reach"
+    share = f"for certain at least {100 * expected.efficiency:.1f} %"
+    return f"{share} of what any choice among the candidates could reach (criterion {expected.criterion})"
+
+
+def _figures(expected: Expected) -> list[tuple[str, str]]:
+    """Return the standard's further figures of a choice (5.4), where the plan states them."""
+    names = {
+        "index": "Observability index (5.4, 2)",
+        "smallest": "Smallest singular value",
+        "noise": "Noise amplification index",
+        "trace": "Trace of the sensitivity matrix (5.4, 3)",
+    }
+    found = expected.observability
+    return [(name, f"{significant(found[key], 3)}, per configuration") for key, name in names.items() if key in found]
 
 
 def _spare_note(plan: Plan) -> str:

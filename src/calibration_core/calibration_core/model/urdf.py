@@ -27,13 +27,13 @@ def chain_of_urdf(cell: Cell) -> Chain:
     Raises:
         CellError: The URDF is missing, malformed, or does not hold the joints and links that the cell file names.
     """
-    model = _load_urdf(cell)
+    model = load_urdf(cell)
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     pin.updateFramePlacements(model, data)
-    base, flange = (_frame(cell, model, data, key) for key in ("base_link", "flange"))
+    base, flange = (frame_of(cell, model, data, key) for key in ("base_link", "flange"))
     to_base = base.inverse()
-    ids = _joint_ids(cell, model)
+    ids = joint_ids(cell, model)
     axes = _axes(cell, model, data, ids)
 
     n = len(ids)
@@ -63,7 +63,8 @@ def chain_of_urdf(cell: Cell) -> Chain:
     )
 
 
-def _load_urdf(cell: Cell) -> Any:
+def load_urdf(cell: Cell) -> Any:
+    """Return the URDF's `pinocchio.Model`; raise CellError where it is missing or malformed."""
     path = cell.urdf_path
     assert path is not None  # noqa: S101 - the cell has a URDF on this branch
     try:
@@ -79,14 +80,14 @@ def _load_urdf(cell: Cell) -> Any:
         raise CellError(path, "", f"<{root.tag}>", "<robot> as the outermost element")
     said: list[str] = []
     try:
-        with _captured_stderr(said):
+        with captured_stderr(said):
             return pin.buildModelFromXML(text)
     except (RuntimeError, ValueError) as error:
         raise CellError(path, "", " ".join(said) or str(error), "a URDF that pinocchio can read") from None
 
 
 @contextlib.contextmanager
-def _captured_stderr(said: list[str]) -> Iterator[None]:
+def captured_stderr(said: list[str]) -> Iterator[None]:
     """Collect what the C++ parser prints, so that a faulty file gets one line and not a page."""
     kept = os.dup(2)
     with tempfile.TemporaryFile() as sink:
@@ -100,7 +101,8 @@ def _captured_stderr(said: list[str]) -> Iterator[None]:
             said.extend(sink.read(2000).decode(errors="replace").split())
 
 
-def _frame(cell: Cell, model: Any, data: Any, key: str) -> Any:
+def frame_of(cell: Cell, model: Any, data: Any, key: str) -> Any:
+    """Return the pose in the model's world of the link that the cell file names under `key`, or raise CellError."""
     name = getattr(cell.robot, key)
     if not model.existFrame(name):
         names = ", ".join(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY)
@@ -108,7 +110,8 @@ def _frame(cell: Cell, model: Any, data: Any, key: str) -> Any:
     return data.oMf[model.getFrameId(name)]
 
 
-def _joint_ids(cell: Cell, model: Any) -> list[int]:
+def joint_ids(cell: Cell, model: Any) -> list[int]:
+    """Return the model's numbers of the cell file's joints, or raise CellError where they are no chain."""
     known = [name for name in model.names if name != "universe"]
     ids = []
     for i, name in enumerate(cell.robot.joints):

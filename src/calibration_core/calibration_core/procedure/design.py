@@ -1,7 +1,6 @@
-"""Which of many candidates to measure: a D-optimal choice, by exchange, with what any choice could reach at most.
+"""Which of many candidates to measure: the best choice by exchange, with what any choice could reach at most.
 
-(CWA 17384, 5.4: observability of the parameters.)  Determinants compare the same way in any units, so no stiffness need
-be known.
+(CWA 17384, 5.4: observability of the parameters.)
 """
 
 from __future__ import annotations
@@ -10,11 +9,14 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.procedure.optimum import Candidates, capped_bound, continuous
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
+from calibration_core.procedure.criteria import D_OPTIMAL, Criterion
+from calibration_core.procedure.optimum import Candidates, capped_bound, continuous_optimum
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
-SHORTLIST = 40  # candidates looked at exactly in every exchange
-LEAST_GAIN = 1e-10  # of the log determinant, for an exchange to be worth making
+SHORTLIST = 40  # candidates looked at exactly before an exchange is given up
+FEW, LEAST_TELLING = 12, 6  # candidates, and chosen ones that tell least, looked at first
+NEAR = 1500  # candidates, the best at the continuous optimum, that the starts exchange with
+LEAST_GAIN = 1e-10  # of the score, for an exchange to be worth making
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,36 +24,48 @@ class Choice:
     """Candidates chosen to be measured.
 
     Attributes:
+        criterion: What was wanted.
         chosen: (N,) indices of the candidates, increasing.
-        log_det: Of the mean information of the chosen ones.
-        bound: No choice of N different candidates exceeds this log determinant.
-        continuous_bound: Nor does any weighting of the candidates, repeated ones included, exceed this.
-        parameters: Number n of parameters.
+        score: Of the mean information of the chosen ones, in units of the candidates' scale.
+        bound: No choice of N different candidates has a larger score; infinite where nothing certifies one.
+        continuous_bound: Nor has any weighting of the candidates, repeated ones included.
     """
 
+    criterion: Criterion
     chosen: Int1D
-    log_det: float
+    score: float
     bound: float
     continuous_bound: float
-    parameters: int
 
     @property
-    def efficiency(self) -> float:
-        """(det / bound)^(1/n): this choice has at least that share of what N different candidates can tell."""
-        return float(np.exp((self.log_det - self.bound) / self.parameters))
+    def efficiency(self) -> float | None:
+        """Share of what N different candidates can tell that this choice has for certain; None without a certificate.
+
+        For the determinant (det / det*)^(1/n), for variances the ratio of the least that are possible to these.
+        """
+        return float(np.exp(self.score - self.bound)) if np.isfinite(self.bound) else None
 
     @property
-    def continuous_efficiency(self) -> float:
+    def continuous_efficiency(self) -> float | None:
         """The same against the continuous optimum."""
-        return float(np.exp((self.log_det - self.continuous_bound) / self.parameters))
+        return float(np.exp(self.score - self.continuous_bound)) if np.isfinite(self.continuous_bound) else None
 
 
-def choose(information: Float3D, count: int, *, group: Int1D | None = None, starts: int = 6, seed: int = 0) -> Choice:
+def choose(
+    candidates: Candidates,
+    count: int,
+    *,
+    criterion: Criterion = D_OPTIMAL,
+    group: Int1D | None = None,
+    starts: int = 6,
+    seed: int = 0,
+) -> Choice:
     """Choose `count` different candidates by exchange, started from several draws of the continuous optimum.
 
     Args:
-        information: (m, n, n), positive semi-definite.
+        candidates: To choose from.
         count: How many.
+        criterion: What makes a choice good.
         group: (m,) at most one candidate of each group is chosen (the load directions of one posture).
         starts: Number of starts; the best result is kept.
         seed: Of the draws.
@@ -59,62 +73,82 @@ def choose(information: Float3D, count: int, *, group: Int1D | None = None, star
     Raises:
         ValueError: Fewer groups than `count`, or the candidates do not determine all parameters.
     """
-    candidates = Candidates(information)
-    group = np.arange(len(information)) if group is None else np.unique(group, return_inverse=True)[1]
+    group = np.arange(len(candidates)) if group is None else np.unique(group, return_inverse=True)[1]
     if group.max(initial=-1) + 1 < count:
         msg = f"{int(group.max(initial=-1)) + 1} candidates, expected at least {count}"
         raise ValueError(msg)
-    weighted = continuous(candidates)
+    weighted = continuous_optimum(candidates, criterion)
+    gain = candidates.sensitivity(criterion.slope(candidates.mean(weighted.weights)))
+    near = _near(gain, weighted.weights, group, count)
+    part, part_group = candidates.subset(near), group[near]
     rng = np.random.default_rng(seed)
-    best, best_value = np.empty(0, dtype=np.int64), -np.inf
+    best, best_score = np.empty(0, dtype=np.int64), -np.inf
     for start in range(starts):
         disorder = 0.0 if start == 0 else 1.0
-        chosen = _draw(weighted.weights, group, count, disorder, rng)
-        chosen, value = _exchange(candidates, chosen, group)
-        if value > best_value + LEAST_GAIN:
-            best, best_value = chosen, value
-    shift = candidates.log_scale
-    bound = min(capped_bound(candidates, best, group), weighted.bound)
-    log_det = best_value - candidates.n * float(np.log(count))
-    return Choice(np.sort(best), log_det + shift, bound + shift, weighted.bound + shift, candidates.n)
+        chosen = _draw(weighted.weights[near], part_group, count, disorder, rng)
+        chosen, score = _exchange(part, criterion, chosen, part_group)
+        if score > best_score + LEAST_GAIN or not len(best):
+            best, best_score = near[chosen], score
+    best, best_score = _exchange(candidates, criterion, best, group)
+    bound = weighted.bound
+    if criterion.concave:
+        bound = min(capped_bound(candidates, criterion, best, group), bound)
+    return Choice(criterion, np.sort(best), best_score, bound, weighted.bound)
 
 
-def rated(information: Float3D, chosen: Int1D, best: Choice) -> Choice:
+def rated(candidates: Candidates, chosen: Int1D, best: Choice) -> Choice:
     """Return another choice from the same candidates, under the bounds of the best one."""
-    value = float(np.linalg.slogdet(information[chosen].mean(axis=0))[1])
-    return dataclasses.replace(best, chosen=np.sort(chosen), log_det=value)
+    score = float(best.criterion.score(candidates.total(chosen)[None] / len(chosen))[0])
+    return dataclasses.replace(best, chosen=np.sort(chosen), score=score)
 
 
-def extend(information: Float3D, chosen: Int1D, count: int, *, group: Int1D, allowed: Bool1D | None = None) -> Int1D:
+def extend(
+    candidates: Candidates,
+    chosen: Int1D,
+    count: int,
+    *,
+    group: Int1D,
+    criterion: Criterion = D_OPTIMAL,
+    allowed: Bool1D | None = None,
+) -> Int1D:
     """Return `count` more candidates, each the best addition to all before it, of groups not used yet."""
-    candidates = Candidates(information)
     free = ~np.isin(group, group[chosen])
     if allowed is not None:
         free &= allowed
-    matrix = candidates.full[chosen].sum(axis=0)
+    matrix = candidates.total(chosen)
     added: list[int] = []
     for _ in range(count):
-        if not free.any():
-            break
         rows = np.flatnonzero(free)
-        short = rows[_largest(candidates.sensitivity(matrix, rows), SHORTLIST)]
-        best = int(short[np.argmax(np.linalg.slogdet(matrix + candidates.full[short])[1])])
+        if not len(rows):
+            break
+        gain = candidates.sensitivity(criterion.slope(matrix))[rows]
+        short = rows[_largest(gain, SHORTLIST)]
+        best = int(short[np.argmax(criterion.score(matrix + candidates.matrices(short)))])
         added.append(best)
-        matrix = matrix + candidates.full[best]
+        matrix = matrix + candidates.matrices(np.array([best]))[0]
         free &= group != group[best]
     return np.array(added, dtype=np.int64)
 
 
-def exchange_values(information: Float3D, chosen: Int1D, rows: Int1D) -> Float2D:
-    """Return the log determinant of the mean information after every exchange of one chosen for one other candidate.
+def exchange_scores(candidates: Candidates, criterion: Criterion, chosen: Int1D, rows: Int1D) -> Float2D:
+    """Return the score of the mean information after every exchange of one chosen for one other candidate.
 
     Returns:
         (N, k): chosen i replaced by `rows[j]`.
     """
-    candidates = Candidates(information)
-    matrix = candidates.full[chosen].sum(axis=0)
-    offset = candidates.log_scale - candidates.n * np.log(len(chosen))
-    return _exchanged(candidates, matrix, chosen, rows) + offset
+    rest = (candidates.total(chosen) - candidates.matrices(chosen)) / len(chosen)
+    return _exchanged(criterion, rest, candidates.matrices(rows) / len(chosen))
+
+
+def _near(gain: Float1D, weights: Float1D, group: Int1D, count: int) -> Int1D:
+    """Return the candidates worth exchanging with, increasing: the best ones, and enough groups of them."""
+    if len(gain) <= NEAR:
+        return np.arange(len(gain))
+    order = np.argsort(-gain, kind="stable")
+    kept = order[:NEAR]
+    _, first = np.unique(group[order], return_index=True)
+    groups = order[np.sort(first)[: 2 * count]]
+    return np.unique(np.concatenate([kept, groups, np.flatnonzero(weights > 1e-6)]))
 
 
 def _draw(weights: Float1D, group: Int1D, count: int, disorder: float, rng: np.random.Generator) -> Int1D:
@@ -125,36 +159,39 @@ def _draw(weights: Float1D, group: Int1D, count: int, disorder: float, rng: np.r
     return order[np.sort(first)[:count]]
 
 
-def _exchange(candidates: Candidates, chosen: Int1D, group: Int1D) -> tuple[Int1D, float]:
+def _exchange(candidates: Candidates, criterion: Criterion, chosen: Int1D, group: Int1D) -> tuple[Int1D, float]:
     """Make the best exchange again and again until none gains."""
+    count = len(chosen)
     chosen = chosen.copy()
-    matrix = candidates.full[chosen].sum(axis=0)
-    value = float(np.linalg.slogdet(matrix)[1])
-    if not np.isfinite(value):
-        matrix = matrix + 1e-9 * np.eye(candidates.n)
     taken = np.zeros(int(group.max()) + 1, dtype=bool)
     taken[group[chosen]] = True
     while True:
-        sensitivity = candidates.sensitivity(matrix, slice(None))
-        sensitivity[chosen] = -np.inf
-        short = _largest(sensitivity, SHORTLIST)
-        after = _exchanged(candidates, matrix, chosen, short)
-        same = group[short][None, :] == group[chosen][:, None]
-        after = np.where(taken[group[short]][None, :] & ~same, -np.inf, after)
-        i, j = np.unravel_index(np.argmax(after), after.shape)
-        if not after[i, j] > value + LEAST_GAIN:
-            return chosen, value
-        taken[group[chosen[i]]] = False
-        chosen[i] = short[j]
-        taken[group[chosen[i]]] = True
-        matrix = candidates.full[chosen].sum(axis=0)
-        value = float(np.linalg.slogdet(matrix)[1])
+        matrix = candidates.total(chosen) / count
+        score = float(criterion.score(matrix[None])[0])
+        gain = candidates.sensitivity(criterion.slope(matrix))
+        least = np.argsort(gain[chosen], kind="stable")
+        gain[chosen] = -np.inf
+        for leaving, offered in ((LEAST_TELLING, FEW), (count, SHORTLIST)):
+            out, short = least[:leaving], _largest(gain, offered)
+            rest = matrix - candidates.matrices(chosen[out]) / count
+            after = _exchanged(criterion, rest, candidates.matrices(short) / count)
+            same = group[short][None, :] == group[chosen[out]][:, None]
+            after = np.where(taken[group[short]][None, :] & ~same, -np.inf, after)
+            i, j = np.unravel_index(np.argmax(after), after.shape)
+            if after[i, j] > score + LEAST_GAIN:
+                break
+        else:
+            return chosen, score
+        taken[group[chosen[out[i]]]] = False
+        chosen[out[i]] = short[j]
+        taken[group[chosen[out[i]]]] = True
 
 
-def _exchanged(candidates: Candidates, matrix: Float2D, chosen: Int1D, rows: Int1D) -> Float2D:
-    swapped = (matrix - candidates.full[chosen])[:, None] + candidates.full[rows][None]
-    determinant = np.linalg.det(swapped)
-    return np.where(determinant > 0, np.log(np.where(determinant > 0, determinant, 1.0)), -np.inf)
+def _exchanged(criterion: Criterion, rest: Float2D, added: Float2D) -> Float2D:
+    """Return the (N, k) scores of rest i plus addition j."""
+    sums = rest[:, None] + added[None]
+    scores = criterion.score(sums.reshape(-1, *sums.shape[2:]))
+    return scores.reshape(sums.shape[:2])
 
 
 def _largest(values: Float1D, count: int) -> Int1D:

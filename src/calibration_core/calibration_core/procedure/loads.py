@@ -13,7 +13,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.model.chain import Chain
 from calibration_core.model.instruments import tracker_covariance
-from calibration_core.model.kinematics import linear_jacobian, posture
+from calibration_core.model.kinematics import cross, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -32,6 +32,8 @@ class LoadRules:
         directions: Pulls considered per posture.
         largest_force: N, range of the force/torque sensor; None: not limited.
         largest_torque: N*m, likewise.
+        k_csm: m, largest movement of any measurement point that the complementary stiffness K_CSM may cause under the
+            full pull (CWA 17384, 6.2: negligible far from singularities); None: not limited.
     """
 
     levels: tuple[float, ...] = NINE_STEPS
@@ -40,6 +42,7 @@ class LoadRules:
     directions: int = 6
     largest_force: float | None = None
     largest_torque: float | None = None
+    k_csm: float | None = 2e-5
 
     @property
     def spread(self) -> float:
@@ -142,3 +145,34 @@ def information(
     weight = np.linalg.solve(point_noise(chain, cell, parameters, q), jacobian)
     gram = jacobian.transpose(0, 2, 1) @ weight
     return rules.spread * gram[:, None] * torque[..., :, None] * torque[..., None, :]
+
+
+def complementary_share(chain: Chain, parameters: ModelParameters, q: Float2D, force: Float3D) -> Float2D:
+    """Return by how much the complementary stiffness moves the measurement point that it moves most, (m, k) m.
+
+    To first order C K_CSM C tau is added to the joint deflections C tau, with K_CSM,ij = (dJ_i/dq_j)^T f =
+    (a_i x (a_j x (p - o_j))) . f for i <= j, symmetric (CWA 17384, equation (4); Alici and Shirinzadeh, 2005).
+
+    Args:
+        chain: The robot.
+        parameters: Points and compliances.
+        q: (m, n) rad.
+        force: (m, k, 3) N, full pulls at the wrench point.
+    """
+    at = posture(chain, q)
+    assert parameters.wrench_point is not None  # noqa: S101 - the planner has checked it
+    n = chain.n
+    levers = linear_jacobian(at, at.point(parameters.wrench_point))
+    stiffness = np.empty((*force.shape[:2], n, n))
+    for j in range(n):
+        for i in range(j + 1):
+            bent = cross(at.axis(i), levers[j])
+            stiffness[..., i, j] = stiffness[..., j, i] = np.einsum("am,mka->mk", bent, force)
+    torque = np.einsum("nam,mka->mkn", np.stack(levers), force)
+    compliance = parameters.compliance
+    extra = compliance * np.einsum("mkij,mkj->mki", stiffness, compliance * torque)
+    largest = np.zeros(force.shape[:2])
+    for point in parameters.points.values():
+        jacobian = np.stack(linear_jacobian(at, at.point(point)))
+        largest = np.maximum(largest, np.linalg.norm(np.einsum("nam,mkn->mka", jacobian, extra), axis=2))
+    return largest

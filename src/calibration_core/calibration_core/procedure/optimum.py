@@ -1,8 +1,8 @@
 """How much any choice of candidates can tell at most: optimal weights, and bounds that hold for every choice.
 
-Every candidate contributes an information matrix; a choice is as good as the determinant of their mean (D-optimality;
-Fedorov, Theory of Optimal Experiments, 1972).  Letting candidates carry weights makes the problem concave: its optimum
-bounds every choice, and any weights at all give a certified bound.
+Every candidate contributes an information matrix; a choice is as good as a criterion of their mean says (see
+`criteria`).  Letting candidates carry weights makes the problem concave: its optimum bounds every choice, and any
+weights at all give a certified bound.
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ import dataclasses
 
 import numpy as np
 
+from calibration_core.procedure.criteria import D_OPTIMAL, Criterion
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
-BOUND_SLACK = 2e-3  # of the bound, as a fraction of the D-efficiency
-OUTER, INNER = 60, 30  # rounds of the multiplicative algorithm: on all candidates, and on the promising ones
-PROMISING = 0.85  # candidates whose sensitivity is below this share of the mean are left out of the inner rounds
+BOUND_SLACK = 2e-3  # of the bound, as a fraction of the efficiency
+OUTER, INNER = 40, 120  # rounds of the multiplicative algorithm: on all candidates, and on the promising ones
+PROMISING = 24  # candidates per parameter that the inner rounds begin with
 CAPPED_ROUNDS = 40
+PATIENCE = 6  # rounds in which a bound may stay as it is
 INVISIBLE = 1e-20  # information on a parameter below this share of the largest is rounding
-HALVINGS = 40
+LEAST_DETERMINED = 1e-12  # smallest eigenvalue over the largest, of the scaled mean information
+STEPS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 24)])  # shares looked at in a line search
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,145 +30,171 @@ class Continuous:
 
     Attributes:
         weights: (m,), not negative, sum one.
-        log_det: Of the weighted mean information.
-        bound: No weights, hence no choice, give a larger log determinant of the mean information.
+        score: Of the weighted mean information.
+        bound: No weights, hence no choice, give a larger score; infinite for a criterion that is not concave.
     """
 
     weights: Float1D
-    log_det: float
+    score: float
     bound: float
 
 
 class Candidates:
-    """Information matrices, scaled to similar columns, with their upper triangles packed for speed.
+    """Information matrices in units of the parameters' scale, upper triangles only.
 
     Attributes:
-        full: (m, n, n) scaled matrices.
-        log_scale: What is added to a log determinant of scaled matrices to get that of the given ones.
-        n: Number of parameters.
+        scale: (n,) size of each parameter: given, or such that all are about equally well seen.
         packed: (m, n (n + 1) / 2) upper triangles.
     """
 
-    def __init__(self, information: Float3D) -> None:
-        diagonal = np.einsum("mii->i", information) / len(information)
-        shown = diagonal > INVISIBLE * diagonal.max()  # rounding is not to be scaled up
-        scale = 1.0 / np.sqrt(np.where(shown, diagonal, diagonal.max()))
-        self.full = np.ascontiguousarray(information * scale[:, None] * scale)
-        self.log_scale = -2.0 * float(np.log(scale).sum())
-        self.n = information.shape[1]
-        self.upper = np.triu_indices(self.n)
-        twice = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
-        self.packed = np.ascontiguousarray(self.full[:, self.upper[0], self.upper[1]])
-        self.trace = np.ascontiguousarray(self.packed * twice)
+    def __init__(self, information: Float3D, scale: Float1D | None = None) -> None:
+        """Scale and pack.
 
-    def mean(self, weights: Float1D, rows: Int1D | slice) -> Float2D:
-        """Return the (n, n) weighted sum of the given candidates."""
-        matrix = np.empty((self.n, self.n))
-        matrix[self.upper] = weights @ self.packed[rows]
-        matrix[self.upper[1], self.upper[0]] = matrix[self.upper]
-        return matrix
+        Args:
+            information: (m, n, n), positive semi-definite, in SI units.
+            scale: (n,) unit in which an error of each parameter counts (the nominal value, for relative errors); None:
+                from the candidates' mean.
+        """
+        n = information.shape[1]
+        if scale is None:
+            diagonal = np.einsum("mii->i", information) / max(len(information), 1)
+            shown = diagonal > INVISIBLE * diagonal.max(initial=0.0)  # rounding is not to be scaled up
+            scale = 1.0 / np.sqrt(np.where(shown, diagonal, max(diagonal.max(initial=0.0), 1e-300)))
+        self.scale = np.asarray(scale, dtype=np.float64)
+        self.upper = np.triu_indices(n)
+        self.twice = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
+        self.packed = information[:, self.upper[0], self.upper[1]]
+        self.packed *= self.scale[self.upper[0]] * self.scale[self.upper[1]]
 
-    def sensitivity(self, matrix: Float2D, rows: Int1D | slice) -> Float1D:
-        """Return tr(M^-1 X_i) of every candidate."""
-        product: Float1D = self.trace[rows] @ np.linalg.inv(matrix)[self.upper]
+    @property
+    def n(self) -> int:
+        """Number of parameters."""
+        return len(self.scale)
+
+    def __len__(self) -> int:
+        """Return the number of candidates."""
+        return len(self.packed)
+
+    def _unpacked(self, packed: Float2D) -> Float3D:
+        matrices = np.empty((*packed.shape[:-1], self.n, self.n))
+        matrices[..., self.upper[0], self.upper[1]] = packed
+        matrices[..., self.upper[1], self.upper[0]] = packed
+        return matrices
+
+    def matrices(self, rows: Int1D) -> Float3D:
+        """Return the (k, n, n) scaled information of some candidates."""
+        return self._unpacked(self.packed[rows])
+
+    def mean(self, weights: Float1D, packed: Float2D | None = None) -> Float2D:
+        """Return the (n, n) weighted sum of all candidates, or of the given packed ones."""
+        return self._unpacked(weights @ (self.packed if packed is None else packed))
+
+    def total(self, rows: Int1D) -> Float2D:
+        """Return the (n, n) sum of some candidates."""
+        return self._unpacked(self.packed[rows].sum(axis=0))
+
+    def sensitivity(self, slope: Float2D, packed: Float2D | None = None) -> Float1D:
+        """Return tr(G X_i) of every candidate, or of the given packed ones."""
+        product: Float1D = (self.packed if packed is None else packed) @ (self.twice * slope[self.upper])
         return product
 
+    def subset(self, rows: Int1D) -> Candidates:
+        """Return some of the candidates, at the same scale."""
+        part = object.__new__(Candidates)
+        part.scale, part.upper, part.twice, part.packed = self.scale, self.upper, self.twice, self.packed[rows]
+        return part
 
-def continuous_optimum(information: Float3D) -> Continuous:
-    """Find the weights with the largest determinant, and bound it from above.
+    def determined(self) -> bool:
+        """Whether all candidates together determine all parameters."""
+        values = np.linalg.eigvalsh(self.mean(np.full(len(self), 1.0 / len(self))))
+        return bool(values[0] > LEAST_DETERMINED * values[-1])
 
-    The multiplicative algorithm (Silvey, Titterington and Torsney, 1978) raises the determinant in every round; rounds
-    over all candidates alternate with many over the promising ones.  The bound holds for any weights w, by the
-    inequality of arithmetic and geometric means: det M* <= det M(w) (max_i tr(M(w)^-1 X_i) / n)^n.
+
+def continuous_optimum(candidates: Candidates, criterion: Criterion = D_OPTIMAL) -> Continuous:
+    """Find the weights with the best score, and bound it from above.
+
+    The multiplicative algorithm (Silvey, Titterington and Torsney, 1978) raises the criterion in every round; rounds
+    over all candidates alternate with many over the promising ones.  For a criterion that is not concave the weights
+    are those of the determinant.
 
     Args:
-        information: (m, n, n), positive semi-definite; their sum must be regular.
+        candidates: Their sum must be regular.
+        criterion: What is wanted.
 
     Raises:
-        ValueError: The sum of all matrices is singular.
+        ValueError: The sum of all candidates is singular.
     """
-    candidates = Candidates(information)
-    best = continuous(candidates)
-    shift = candidates.log_scale
-    return Continuous(best.weights, best.log_det + shift, best.bound + shift)
-
-
-def continuous(candidates: Candidates) -> Continuous:
-    """As `continuous_optimum`, of candidates that are packed already; log determinants of the scaled matrices."""
-    m, n = len(candidates.full), candidates.n
-    everything = slice(None)
-    weights = np.full(m, 1.0 / m)
-    if np.linalg.cond(candidates.mean(weights, everything)) > 1e12:
+    if not candidates.determined():
         msg = "the candidates together do not determine all parameters"
         raise ValueError(msg)
-    bound, log_det = np.inf, -np.inf
+    if not criterion.concave:
+        found = continuous_optimum(candidates)
+        score = float(criterion.score(candidates.mean(found.weights)[None])[0])
+        return Continuous(found.weights, score, np.inf)
+    m = len(candidates)
+    weights = np.full(m, 1.0 / m)
+    bound, score = np.inf, -np.inf
     for _ in range(OUTER):
-        matrix = candidates.mean(weights, everything)
-        sensitivity = candidates.sensitivity(matrix, everything)
-        log_det = float(np.linalg.slogdet(matrix)[1])
-        bound = min(bound, log_det + n * float(np.log(sensitivity.max() / n)))
-        if bound - log_det < n * BOUND_SLACK:
+        matrix = candidates.mean(weights)
+        gain = candidates.sensitivity(criterion.slope(matrix))
+        score = float(criterion.smooth(matrix[None])[0])
+        bound = min(bound, score + float(np.log(gain.max())))
+        if bound - score < BOUND_SLACK:
             break
-        weights = weights * sensitivity / n
-        rows = np.flatnonzero((sensitivity > PROMISING * n) | (weights > 1e-2 / n))
-        share = np.maximum(weights[rows], 1e-6)
-        for _ in range(INNER):
-            inner = candidates.mean(share / share.sum(), rows)
-            share = share * candidates.sensitivity(inner, rows) / n
-        weights = np.full(m, 1e-9 / m)
-        weights[rows] += share
-        weights /= weights.sum()
-    return Continuous(weights, log_det, bound)
+        weights = _inner(candidates, criterion, weights, gain)
+    return Continuous(weights, float(criterion.score(candidates.mean(weights)[None])[0]), bound)
 
 
-def capped_bound(candidates: Candidates, chosen: Int1D, group: Int1D) -> float:
-    """Bound the log determinant of every choice of as many candidates, at most one of each group.
+def _inner(candidates: Candidates, criterion: Criterion, weights: Float1D, gain: Float1D) -> Float1D:
+    """Improve the weights of the promising candidates alone."""
+    m, most = len(candidates), PROMISING * candidates.n
+    promising = np.argpartition(-gain, most)[:most] if m > most else np.arange(m)
+    rows = np.union1d(promising, np.flatnonzero(weights > 1e-6)) if m > most else promising
+    packed = candidates.packed[rows]
+    share = weights[rows]
+    entering = np.where(gain[rows] > 1.0, 0.02 / len(rows), 0.0)  # what would help but has no weight yet
+    share = np.maximum(share / max(share.sum(), 1e-300), entering)
+    share /= share.sum()
+    for _ in range(INNER):
+        inner = np.maximum(candidates.sensitivity(criterion.slope(candidates.mean(share, packed)), packed), 0.0)
+        share = share * inner**criterion.power
+        share /= share.sum()
+    improved = np.zeros(m)
+    improved[rows] = np.where(share > 1e-8, share, 0.0)
+    return np.asarray(improved / improved.sum())
 
-    No group may then carry more than 1/N of the weight, which is a much smaller set of weights.  With d_i =
-    tr(M(w)^-1 X_i), the inequality of arithmetic and geometric means gives, for any weights w,
-    det M* <= det M(w) (d / n)^n with d the mean over the N groups with the largest d_i; w is improved by conditional
-    gradients (Frank and Wolfe, 1956), beginning at the choice itself.
+
+def capped_bound(candidates: Candidates, criterion: Criterion, chosen: Int1D, group: Int1D) -> float:
+    """Bound the score of every choice of as many candidates, at most one of each group.
+
+    No group may then carry more than 1/N of the weight, which is a much smaller set of weights: the largest tr(G X_i)
+    of the general bound becomes its mean over the N groups that have the largest.  The weights at which the bound is
+    taken are improved by conditional gradients (Frank and Wolfe, 1956), beginning at the choice itself.
 
     Args:
         candidates: All of them.
+        criterion: Concave.
         chosen: (N,) a good choice.
         group: (m,) 0 ... g-1.
-
-    Returns:
-        Bound on the log determinant of the mean of the scaled matrices.
     """
-    count, n = len(chosen), candidates.n
-    everything = slice(None)
+    count = len(chosen)
     order = np.argsort(group, kind="stable")
     starts = np.flatnonzero(np.diff(group[order], prepend=-1))
-    weights = np.zeros(len(candidates.full))
-    weights[chosen] = 1.0 / count
-    bound = np.inf
+    matrix = candidates.total(chosen) / count
+    bound, waited = np.inf, 0
     for _ in range(CAPPED_ROUNDS):
-        matrix = candidates.mean(weights, everything)
-        log_det = float(np.linalg.slogdet(matrix)[1])
-        sensitivity = candidates.sensitivity(matrix, everything)
-        best = np.maximum.reduceat(sensitivity[order], starts)
+        gain = candidates.sensitivity(criterion.slope(matrix))
+        best = np.maximum.reduceat(gain[order], starts)
         top = np.argpartition(-best, count - 1)[:count]
-        bound = min(bound, log_det + n * float(np.log(best[top].mean() / n)))
-        if bound - log_det < 0.1 * n * BOUND_SLACK:
+        score = float(criterion.smooth(matrix[None])[0])
+        found = score + float(np.log(best[top].mean()))
+        waited = 0 if found < bound - 0.05 * BOUND_SLACK else waited + 1
+        bound = min(bound, found)
+        if bound - score < 0.1 * BOUND_SLACK or waited > PATIENCE:
             break
         inside = np.isin(group, group[order][starts[top]])
-        rows = np.flatnonzero(inside & (sensitivity >= best[group]))
-        direction = candidates.mean(np.full(len(rows), 1.0 / len(rows)), rows)
-        step = _line_search(np.linalg.eigvals(np.linalg.solve(matrix, direction)).real)
-        weights *= 1.0 - step
-        weights[rows] += step / len(rows)
+        rows = np.flatnonzero(inside & (gain >= best[group]))
+        direction = candidates.total(rows) / len(rows)
+        ways = matrix + STEPS[:, None, None] * (direction - matrix)
+        matrix = ways[max(int(np.argmax(criterion.smooth(ways))), 1)]
     return bound
-
-
-def _line_search(values: Float1D) -> float:
-    """Return the share t that maximises sum log(1 - t + t v) over the eigenvalues v of M^-1 E."""
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        t = (low + high) / 2
-        if ((values - 1.0) / (1.0 + t * (values - 1.0))).sum() > 0:
-            low = t
-        else:
-            high = t
-    return low

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calibration_core.procedure.collision import CollisionModel
 from calibration_core.procedure.space import Site, SpaceRules, joint_range, safe
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
@@ -63,22 +64,22 @@ def short_order(cost: Float2D, start: int = 0) -> Int1D:
     return way
 
 
-def startup_cycle(site: Site, home: Float1D, rules: SpaceRules, *, seed: int, candidates: int = 2000) -> Float2D:
+def startup_cycle(bodies: CollisionModel, home: Float1D, *, seed: int, candidates: int = 2000) -> Float2D:
     """Return a cycle of postures that moves all joints as much as possible and ends at `home` (CWA 17384, 5.2).
 
     From waypoint to waypoint, the posture that widens the ranges moved through most and can be reached and left on a
     clear path is taken, until nothing is gained.
 
     Args:
-        site: The robot in its cell.
+        bodies: The robot in its cell.
         home: (n,) rad, where the cycle begins and ends.
-        rules: Limits, floor, clearance.
         seed: Of the postures tried.
         candidates: How many are tried.
 
     Returns:
         (k, n) rad, the last row is `home`.
     """
+    site, rules = bodies.site, bodies.rules
     low, high = joint_range(site.chain, rules)
     span = high - low
     tried = np.random.default_rng([seed, 1]).uniform(low, high, (candidates, site.chain.n))
@@ -94,9 +95,11 @@ def startup_cycle(site: Site, home: Float1D, rules: SpaceRules, *, seed: int, ca
         there = tried[best]
         clear = clear_paths(site, np.broadcast_to(here, there.shape), there, rules)
         clear &= clear_paths(site, there, np.broadcast_to(home, there.shape), rules)
-        if not clear.any():
+        reached = (row for row in there[clear] if bodies.clear_way(here, row) and bodies.clear_way(row, home))
+        nearest = next(reached, None)
+        if nearest is None:
             break
-        here = there[np.argmax(clear)]
+        here = nearest
         cycle.append(here)
         moved_low, moved_high = np.minimum(moved_low, here), np.maximum(moved_high, here)
     return np.array([*cycle, home])

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
+from calibration_core.identification.observability import HARDLY
 from calibration_core.timeseries import Float1D, Float2D, read_only
 
 REFERENCE_NUMBER = 0  # configuration number under which the reference configuration is recorded, a step per visit
@@ -55,18 +58,26 @@ class Expected:
     """What the plan promises before the day in the cell, for the nominal model and the claimed instrument noise.
 
     Attributes:
-        efficiency: Share of the attainable D-efficiency that the choice has for certain (spares left out).
-        condition: Condition number of the column-scaled regressor.
-        compliance_std: (n,) rad/(N*m), one standard deviation of each joint compliance.
-        stiffness_std: (n,) standard deviation of each joint stiffness over its value; None without nominal stiffness.
+        efficiency: Share of what any choice could reach that this one has for certain, by its criterion (spares left
+            out); None where nothing certifies it.
+        condition: Condition number of the stacked Jacobian, parameters in units of their scale.
+        compliance_std: (n,) rad/(N*m), one standard deviation of each joint compliance; infinite where the
+            configurations cannot tell it.
+        stiffness_std: (n,) standard deviation of each joint stiffness over its value, infinite likewise; None without
+            nominal stiffness.
         a_value: Root mean square of `stiffness_std`; None likewise.
         e_value: Standard deviation of the worst combination of relative stiffnesses; None likewise.
         spacing: m, mean distance from a place of the operating space to the nearest configuration.
         travel: s, moving between configurations at the planned joint speeds.
         unclear_moves: Motions whose straight path in joint space comes too near to floor or arm.
+        criterion: Name of the criterion that the configurations were chosen by.
+        observability: Borm and Menq's index, smallest singular value, noise amplification index and trace of the
+            sensitivity matrix (see `criteria.Observability`), by name.
+        duration: s, of `moving`, `startup`, `loading` and `reading`, and the `total` of it, spares left out.
+        k_csm: m, largest movement of a measurement point by the complementary stiffness K_CSM; None where not stated.
     """
 
-    efficiency: float
+    efficiency: float | None
     condition: float
     compliance_std: Float1D
     stiffness_std: Float1D | None
@@ -75,9 +86,22 @@ class Expected:
     spacing: float
     travel: float
     unclear_moves: int
+    criterion: str = "D"
+    observability: Mapping[str, float] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
+    duration: Mapping[str, float] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
+    k_csm: float | None = None
+
+    @property
+    def unidentifiable(self) -> tuple[int, ...]:
+        """Joints, counted from 0, whose stiffness these configurations cannot tell from that of a rigid one."""
+        told = self.compliance_std if self.stiffness_std is None else self.stiffness_std
+        limit = np.inf if self.stiffness_std is None else HARDLY
+        return tuple(int(i) for i in np.flatnonzero(~(told < limit)))
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays."""
+        for name in ("observability", "duration"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("compliance_std", "stiffness_std"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, read_only(getattr(self, name)))

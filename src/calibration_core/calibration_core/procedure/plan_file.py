@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,9 @@ MAX_CONFIGURATIONS = 10_000
 MAX_STEPS = 1000
 MAX_ALIASES = 100
 KEYS = ("schema", "robot", "joints", "configurations", "startup_cycle", "reference", "expected")
+EXPECTED_ARRAYS = {"compliance_std", "stiffness_std"}
+EXPECTED_OPTIONAL = {"efficiency", "stiffness_std", "a_value", "e_value", "k_csm"}
+EXPECTED_MAPPINGS = {"observability", "duration"}
 ENTRY_KEYS = ("number", "q", "spare", "steps", "note")
 
 
@@ -94,7 +98,16 @@ def read_plan(path: str | Path, cell: Cell) -> Plan:
 
 def _expected_dict(expected: Expected) -> dict[str, Any]:
     values = {field.name: getattr(expected, field.name) for field in dataclasses.fields(expected)}
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _plain(value: object) -> object:
+    """Return a value as YAML and JSON know it; what cannot be told (infinite) is null."""
+    if isinstance(value, np.ndarray):
+        return [_plain(entry) for entry in value.tolist()]
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _parse(path: Path) -> dict[str, Any]:
@@ -171,19 +184,28 @@ def _reference(path: Path, value: object, limits: Float2D) -> Reference | None:
 
 def _expected(value: object, n: int) -> Expected | None:
     """Read what the planner promised; None where that is not all there (it decides nothing)."""
-    names = [field.name for field in dataclasses.fields(Expected)]
-    if not isinstance(value, dict) or set(value) != set(names):
+    fields = {field.name: field for field in dataclasses.fields(Expected)}
+    needed = {name for name, field in fields.items() if field.default is field.default_factory is dataclasses.MISSING}
+    if not isinstance(value, dict) or not needed <= set(value) <= set(fields):
         return None
-    optional = {"stiffness_std", "a_value", "e_value"}
-    arrays = {"compliance_std", "stiffness_std"}
-    for name in names:
-        entry = value[name]
-        if entry is None and name in optional:
-            continue
-        numbers, count = (entry, n) if name in arrays else ([entry], 1)
-        if not isinstance(numbers, list) or len(numbers) != count or not all(map(_finite, numbers)):
+    values: dict[str, Any] = {}
+    for name, entry in value.items():
+        if name in EXPECTED_ARRAYS and entry is not None:
+            if not isinstance(entry, list) or len(entry) != n or not all(x is None or _finite(x) for x in entry):
+                return None
+            values[name] = np.array([np.inf if x is None else x for x in entry], dtype=np.float64)
+        elif name == "criterion":
+            values[name] = str(entry)
+        elif name in EXPECTED_MAPPINGS:
+            if not isinstance(entry, dict) or not all(x is None or _finite(x) for x in entry.values()):
+                return None
+            values[name] = {str(k): math.inf if x is None else float(x) for k, x in entry.items()}
+        elif _finite(entry) or (entry is None and name in EXPECTED_OPTIONAL):
+            values[name] = entry
+        elif entry is None and name == "condition":
+            values[name] = math.inf
+        else:
             return None
-    values: dict[str, Any] = {k: np.array(v) if k in arrays and v is not None else v for k, v in value.items()}
     return Expected(**values)
 
 

@@ -9,23 +9,30 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
-from calibration_core.model.chain import Chain
-from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.design import choose, extend, rated
-from calibration_core.procedure.loads import LoadRules, full_pulls, information, wrench_steps
-from calibration_core.procedure.order import UNCLEAR, short_order, startup_cycle, travel, visiting_cost
-from calibration_core.procedure.plan import Expected, Plan, PlannedConfiguration, Reference
-from calibration_core.procedure.space import Site, SpaceRules, fitness, joint_range, measurable, positions
+from calibration_core.procedure.agenda import SequenceRules
+from calibration_core.procedure.candidates import Ground, Loaded, draw_postures, loaded_postures
+from calibration_core.procedure.collision import CollisionModel
+from calibration_core.procedure.criteria import CRITERIA
+from calibration_core.procedure.design import Choice, choose, extend, rated
+from calibration_core.procedure.itinerary import clear_order, way_through
+from calibration_core.procedure.loads import LoadRules, wrench_steps
+from calibration_core.procedure.optimum import Candidates
+from calibration_core.procedure.order import startup_cycle, travel
+from calibration_core.procedure.plan import Plan, PlannedConfiguration, Reference
+from calibration_core.procedure.promise import determined, promised
+from calibration_core.procedure.space import Site, SpaceRules
+from calibration_core.procedure.speed import Monitored
 from calibration_core.procedure.spread import spacing, spread_out
-from calibration_core.timeseries import Float2D, Float3D, Int1D
+from calibration_core.procedure.trajectory import MotionLimits
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 LEAST_CONFIGURATIONS = 12  # CWA 17384, 5.1
 MOST_CONFIGURATIONS = 200
-BATCH = 4000
 SPACE_SAMPLE = 400
+ROUNDS = 8  # choices made until all of them can be reached from the reference
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,15 +42,17 @@ class PlanningRules:
     Attributes:
         space: Which postures are fit.
         load: How the robot is loaded.
+        criterion: By which configurations are chosen, see `criteria`.
         postures: Postures to choose from.
         batches: Batches of random postures drawn at most to find them.
-        kept: Least share of the best D-efficiency found that is kept when configurations are spread out evenly.
+        kept: Least share of the best efficiency found that is kept when configurations are spread out evenly.
         reference_every: The reference configuration is measured again after so many configurations; 0: never.
         joint_speed: rad/s, for the order of visiting.
     """
 
     space: SpaceRules = dataclasses.field(default_factory=SpaceRules)
     load: LoadRules = dataclasses.field(default_factory=LoadRules)
+    criterion: str = "D"
     postures: int = 2000
     batches: int = 60
     kept: float = 0.97
@@ -52,14 +61,14 @@ class PlanningRules:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Postures with pulls, one row each; `group` numbers the posture."""
+class _Chosen:
+    """Configurations to measure and spares, by their rows, all of which the reference can be reached from."""
 
-    q: Float2D
-    force: Float2D
-    group: Int1D
-    place: Float2D
-    information: Float3D
+    offered: Loaded
+    content: Candidates
+    choice: Choice
+    added: Int1D
+    reference: Float1D
 
 
 def make_plan(
@@ -70,6 +79,9 @@ def make_plan(
     rules: PlanningRules | None = None,
     seed: int = 0,
     parameters: ModelParameters | None = None,
+    task: Float2D | None = None,
+    motion: MotionLimits | None = None,
+    sequence: SequenceRules | None = None,
 ) -> Plan:
     """Choose configurations, pulls, order, spares, start-up cycle and reference for a cell.
 
@@ -81,137 +93,123 @@ def make_plan(
         rules: How; the defaults if None.
         seed: The same seed gives the same plan.
         parameters: Frames, points and compliances to plan with; the cell file's if None.
+        task: (k, 3) m, places of the task program in the base frame: the operating space; None: `rules.space.box`, or
+            all that can be reached.
+        motion: How fast it moves, for the estimate of the time; the defaults if None.
+        sequence: How long a load and a reading take, likewise.
 
     Raises:
         CellError: The robot cannot be read, or the cell has no wrench point.
         PlanError: Too few configurations are asked for, or too few can be reached and seen under the rules.
     """
     rules = rules or PlanningRules()
+    check_counts(cell, configurations, spares)
+    if cell.frames.wrench_point is None:
+        raise cell.missing("frames.wrench_point", "planning loads")
+    parameters = parameters or nominal_parameters(cell)
+    ground = ground_of(cell, parameters, rules.space, task)
+    chain = ground.site.chain
+    more = math.ceil(spares * configurations)
+    rng = np.random.default_rng([seed, 0])
+    q = draw_postures(ground, rules.postures, rules.batches, configurations + more, rng)
+    offered = loaded_postures(ground, parameters, q, rules.load, np.random.default_rng([seed, 3]))
+    told = determined(offered.information)
+    if not told.any():
+        raise PlanError(cell.path, "frames", "no joint's stiffness shows", "points and a wrench point that show joints")
+    scale = parameters.compliance[told] if np.all(parameters.compliance > 0) else None
+    space = offered.place[:: max(len(offered.place) // SPACE_SAMPLE, 1)]
+    joint_speed = np.full(chain.n, rules.joint_speed)
+    found = _choose(ground, offered, told, scale, configurations, more, rules, space, seed)
+    chosen, offered = found.choice.chosen, found.offered
+    way, took = clear_order(ground.bodies, offered.q[chosen], found.reference, rules.reference_every, joint_speed)
+    planned = tuple(
+        PlannedConfiguration(
+            number=i + 1,
+            q=offered.q[row],
+            steps=wrench_steps(offered.force[row], rules.load.levels),
+            spare=i >= configurations,
+        )
+        for i, row in enumerate([*chosen[way], *found.added])
+    )
+    plan = Plan(
+        robot=cell.robot.name,
+        joints=cell.robot.joints,
+        configurations=planned,
+        startup_cycle=startup_cycle(ground.bodies, found.reference, seed=seed),
+        reference=Reference(found.reference, rules.reference_every) if rules.reference_every else None,
+    )
+    monitored = Monitored.of(chain, parameters)
+    duration, unclear = way_through(
+        plan, ground.bodies, monitored, motion or MotionLimits(), sequence or SequenceRules()
+    )
+    expected = promised(
+        found.content,
+        found.choice,
+        told,
+        parameters,
+        spread=spacing(space, offered.place[chosen]),
+        travel_time=took,
+        unclear=unclear,
+        duration=duration,
+        k_csm=float(offered.k_csm[chosen].max()),
+    )
+    return dataclasses.replace(plan, expected=expected)
+
+
+def check_counts(cell: Cell, configurations: int, spares: float) -> None:
+    """Raise PlanError where fewer configurations or spares are asked for than make sense."""
     if not LEAST_CONFIGURATIONS <= configurations <= MOST_CONFIGURATIONS:
         expected = f"{LEAST_CONFIGURATIONS} to {MOST_CONFIGURATIONS} (CWA 17384, 5.1)"
         raise PlanError(cell.path, "configurations", str(configurations), expected)
     if not 0.0 <= spares <= 5.0:
         raise PlanError(cell.path, "spares", f"{spares:g}", "a share from 0 to 5, the standard asks for 0.5")
-    if cell.frames.wrench_point is None:
-        raise cell.missing("frames.wrench_point", "planning loads")
-    parameters = parameters or nominal_parameters(cell)
+
+
+def ground_of(cell: Cell, parameters: ModelParameters, rules: SpaceRules, task: Float2D | None) -> Ground:
+    """Return where postures are looked for; raise CellError where the robot cannot be read."""
     chain = chain_of(cell).corrected(parameters.geometry)
-    site = Site.of(chain, parameters, tracker_known=cell.frames.tracker is not None)
-    more = math.ceil(spares * configurations)
-    q = _postures(cell, site, rules, configurations + more, np.random.default_rng([seed, 0]))
-    candidates = _candidates(chain, cell, parameters, q, rules, seed)
-    try:
-        best = choose(candidates.information, configurations, group=candidates.group, seed=seed)
-    except ValueError as error:
-        raise PlanError(cell.path, "frames", str(error), "points and a wrench point that show every joint") from None
-    space = candidates.place[:: max(len(candidates.place) // SPACE_SAMPLE, 1)]
-    least = best.log_det + chain.n * math.log(rules.kept)
-    chosen = spread_out(candidates.information, best.chosen, candidates.place, candidates.group, space, least, seed)
-    choice = rated(candidates.information, chosen, best)
-    added = extend(candidates.information, chosen, more, group=candidates.group)
-
-    joint_speed = np.full(chain.n, rules.joint_speed)
-    reference = _reference(q, candidates.q[chosen], joint_speed)
-    cost = visiting_cost(site, np.vstack([reference, candidates.q[chosen]]), joint_speed, rules.space)
-    way = short_order(cost, 0)
-    legs = cost[way[:-1], way[1:]]
-    ordered = [*chosen[way[1:] - 1], *added]
-    planned = tuple(
-        PlannedConfiguration(
-            number=i + 1,
-            q=candidates.q[row],
-            steps=wrench_steps(candidates.force[row], rules.load.levels),
-            spare=i >= configurations,
-        )
-        for i, row in enumerate(ordered)
-    )
-    unclear = int((legs >= UNCLEAR).sum())
-    return Plan(
-        robot=cell.robot.name,
-        joints=cell.robot.joints,
-        configurations=planned,
-        startup_cycle=startup_cycle(site, reference, rules.space, seed=seed),
-        reference=Reference(reference, rules.reference_every) if rules.reference_every else None,
-        expected=_expected(
-            candidates.information[chosen],
-            parameters,
-            efficiency=choice.efficiency,
-            spread=spacing(space, candidates.place[chosen]),
-            travel_time=float(legs.sum() - UNCLEAR * unclear),
-            unclear=unclear,
-        ),
-    )
+    site = dataclasses.replace(Site.of(chain, parameters, cell), task=task)
+    return Ground(cell, site, CollisionModel.of(cell, site, rules), rules)
 
 
-def _postures(cell: Cell, site: Site, rules: PlanningRules, needed: int, rng: np.random.Generator) -> Float2D:
-    low, high = joint_range(site.chain, rules.space)
-    found: list[Float2D] = []
-    drawn = np.empty((0, site.chain.n))
-    count = 0
-    for _ in range(rules.batches):
-        drawn = rng.uniform(low, high, (BATCH, site.chain.n))
-        found.append(drawn[measurable(site, drawn, rules.space)])
-        count += len(found[-1])
-        if count >= rules.postures:
+def _choose(
+    ground: Ground,
+    offered: Loaded,
+    told: Bool1D,
+    scale: Float1D | None,
+    count: int,
+    more: int,
+    rules: PlanningRules,
+    space: Float2D,
+    seed: int,
+) -> _Chosen:
+    """Choose configurations and spares that can be reached from the reference; what cannot is not offered again."""
+    criterion = CRITERIA[rules.criterion]
+    path = ground.cell.path
+    for _ in range(ROUNDS):
+        content = Candidates(offered.information[:, told][:, :, told], scale)
+        group = offered.group
+        try:
+            best = choose(content, count, criterion=criterion, group=group, seed=seed)
+        except ValueError as error:
+            raise PlanError(path, "robot", str(error), "postures that can be reached and show every joint") from None
+        least = best.score + math.log(rules.kept)
+        chosen = spread_out(content, criterion, best.chosen, offered.place, group, space, least, seed)
+        added = extend(content, chosen, more, group=group, criterion=criterion)
+        if len(added) < more:
             break
-    if count < needed:
-        shares = {name: float(mask.mean()) for name, mask in fitness(site, drawn, rules.space).items()}
-        hardest = ", ".join(f"{100 * share:.2g} % {name}" for name, share in sorted(shares.items(), key=lambda x: x[1]))
-        raise PlanError(
-            cell.path,
-            "robot",
-            f"{count} postures that can be measured (of those drawn: {hardest})",
-            f"at least {needed}",
-        )
-    return np.vstack(found)[: rules.postures]
+        taken = np.concatenate([chosen, added])
+        reference = reference_of(offered.q, offered.q[chosen], np.full(ground.site.chain.n, rules.joint_speed))
+        apart = [row for row in taken if not ground.bodies.clear_way(reference, offered.q[row])]
+        if not apart:
+            return _Chosen(offered, content, rated(content, chosen, best), added, reference)
+        offered = offered.of(~np.isin(group, group[apart]))
+    text = f"no {count + more} postures that a straight motion reaches from one reference without collision"
+    raise PlanError(path, "boxes", text, "a cell with more free space, or a smaller operating space")
 
 
-def _candidates(
-    chain: Chain, cell: Cell, parameters: ModelParameters, q: Float2D, rules: PlanningRules, seed: int
-) -> _Candidates:
-    force = full_pulls(cell, parameters, rules.load, len(q), np.random.default_rng([seed, 3]))
-    content = information(chain, cell, parameters, q, force, rules.load)
-    points = np.stack(list(parameters.points.values()))
-    place = positions(posture(chain, q), points).mean(axis=0).T
-    k = rules.load.directions
-    return _Candidates(
-        q=np.repeat(q, k, axis=0),
-        force=force.reshape(-1, 3),
-        group=np.repeat(np.arange(len(q)), k),
-        place=np.repeat(place, k, axis=0),
-        information=content.reshape(-1, chain.n, chain.n),
-    )
-
-
-def _reference(q: Float2D, chosen: Float2D, joint_speed: Float2D) -> Float2D:
-    """Return the posture with the least travel to the chosen ones, (n,) rad."""
-    total = np.array([travel(np.vstack([row, chosen]), joint_speed)[0].sum() for row in q])
-    return np.asarray(q[int(np.argmin(total))])
-
-
-def _expected(
-    content: Float3D, parameters: ModelParameters, *, efficiency: float, spread: float, travel_time: float, unclear: int
-) -> Expected:
-    total = content.sum(axis=0)
-    scale = 1.0 / np.sqrt(np.diag(total))
-    values = np.linalg.eigvalsh(total * scale[:, None] * scale)
-    covariance = np.linalg.inv(total)
-    std = np.sqrt(np.diag(covariance))
-    relative = worst = mean = None
-    if np.all(parameters.compliance > 0):
-        # a small relative error of a compliance is that of its stiffness
-        share = covariance / np.outer(parameters.compliance, parameters.compliance)
-        relative = np.sqrt(np.diag(share))
-        mean = float(np.sqrt(np.trace(share) / len(share)))
-        worst = float(np.sqrt(np.linalg.eigvalsh(share)[-1]))
-    return Expected(
-        efficiency=efficiency,
-        condition=float(np.sqrt(values[-1] / values[0])),
-        compliance_std=std,
-        stiffness_std=relative,
-        a_value=mean,
-        e_value=worst,
-        spacing=spread,
-        travel=travel_time,
-        unclear_moves=unclear,
-    )
+def reference_of(q: Float2D, chosen: Float2D, joint_speed: Float1D) -> Float1D:
+    """Return the posture of (m, n) rad with the least travel to the chosen ones, (n,) rad."""
+    every = q[np.sort(np.unique(q, axis=0, return_index=True)[1])]
+    total = np.array([travel(np.vstack([row, chosen]), joint_speed)[0].sum() for row in every])
+    return np.asarray(every[int(np.argmin(total))])

@@ -13,6 +13,7 @@ import yaml
 
 from calibration_core.errors import PlanError, TrajectoryError, quoted
 from calibration_core.procedure.agenda import SequenceRules
+from calibration_core.procedure.criteria import CRITERIA
 from calibration_core.procedure.guard import GuardRules
 from calibration_core.procedure.loads import LoadRules
 from calibration_core.procedure.planning import PlanningRules
@@ -107,6 +108,10 @@ def _value(path: Path, place: str, key: str, hint: Any, value: object) -> Any:
     kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
     if value is None and type(None) in kinds:
         return None
+    if key == "criterion":
+        if not isinstance(value, str) or value not in CRITERIA:
+            raise PlanError(path, place, quoted(value), f"one of {', '.join(CRITERIA)}")
+        return value
     if int in kinds:
         least = 0 if key in MAY_BE_ZERO else 1
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= MOST:

@@ -1,7 +1,7 @@
 """Which postures a cell can measure: within limits, clear of floor and arm, dexterous, in the tracker's sight.
 
 The arm is taken as capsules around the lines between neighbouring joints up to the wrist.  This sorts out postures that
-nobody would drive to; it is no collision check of the cell.
+nobody would drive to, quickly; whether bodies touch is judged by `collision`.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ import itertools
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from calibration_core.model.chain import Chain
-from calibration_core.model.kinematics import Posture, linear_jacobian, posture
+from calibration_core.cell import Cell
+from calibration_core.model.chain import Chain, pose_matrix
+from calibration_core.model.kinematics import Posture, linear_jacobian, posture, turn
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D
+from calibration_core.timeseries import Bool1D, Bool2D, Float1D, Float2D, Float3D
 
 WRIST = 3  # joints at the end whose links are not taken as part of the arm's body
 
@@ -32,8 +34,10 @@ class SpaceRules:
         floor: m, height of the floor over the base frame's origin, against gravity; None: no floor.
         clearance: Share of the reach kept free above the floor.
         body: Radius of the arm, as a share of the reach: points stay outside, and so do lines of sight.
-        tracker_range: m, nearest and farthest distance from tracker to point.
+        distance: m, safety distance between bodies, at rest and on the way.
+        tracker_range: m, nearest and farthest distance from tracker to point; what the cell file states goes before.
         box: m, ((low, high),) * 3 in the base frame for the measurement points: the operating space; None: all.
+        task_radius: m, how far from a place of the task the middle of the measurement points may be.
     """
 
     limit_margin: float = 0.05
@@ -42,8 +46,10 @@ class SpaceRules:
     floor: float | None = 0.0
     clearance: float = 0.08
     body: float = 0.06
+    distance: float = 0.03
     tracker_range: tuple[float, float] = (1.0, 30.0)
     box: tuple[tuple[float, float], ...] | None = None
+    task_radius: float = 0.25
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,23 +61,43 @@ class Site:
         points: (p, 3) m, measurement points in the flange frame.
         other: (k, 3) m, further points in the flange frame that must stay clear (flange, wrench point, sensor).
         tracker: (3,) m, tracker in the base frame; None where its pose is not known.
+        normals: (p, 3) unit vectors in the flange frame, where the targets open to; rows of zeros where not known.
+        acceptance: rad, largest angle between a target's normal and the beam; None where not known.
+        range: m, nearest and farthest distance from tracker to point; None where the cell file states none.
+        task: (k, 3) m, places of the task program in the base frame, the operating space; None where none is stated.
+        boxes: Pose (4, 4) in the base frame and edge lengths (3,), m, of what stands in the cell.
     """
 
     chain: Chain
     points: Float2D
     other: Float2D
     tracker: Float1D | None
+    normals: Float2D | None = None
+    acceptance: float | None = None
+    range: tuple[float, float] | None = None
+    task: Float2D | None = None
+    boxes: tuple[tuple[Float2D, Float1D], ...] = ()
 
     @staticmethod
-    def of(chain: Chain, parameters: ModelParameters, *, tracker_known: bool) -> Site:
-        """Return the site of a robot with these frames and points."""
+    def of(chain: Chain, parameters: ModelParameters, cell: Cell) -> Site:
+        """Return the site of a robot with these frames and points in a cell."""
         other = [np.zeros(3)]
         if parameters.wrench_point is not None:
             other.append(parameters.wrench_point)
         if parameters.force_torque is not None:
             other.append(parameters.force_torque[:3, 3])
-        tracker = parameters.tracker[:3, 3] if tracker_known else None
-        return Site(chain, np.stack(list(parameters.points.values())), np.stack(other), tracker)
+        normals = np.array([cell.frames.target_normals.get(name, (0.0, 0.0, 0.0)) for name in parameters.points])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return Site(
+            chain,
+            np.stack(list(parameters.points.values())),
+            np.stack(other),
+            None if cell.frames.tracker is None else parameters.tracker[:3, 3],
+            normals / np.where(length > 0, length, 1.0),
+            cell.instruments.tracker.acceptance_angle,
+            cell.instruments.tracker.range,
+            boxes=tuple((pose_matrix(np.array(b.xyz), np.array(b.rpy)), np.array(b.size)) for b in cell.boxes),
+        )
 
     @property
     def handled(self) -> Float2D:
@@ -132,6 +158,10 @@ def _above_floor(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
 
 
 def _in_box(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
+    if site.task is not None:
+        middle = positions(at, site.points).mean(axis=0).T
+        away = cKDTree(site.task).query(middle)[0]
+        return np.asarray(away <= rules.task_radius)
     if rules.box is None:
         return np.ones(at.flange_origin.shape[1], dtype=bool)
     low, high = np.array(rules.box).T
@@ -162,10 +192,36 @@ def _visible(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
     points = positions(at, site.points)
     tracker = np.broadcast_to(site.tracker[:, None], points.shape)
     distance = np.linalg.norm(points - tracker, axis=1)
-    seen = ((distance >= rules.tracker_range[0]) & (distance <= rules.tracker_range[1])).all(axis=0)
+    nearest, farthest = rules.tracker_range if site.range is None else site.range
+    seen = ((distance >= nearest) & (distance <= farthest)).all(axis=0) & _accepted(site, at, points, tracker)
+    for pose, size in site.boxes:
+        seen &= ~_behind(points, tracker, pose, size).any(axis=0)
     for start, end in _arm(site, at):
         seen &= (_segment_distance(points, tracker, start, end) >= rules.body * site.chain.reach).all(axis=0)
     return np.asarray(seen)
+
+
+def _accepted(site: Site, at: Posture, points: Float3D, tracker: Float3D) -> Bool1D:
+    """Tell where every target opens towards the tracker, within its acceptance angle; true where none is stated."""
+    if site.normals is None or site.acceptance is None:
+        return np.ones(points.shape[2], dtype=bool)
+    beam = tracker - points
+    beam = beam / np.maximum(np.linalg.norm(beam, axis=1, keepdims=True), 1e-12)
+    stated = np.any(site.normals, axis=1)
+    normal = np.stack([turn(at.flange, one) for one in site.normals])
+    inside = np.einsum("pam,pam->pm", normal, beam) >= np.cos(site.acceptance)
+    return np.asarray((inside | ~stated[:, None]).all(axis=0))
+
+
+def _behind(points: Float3D, tracker: Float3D, pose: Float2D, size: Float1D) -> Bool2D:
+    """Tell which lines from tracker to points, (p, 3, m), a box cuts, (p, m): Kay and Kajiya's slabs, 1986."""
+    start = np.einsum("ba,pbm->pam", pose[:3, :3], tracker - pose[:3, 3:4])
+    line = np.einsum("ba,pbm->pam", pose[:3, :3], points - tracker)
+    line = np.where(np.abs(line) < 1e-12, 1e-12, line)
+    half = 0.5 * size[:, None]
+    one, two = (-half - start) / line, (half - start) / line
+    enters, leaves = np.minimum(one, two).max(axis=1), np.maximum(one, two).min(axis=1)
+    return np.asarray((enters <= leaves) & (leaves >= 0.0) & (enters <= 1.0))
 
 
 def _share(points: Float3D, start: Float2D, end: Float2D) -> Float2D:

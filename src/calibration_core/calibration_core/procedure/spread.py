@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.procedure.design import exchange_values
-from calibration_core.timeseries import Float2D, Float3D, Int1D
+from calibration_core.procedure.criteria import Criterion
+from calibration_core.procedure.design import exchange_scores
+from calibration_core.procedure.optimum import Candidates
+from calibration_core.timeseries import Float2D, Int1D
 
 LOOKED_AT = 300  # candidates per round
 ROUNDS = 60
@@ -18,17 +20,25 @@ def spacing(space: Float2D, chosen: Float2D) -> float:
 
 
 def spread_out(
-    information: Float3D, chosen: Int1D, place: Float2D, group: Int1D, space: Float2D, floor: float, seed: int
+    candidates: Candidates,
+    criterion: Criterion,
+    chosen: Int1D,
+    place: Float2D,
+    group: Int1D,
+    space: Float2D,
+    floor: float,
+    seed: int,
 ) -> Int1D:
-    """Exchange candidates so that the chosen ones lie more evenly, as long as the log determinant stays above a floor.
+    """Exchange candidates so that the chosen ones lie more evenly, as long as the score stays above a floor.
 
     Args:
-        information: (m, n, n) of the candidates.
+        candidates: To choose from.
+        criterion: What makes a choice good.
         chosen: (N,) the choice to begin with.
         place: (m, 3) m, where each candidate measures.
         group: (m,) at most one of each group.
         space: (s, 3) m, sample of the operating space.
-        floor: Least log determinant of the mean information.
+        floor: Least score of the mean information.
         seed: Of the candidates looked at.
     """
     rng = np.random.default_rng([seed, 2])
@@ -38,7 +48,7 @@ def spread_out(
     for _ in range(ROUNDS):
         rows = rng.choice(len(place), min(LOOKED_AT, len(place)), replace=False)
         rows = rows[~np.isin(rows, chosen)]
-        value = exchange_values(information, chosen, rows)
+        value = exchange_scores(candidates, criterion, chosen, rows)
         foreign = group[rows][None, :] != group[chosen][:, None]
         taken = np.isin(group[rows], group[chosen])[None, :] & foreign
         value[taken] = -np.inf

@@ -46,7 +46,7 @@ def test_the_report_shows_certificate_spares_and_cycle(planned: Path) -> None:
     page = (planned / "report.html").read_text(encoding="utf-8")
     for text in (
         "12 configurations and 6 spares planned",
-        "D-efficiency",
+        "of what any choice among the candidates could reach",
         "No 13 to 18 are spares",
         "Reference configuration",
         "Start-up cycle",

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import yaml
 
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError, PlanError
@@ -17,6 +18,7 @@ from calibration_core.model.statics import Load
 from calibration_core.procedure.loads import LoadRules
 from calibration_core.procedure.order import clear_paths, short_order
 from calibration_core.procedure.plan import Plan
+from calibration_core.procedure.plan_file import plan_text
 from calibration_core.procedure.planning import PlanningRules, make_plan
 from calibration_core.procedure.space import Site, SpaceRules, joint_range, measurable, positions
 
@@ -30,7 +32,7 @@ def test_counts_and_limits(plan: Plan, demo_cell: Cell) -> None:
     q = np.array([c.q for c in plan.configurations])
     assert len(np.unique(q, axis=0)) == 27  # every posture once
     assert np.all((q >= low) & (q <= high))
-    site = Site.of(chain, nominal_parameters(demo_cell), tracker_known=True)
+    site = Site.of(chain, nominal_parameters(demo_cell), demo_cell)
     assert measurable(site, q, SpaceRules()).all()
     assert positions(posture(chain, q), site.points)[:, 2].min() > 0
 
@@ -125,7 +127,7 @@ def test_startup_cycle_moves_every_joint(plan: Plan, demo_cell: Cell) -> None:
     chain = chain_of(demo_cell)
     low, high = joint_range(chain, SpaceRules())
     assert np.all(np.ptp(plan.startup_cycle, axis=0) > 0.6 * (high - low))
-    site = Site.of(chain, nominal_parameters(demo_cell), tracker_known=True)
+    site = Site.of(chain, nominal_parameters(demo_cell), demo_cell)
     assert plan.reference is not None
     cycle = np.vstack([plan.reference.q, plan.startup_cycle])
     assert clear_paths(site, cycle[:-1], cycle[1:], SpaceRules()).all()
@@ -143,7 +145,7 @@ def test_without_stiffness_and_tracker_pose(small_cell: Cell) -> None:
 
 def test_tracker_behind_the_robot_is_respected(demo_cell: Cell) -> None:
     chain = chain_of(demo_cell)
-    site = Site.of(chain, nominal_parameters(demo_cell), tracker_known=True)
+    site = Site.of(chain, nominal_parameters(demo_cell), demo_cell)
     away = dataclasses.replace(site, tracker=np.array([-6.0, 0.0, 1.5]))
     q = np.zeros((1, 6))
     q[0, 4] = 0.7
@@ -184,11 +186,17 @@ def test_wrench_point_is_needed(demo_cell: Cell) -> None:
         make_plan(demo_cell.model_copy(update={"frames": frames}))
 
 
-def test_a_joint_that_does_not_show_is_said(small_cell: Cell) -> None:
-    """A single point on the last axis."""
-    frames = small_cell.frames.model_copy(update={"measurement_points": {"mp": (0.0, 0.0, 0.1)}})
-    with pytest.raises(PlanError, match="do not determine"):
-        make_plan(small_cell.model_copy(update={"frames": frames}))
+def test_a_joint_that_does_not_show_is_said_before_the_day_in_the_cell(small_cell: Cell) -> None:
+    """A single point and the wrench point on the last axis."""
+    points = {"measurement_points": {"mp": (0.0, 0.0, 0.1)}, "wrench_point": (0.0, 0.0, 0.12)}
+    frames = small_cell.frames.model_copy(update=points)
+    plan = make_plan(small_cell.model_copy(update={"frames": frames}), configurations=12)
+    assert plan.expected is not None
+    assert plan.expected.unidentifiable == (5,)
+    assert np.isinf(plan.expected.compliance_std[5])
+    assert np.isfinite(plan.expected.compliance_std[:5]).all()
+    again = yaml.safe_load(plan_text(plan))["expected"]
+    assert again["compliance_std"][5] is None
 
 
 @pytest.mark.parametrize("n", [3, 4, 7])

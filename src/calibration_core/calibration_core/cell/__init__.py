@@ -7,7 +7,6 @@ field.  Angles are rad, lengths m, masses kg, as in the file.
 from __future__ import annotations
 
 import hashlib
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,9 +16,24 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
+from calibration_core.cell.surroundings import Box
+from calibration_core.cell.values import (
+    FieldError,
+    Interval,
+    Name,
+    NonNegative,
+    Number,
+    Pose,
+    Positive,
+    Strict,
+    Vector,
+    field_error,
+)
 from calibration_core.errors import CellError, quoted
+
+__all__ = ["Box", "Cell", "Pose", "load_cell", "too_deep"]
 
 MAX_BYTES = 1 << 18
 MAX_ALIASES = 100
@@ -28,36 +42,7 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 REDUCED_SPEED = 0.25  # m/s, safety-rated reduced speed (CWA 17384, 5.1; ISO 10218-1)
 
 
-def _number(value: object) -> object:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        msg = "a number"
-        raise ValueError(msg)
-    if not math.isfinite(value):
-        msg = "a finite number"
-        raise ValueError(msg)
-    return float(value)
-
-
-def _not_empty(value: str) -> str:
-    if not value.strip():
-        msg = "a name that is not empty"
-        raise ValueError(msg)
-    return value
-
-
-Number = Annotated[float, BeforeValidator(_number)]
-Positive = Annotated[Number, Field(gt=0)]
-NonNegative = Annotated[Number, Field(ge=0)]
-Name = Annotated[str, AfterValidator(_not_empty)]
-Vector = tuple[Number, Number, Number]
-Interval = tuple[Number, Number]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-class DhRow(_Strict):
+class DhRow(Strict):
     """One row of Denavit-Hartenberg parameters, standard (distal) or modified (proximal)."""
 
     a: Number
@@ -66,21 +51,14 @@ class DhRow(_Strict):
     theta: Number = 0.0
 
 
-class Inertial(_Strict):
+class Inertial(Strict):
     """Mass (kg) and centre of gravity (m) of one link, the latter in that link's DH frame."""
 
     mass: NonNegative
     com: Vector
 
 
-class Pose(_Strict):
-    """Pose of one frame in another: position (m) and fixed-axis angles about x, y, z (rad), R = Rz(y) Ry(p) Rx(r)."""
-
-    xyz: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
-
-
-class Robot(_Strict):
+class Robot(Strict):
     """The robot as its maker states it."""
 
     name: Name
@@ -100,48 +78,60 @@ class Robot(_Strict):
     def _check(self) -> Self:
         n = len(self.joints)
         if n < 3:
-            raise _field("joints", f"{n} joints", "at least 3 (an articulated robot, CWA 17384, 3.1)")
+            raise field_error("joints", f"{n} joints", "at least 3 (an articulated robot, CWA 17384, 3.1)")
         if len(set(self.joints)) != n:
-            raise _field("joints", "repeated names", "every joint once")
+            raise field_error("joints", "repeated names", "every joint once")
         if (self.urdf is None) == (self.dh is None):
-            raise _field("", "both urdf and dh" if self.urdf else "neither urdf nor dh", "exactly one of them")
+            raise field_error("", "both urdf and dh" if self.urdf else "neither urdf nor dh", "exactly one of them")
         if self.dh is not None and self.joint_limits is None:
-            raise _field("joint_limits", "nothing", "one interval per joint (needed with dh)")
+            raise field_error("joint_limits", "nothing", "one interval per joint (needed with dh)")
         if self.urdf is not None and (self.base_link is None or self.flange is None):
-            raise _field("flange" if self.base_link else "base_link", "nothing", "a link of the URDF")
+            raise field_error("flange" if self.base_link else "base_link", "nothing", "a link of the URDF")
         for key in ("dh", "joint_limits", "inertials", "stiffness"):
             rows = getattr(self, key)
             if rows is not None and len(rows) != n:
-                raise _field(key, f"{len(rows)} entries", f"{n}, one per joint")
+                raise field_error(key, f"{len(rows)} entries", f"{n}, one per joint")
         for i, (low, high) in enumerate(self.joint_limits or ()):
             if not low < high:
-                raise _field(f"joint_limits.{i}", f"[{low:g}, {high:g}]", "lower < upper")
+                raise field_error(f"joint_limits.{i}", f"[{low:g}, {high:g}]", "lower < upper")
         return self
 
 
-class Frames(_Strict):
+class Frames(Strict):
     """Frames and points that the measurement needs; nominal values."""
 
     tracker: Pose | None = None
     force_torque: Pose | None = None
     wrench_point: Vector | None = None
     measurement_points: Mapping[Name, Vector]
+    target_normals: Mapping[Name, Vector] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if not self.measurement_points:
-            raise _field("measurement_points", "none", "at least one")
-        object.__setattr__(self, "measurement_points", MappingProxyType(dict(self.measurement_points)))
+            raise field_error("measurement_points", "none", "at least one")
+        for name, normal in self.target_normals.items():
+            if name not in self.measurement_points:
+                raise field_error("target_normals", quoted(name), f"one of {', '.join(self.measurement_points)}")
+            if not any(normal):
+                raise field_error(f"target_normals.{name}", "a vector of length zero", "where the target opens to")
+        for key in ("measurement_points", "target_normals"):
+            object.__setattr__(self, key, MappingProxyType(dict(getattr(self, key))))
         return self
 
 
-class Tracker(_Strict):
-    """Standard deviation of one averaged tracker reading, per coordinate or in spherical coordinates."""
+class Tracker(Strict):
+    """Standard deviation of one averaged tracker reading, per coordinate or in spherical coordinates.
+
+    Besides: the angle (rad) to its normal within which a target is seen, and the nearest and farthest distance (m).
+    """
 
     sigma: Positive | None = None
     sigma_range: NonNegative | None = None
     sigma_range_per_m: NonNegative = 0.0
     sigma_angle: Positive | None = None
+    acceptance_angle: Annotated[Positive, Field(lt=np.pi)] | None = None
+    range: Interval | None = None
     name: str = ""
     serial: str = ""
     calibrated: str = ""
@@ -150,17 +140,19 @@ class Tracker(_Strict):
     def _check(self) -> Self:
         spherical = self.sigma_range is not None or self.sigma_angle is not None or self.sigma_range_per_m > 0
         if (self.sigma is not None) == spherical:
-            raise _field(
+            raise field_error(
                 "",
                 "both sigma and sigma_range/sigma_angle" if spherical else "no uncertainty",
                 "either sigma, or sigma_range (and sigma_range_per_m) with sigma_angle",
             )
+        if self.range is not None and not 0 <= self.range[0] < self.range[1]:
+            raise field_error("range", f"[{self.range[0]:g}, {self.range[1]:g}]", "two distances, the nearer first")
         if spherical and (self.sigma_angle is None or self.sigma_range is None):
-            raise _field("sigma_angle" if self.sigma_range is not None else "sigma_range", "nothing", "a number")
+            raise field_error("sigma_angle" if self.sigma_range is not None else "sigma_range", "nothing", "a number")
         return self
 
 
-class ForceTorque(_Strict):
+class ForceTorque(Strict):
     """Standard deviation of one averaged force/torque reading, N and N*m per axis."""
 
     sigma_force: NonNegative
@@ -170,7 +162,7 @@ class ForceTorque(_Strict):
     calibrated: str = ""
 
 
-class Thermometer(_Strict):
+class Thermometer(Strict):
     """Standard deviation of one temperature reading, K."""
 
     sigma: NonNegative
@@ -179,7 +171,7 @@ class Thermometer(_Strict):
     calibrated: str = ""
 
 
-class Instruments(_Strict):
+class Instruments(Strict):
     """The measuring equipment with its uncertainties (CWA 17384, 5.3)."""
 
     tracker: Tracker
@@ -187,7 +179,7 @@ class Instruments(_Strict):
     temperature: Thermometer | None = None
 
 
-class Safety(_Strict):
+class Safety(Strict):
     """What the robot's controller watches over with a safety rating, as the cell's owner declares it.
 
     Attributes:
@@ -199,7 +191,7 @@ class Safety(_Strict):
     source: Name
 
 
-class Topics(_Strict):
+class Topics(Strict):
     """Names of the topics; the defaults are the contract's.
 
     In the file, a key is either the role (`joint_states`, `wrench`, ...) or the default topic that is replaced
@@ -236,7 +228,7 @@ class Topics(_Strict):
         return self.tracker.get(name, f"/tracker/{name}")
 
 
-class Measurements(_Strict):
+class Measurements(Strict):
     """How a recording is to be read."""
 
     points: Literal["absolute", "displacement"] = "absolute"
@@ -244,7 +236,7 @@ class Measurements(_Strict):
     wrench_at: Literal["sensor", "wrench_point"] = "sensor"
 
 
-class Cell(_Strict):
+class Cell(Strict):
     """A robot cell: everything about it that a recording does not say.
 
     Attributes:
@@ -261,6 +253,7 @@ class Cell(_Strict):
     topics: Topics = Field(default_factory=Topics)
     measurements: Measurements = Field(default_factory=Measurements)
     safety: Safety | None = None
+    boxes: tuple[Box, ...] = ()
     path: Path = Path("cell.yaml")
     sha256: str = ""
 
@@ -362,7 +355,7 @@ def _first_error(path: Path, error: ValidationError) -> CellError:
     first = error.errors()[0]
     place = ".".join(str(part) for part in first["loc"])
     cause = first.get("ctx", {}).get("error")
-    if isinstance(cause, _FieldError):
+    if isinstance(cause, FieldError):
         place = ".".join(part for part in (place, cause.place) if part)
         return CellError(path, place, cause.found, cause.expected)
     kind = first["type"]
@@ -388,13 +381,3 @@ def _owner(location: tuple[int | str, ...]) -> type[BaseModel]:
 
 def _choices(model: type[BaseModel]) -> str:
     return "one of " + ", ".join(name for name in model.model_fields if name not in {"path", "sha256"})
-
-
-class _FieldError(ValueError):
-    def __init__(self, place: str, found: str, expected: str) -> None:
-        self.place, self.found, self.expected = place, found, expected
-        super().__init__(f"{place}: found {found}, expected {expected}")
-
-
-def _field(place: str, found: str, expected: str) -> _FieldError:
-    return _FieldError(place, found, expected)
