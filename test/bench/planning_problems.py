@@ -19,7 +19,7 @@ CELL = load_cell(Path(__file__).parents[2] / "config" / "cells" / "demo.cell.yam
 
 
 def stiffness_candidates(count: int) -> np.ndarray:
-    """Return information on six compliances, (count, 6, 6), of random postures with one oblique pull of the rated load."""
+    """Return information on six compliances, (count, 6, 6), of random postures, each with one oblique pull."""
     chain, parameters, rules = chain_of(CELL), nominal_parameters(CELL), LoadRules(directions=1)
     low, high = joint_range(chain, SpaceRules())
     q = np.random.default_rng(0).uniform(low, high, (count, chain.n))
