@@ -33,7 +33,7 @@ from calibration_core.timeseries import Float1D
 MOST = 4  # effects
 TRIED = 5  # candidates per round that may try the gate
 WITHIN = 8.0  # nats of the best, to be tried
-LEAST = 6.0  # nats: the threshold is never lower
+LEAST = 5.0  # nats: the threshold is never lower
 EQUIVALENT = 5.0  # nats of the best, to be called indistinguishable
 PLAUSIBLE = 6.0  # typical sizes: an equivalent must not need more
 STANDS_OUT = 2.5  # times the signal-to-noise ratio of the small effects

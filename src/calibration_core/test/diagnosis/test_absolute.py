@@ -122,10 +122,11 @@ def test_thermal_growth(cell: Cell) -> None:
     warm = 20 + 8 * (1 - np.exp(-np.repeat(np.arange(CONFIGURATIONS), 3) / 25.0))
     pose = truth.tracker
     base = readings.position @ pose[:3, :3].T + pose[:3, 3]
-    grown = (base * (1 + 12e-6 * (warm - 20))[:, None] - pose[:3, 3]) @ pose[:3, :3]
+    flange = posture(chain_of(cell).corrected(truth.geometry), readings.q).flange_origin.T
+    grown = (base + 12e-6 * (warm - 20)[:, None] * flange - pose[:3, 3]) @ pose[:3, :3]
     found = diagnose_absolute(dataclasses.replace(readings, position=grown, temperature=warm), cell)
     assert named(found) == [("thermal_growth", "arm")]
-    assert found.findings[0].parameters[0].value == pytest.approx(12e-6, rel=0.1)
+    assert found.findings[0].parameters[0].value == pytest.approx(12e-6, rel=0.05)
 
 
 def test_a_moved_target_is_an_anomaly_and_no_physics(cell: Cell) -> None:

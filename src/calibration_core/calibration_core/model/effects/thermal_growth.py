@@ -2,7 +2,8 @@
 
 p = FK(q; l_i (1 + alpha dT)): the point moves by alpha dT times the vector that grows, dT from 20 degrees Celsius (what
 is constant goes into the geometry).
-Either the whole arm grows, or one link.  Source: thermal expansion of metals.
+Either the whole arm grows, from the base to the flange, or one link; the tool is no part of the robot.
+Source: thermal expansion of metals.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Float1D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 REFERENCE = 20.0  # degrees Celsius (ISO 1)
 LEAST_RANGE = 0.5  # K; below it no growth can be told
+SHORTEST = 1e-3  # m: a shorter link does not grow
 
 
 def _warmth(state: State) -> Float1D:
@@ -27,12 +29,17 @@ def _warmth(state: State) -> Float1D:
 
 
 def _arm(state: State) -> Float3D:
-    return stacked((_warmth(state) * (state.point - state.at.origin[0])).T)
+    return stacked((_warmth(state) * (state.at.flange_origin - state.at.origin[0])).T)
+
+
+def _length(state: State, link: int) -> Float2D:
+    """Return the (3, m) vector from the axis before a link to the one after it, or to the flange."""
+    tips = [*state.at.origin[1:], state.at.flange_origin]
+    return tips[link] - state.at.origin[link]
 
 
 def _link(state: State, link: int) -> Float3D:
-    tips = [*state.at.origin[1:], state.point]
-    return stacked((_warmth(state) * (tips[link] - state.at.origin[link])).T)
+    return stacked((_warmth(state) * _length(state, link)).T)
 
 
 def growths(state: State) -> Iterator[Candidate]:
@@ -42,6 +49,8 @@ def growths(state: State) -> Iterator[Candidate]:
     parameters = (Parameter("expansion", "1/K", typical("thermal_growth", state.rated_load)),)
     yield Candidate(EFFECT.name, EFFECT.family, {"robot": "arm"}, "uniform", parameters, _arm)
     for link in range(state.chain.n):
+        if np.linalg.norm(_length(state, link), axis=0).max() < SHORTEST:
+            continue
         place = {"link": f"link_{link + 1}"}
         yield Candidate(EFFECT.name, EFFECT.family, place, "one link", parameters, partial(_link, link=link))
 

@@ -1,6 +1,7 @@
 """A load in one axis of the force/torque sensor shows in another.
 
-w = (I + X) w_read with X off the diagonal, 30 numbers.  Source: cross-talk of the sensor's decoupling matrix.
+w_read = (I + X) w with X off the diagonal, 30 numbers; to first order w = (I - X) w_read.
+Source: cross-talk of the sensor's decoupling matrix.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ def _pairs(count: int) -> list[tuple[int, int]]:
 
 def _columns(state: State, count: int) -> Float3D:
     return np.stack(
-        [state.by_wrench[:, :, to] * state.wrench[:, None, source] for to, source in _pairs(count)], axis=-1
+        [-state.by_wrench[:, :, to] * state.wrench[:, None, source] for to, source in _pairs(count)], axis=-1
     )
 
 
@@ -46,7 +47,7 @@ def _candidates(state: State) -> Iterator[Candidate]:
 EFFECT = Effect(
     name="wrench_crosstalk",
     family="load chain",
-    equation="w = (I + X) w_read, X off the diagonal",
+    equation="w_read = (I + X) w, X off the diagonal",
     source="decoupling matrix of the force/torque sensor",
     reveal="loads along every axis of the sensor",
     candidates=_candidates,

@@ -1,6 +1,7 @@
 """The force/torque sensor reads one axis too high or too low.
 
-f = (1 + g) f_read per axis.  A gain common to all axes is an exact alias of all compliances together.
+f_read = (1 + g) f per axis; to first order the points move by -g times what the read load moves them.  A gain common to
+all axes is an exact alias of all compliances together.
 Source: calibration error of the sensor.
 """
 
@@ -18,7 +19,7 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 def _columns(state: State, axes: tuple[int, ...]) -> Float3D:
-    return state.by_wrench[:, :, axes] * state.wrench[:, None, axes]
+    return -state.by_wrench[:, :, axes] * state.wrench[:, None, axes]
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
@@ -35,7 +36,7 @@ def _candidates(state: State) -> Iterator[Candidate]:
 EFFECT = Effect(
     name="wrench_gain",
     family="load chain",
-    equation="f = (1 + g) f_read, per axis",
+    equation="f_read = (1 + g) f, per axis",
     source="calibration error of the force/torque sensor",
     reveal="known masses in several attitudes of the sensor",
     candidates=_candidates,

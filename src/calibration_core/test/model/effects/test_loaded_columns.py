@@ -241,7 +241,7 @@ def test_sensor_errors_move_the_prediction_as_a_perturbed_wrench_does(chain: Cha
     here = state(chain, q, wrench)
     plain, size = sensed(chain, q, wrench), 1e-4
     cases = {
-        ("wrench_gain", "forces", 1): wrench * (1 + size * np.array([0, 1, 0, 0, 0, 0])),
+        ("wrench_gain", "forces", 1): wrench / (1 + size * np.array([0, 1, 0, 0, 0, 0])),
         ("wrench_frame_misalignment", "small rotation", 2): np.hstack(
             [part @ rotation_z(size).T for part in (wrench[:, :3], wrench[:, 3:])]
         ),
@@ -255,7 +255,7 @@ def test_sensor_errors_move_the_prediction_as_a_perturbed_wrench_does(chain: Cha
         np.testing.assert_allclose(seen, expected, atol=2e-3 * np.abs(expected).max(), err_msg=effect)
     crossed = chosen(here, "wrench_crosstalk", "all axes")
     names = [p.name for p in crossed.parameters]
-    other = wrench + size * np.outer(wrench[:, 0], [0, 0, 0, 0, 1, 0])
+    other = wrench - size * np.outer(wrench[:, 0], [0, 0, 0, 0, 1, 0])
     expected = (sensed(chain, q, other) - plain) / size
     np.testing.assert_allclose(
         crossed.columns(here)[:, :, names.index("fx_to_ty")], expected, atol=2e-3 * np.abs(expected).max()
