@@ -7,6 +7,7 @@ import datetime as dt
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.finding import Diagnosis, Finding
 from calibration_core.report.content import date_of_test
+from calibration_core.report.diagnosis_result import further_files
 from calibration_core.report.diagnosis_summary import VERDICTS
 from calibration_core.report.document import (
     Block,
@@ -22,7 +23,6 @@ from calibration_core.report.document import (
     numbered,
 )
 from calibration_core.report.rendering import document_number
-from calibration_core.report.result import tested
 from calibration_core.report.rounding import fixed, padded, significant
 from calibration_core.report.sections.diagnosis import (
     comparison_blocks,
@@ -74,7 +74,7 @@ def diagnosis_document(found: Diagnosis, cell: Cell, result: bytes, day: dt.date
         Section("Noise", "5.3", noise_section(null)),
         Section("Readings not used", "", exclusion_section(null)),
         Section("Measuring equipment", "8 e)", equipment(cell)),
-        Section("Input and software", "", traceability_section(cell, null.readings.provenance, tested(null))),
+        Section("Input and software", "", traceability_section(cell, null.readings.provenance, further_files(found))),
     ]
     document = Document(
         number=document_number(result),

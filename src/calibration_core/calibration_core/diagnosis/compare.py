@@ -60,6 +60,7 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell) -> Comparison:
     numbers = np.unique(recorded.configuration[pairing.recorded])
     return Comparison(
         simulation=simulated.provenance.path,
+        sha256=simulated.provenance.sha256,
         readings=len(pairing.recorded),
         configurations=len(numbers),
         reproduction=same,

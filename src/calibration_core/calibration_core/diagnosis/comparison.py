@@ -106,6 +106,7 @@ class Comparison:
 
     Attributes:
         simulation: The simulation's file.
+        sha256: Of its files, by name.
         readings: How many readings correspond.
         configurations: How many configurations correspond.
         reproduction: Whether the core's model is the simulation's.
@@ -115,6 +116,7 @@ class Comparison:
     """
 
     simulation: str
+    sha256: Mapping[str, str]
     readings: int
     configurations: int
     reproduction: Reproduction

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison import Comparison
 from calibration_core.diagnosis.finding import Diagnosis, Finding
 from calibration_core.diagnosis.locate import Located
-from calibration_core.report.result import plain, result_dict
+from calibration_core.report.result import plain, result_dict, tested
 
 
 def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
     """Return the content of result.json; numbers that are not finite are None."""
-    content = result_dict(diagnosis.identification, cell, "diagnose")
+    content = result_dict(diagnosis.identification, cell, "diagnose", further_files(diagnosis))
     content["stiffness"] = [
         {**row, **_stiffness(*diagnosis.stiffness[row["joint"]])} if row["joint"] in diagnosis.stiffness else row
         for row in content["stiffness"]
@@ -68,6 +69,12 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
     content["aliases"] = list(diagnosis.aliases)
     content["comparison"] = None if diagnosis.comparison is None else comparison_dict(diagnosis.comparison)
     return {key: plain(value) for key, value in content.items()}
+
+
+def further_files(diagnosis: Diagnosis) -> dict[str, Mapping[str, str]]:
+    """Return role -> file -> SHA-256 of second recording, given model and simulation, where there are any."""
+    files = tested(diagnosis.identification)
+    return files if diagnosis.comparison is None else {**files, "simulation": diagnosis.comparison.sha256}
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:

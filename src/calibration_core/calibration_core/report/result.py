@@ -23,11 +23,22 @@ from calibration_core.report.verdict import rest
 SCHEMA = 1
 
 
-def result_dict(identification: Identification, cell: Cell, command: str = "identify") -> dict[str, Any]:
+def result_dict(
+    identification: Identification,
+    cell: Cell,
+    command: str = "identify",
+    files: Mapping[str, Mapping[str, str]] | None = None,
+) -> dict[str, Any]:
     """Return the content of result.json: the contract's keys in its order, further keys after them.
 
     Numbers that are not finite are None.  The verdict is `consistent` where the residuals agree with the noise, else
     `unexplained`: an identification looks for no causes, so it has no findings.
+
+    Args:
+        identification: What was found.
+        cell: The cell file.
+        command: Which command found it.
+        files: Role -> file -> SHA-256 of input files beside the recording and the cell; None: those of `tested`.
     """
     result, left = identification, rest(identification)
     where: dict[str, Any] = {}
@@ -55,7 +66,7 @@ def result_dict(identification: Identification, cell: Cell, command: str = "iden
         ],
         "unexplained": {"rms": left.rms if left.significant else 0.0, "significant": left.significant, "where": where},
         "next_measurements": [],
-        **_further(result, cell),
+        **_further(result, cell, tested(result) if files is None else files),
     }
     return {key: plain(value) for key, value in content.items()}
 
@@ -116,7 +127,7 @@ def _fit(result: Identification) -> dict[str, Any]:
     }
 
 
-def _further(result: Identification, cell: Cell) -> dict[str, Any]:
+def _further(result: Identification, cell: Cell, files: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
     """Return the keys beyond the contract's."""
     provenance = result.readings.provenance
     return {
@@ -145,7 +156,7 @@ def _further(result: Identification, cell: Cell) -> dict[str, Any]:
             "cell": str(cell.path),
             "sha256": [
                 {"role": role, "file": name, "sha256": digest}
-                for role, name, digest in digests(cell, provenance, tested(result))
+                for role, name, digest in digests(cell, provenance, files)
             ],
             "software": software(),
         },

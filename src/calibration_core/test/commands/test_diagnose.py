@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -29,11 +30,14 @@ def test_the_set_is_complete(diagnosed: Path) -> None:
     assert names(diagnosed) >= {"result.json", "report.html", "report.pdf", "model.yaml", "table2.csv"}
 
 
-def test_a_recording_like_its_simulation_differs_by_noise(diagnosed: Path) -> None:
+def test_a_recording_like_its_simulation_differs_by_noise(diagnosed: Path, clean: Path) -> None:
     content = result_of(diagnosed)
     assert content["verdict"] == "consistent"
     compared = content["comparison"]
     assert compared["differences"] == []
+    digests = {row["role"]: row["sha256"] for row in content["input"]["sha256"]}
+    assert digests["simulation"] == hashlib.sha256((clean / "measurements.csv").read_bytes()).hexdigest()
+    assert digests["simulation"] in (diagnosed / "report.html").read_text(encoding="utf-8")
     assert compared["reproduction"]["reproduced"] is True
     assert compared["step_by_step"]["rms"] < compared["step_by_step"]["noise"]
     assert len(compared["step_by_step"]["by_configuration"]) == 12
