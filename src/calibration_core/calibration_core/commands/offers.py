@@ -26,7 +26,7 @@ def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ..
     """Draw what could be measured next.
 
     No joint goes beyond its limits, no force beyond the rated load or the largest of the recording (the sensor has
-    proven that range), and the steps are those of the recording.
+    proven that range), and the steps are those of the recording; a recording without loads is offered postures.
 
     Args:
         readings: The recording.
@@ -34,9 +34,10 @@ def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ..
         seed: The same seed gives the same offers.
 
     Returns:
-        The offers; none if no posture is fit; None where loads mean nothing (no load, or no wrench point to pull at).
+        The offers; none if no posture is fit; None where a recording is loaded and there is no wrench point to pull at.
     """
-    if not is_loaded(readings) or cell.frames.wrench_point is None:
+    loaded = is_loaded(readings)
+    if loaded and cell.frames.wrench_point is None:
         return None
     parameters = nominal_parameters(cell)
     site = Site.of(chain_of(cell), parameters, cell)
@@ -48,6 +49,8 @@ def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ..
         found = np.vstack([found, drawn[measurable(site, drawn, SpaceRules())]])[:POSTURES]
         if len(found) == POSTURES:
             break
+    if not loaded:
+        return tuple(Offer(k, q, np.zeros((1, 6))) for k, q in enumerate(found, start=1))
     rules = LoadRules(directions=DIRECTIONS, largest_force=largest_force(readings))
     pulls = full_pulls(cell, parameters, rules, len(found), rng)
     levels = levels_of(readings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from calibration_core.diagnosis.absolute_design import (
 from calibration_core.diagnosis.absolute_drift import DriftControl, slow_blocks
 from calibration_core.diagnosis.absolute_fit import AbsoluteExtended, extend_absolute
 from calibration_core.diagnosis.absolute_geometry import geometry_findings
-from calibration_core.diagnosis.absolute_naming import absolute_findings
+from calibration_core.diagnosis.absolute_naming import absolute_findings, equivalents
+from calibration_core.diagnosis.absolute_next import Known, propose_postures
 from calibration_core.diagnosis.absolute_rest import what_remains_absolute
 from calibration_core.diagnosis.absolute_selection import (
     MOST_PARAMETERS,
@@ -31,6 +33,8 @@ from calibration_core.diagnosis.absolute_selection import (
 from calibration_core.diagnosis.blocks import Blocks, posture_blocks, time_blocks
 from calibration_core.diagnosis.finding import Diagnosis, Finding, Rest, Verdict, by_size
 from calibration_core.diagnosis.known_stiffness import Considered, KnownCompliance, divided
+from calibration_core.diagnosis.next_measurements import NONE_ASKED, Proposals
+from calibration_core.diagnosis.next_offers import Offer
 from calibration_core.identification.absolute import Evaluated, evaluate_absolute, identification_of
 from calibration_core.identification.absolute_problem import absolute_problem
 from calibration_core.identification.distributions import chi2_limit
@@ -47,7 +51,7 @@ from calibration_core.model.effects.transmission_error import order_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.covariance import position_covariance
-from calibration_core.timeseries import Float2D, Int1D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
 
 GROSS = 0.01  # probability that a clean recording has any reading beyond the limit
 LOW_ORDERS = 64  # of transmission errors, searched first; higher ones if there is room left
@@ -107,6 +111,7 @@ def diagnose_absolute(
     test: Readings | None = None,
     believed: ModelParameters | None = None,
     known: KnownCompliance | None = None,
+    offers: Sequence[Offer] | None = None,
 ) -> Diagnosis:
     """Say what the model of an absolute recording leaves out.
 
@@ -116,6 +121,7 @@ def diagnose_absolute(
         test: A second recording, predicted but not fitted.
         believed: Model to start from; None: what the cell file believes.
         known: Compliances that are known from elsewhere; None: those of the model are refitted.
+        offers: Postures that could be measured next; None: nothing is proposed.
 
     Raises:
         InputError: As `identify_absolute`.
@@ -144,6 +150,7 @@ def diagnose_absolute(
     )
     findings = by_size((*findings, *_geometry(case, extended, rest)))
     rest = _with_refusals(rest, selection)
+    proposals = NONE_ASKED if offers is None else _proposals(searched, design, selection, readings, offers)
     kinds = {"time": time_blocks(readings.configuration, REPORTED["time"]),
              "posture": posture_blocks(readings.q, readings.configuration, REPORTED["posture"])}  # fmt: skip
     left = {kind: (null.held_out(partition), extended.held_out(partition)) for kind, partition in kinds.items()}
@@ -156,7 +163,8 @@ def diagnose_absolute(
         findings=findings,
         anomalies=(*identification.anomalies, *moved, *_anomalies(extended, readings, steps)),
         rest=rest,
-        next_measurements=(),
+        next_measurements=proposals.measurements,
+        next_text=proposals.text,
         identification=identification,
         stiffness=_stiffness(extended),
         rms_before=_rms(null.residual),
@@ -241,6 +249,28 @@ def fitting_after_all(extended: AbsoluteExtended, readings: Readings) -> frozens
     rows = np.flatnonzero(~extended.used & (squares < limit))
     names = readings.points
     return frozenset((int(readings.configuration[k]), int(readings.step[k]), names[readings.point[k]]) for k in rows)
+
+
+def _proposals(
+    case: Case,
+    design: AbsoluteDesign,
+    selection: AbsoluteSelection,
+    readings: Readings,
+    offers: Sequence[Offer],
+) -> Proposals:
+    physics = [i for i in selection.accepted if design.candidates[i].family != FAMILY]
+    places = [design.candidates[i].place for i in physics]
+    single = [i for i in physics if places.count(design.candidates[i].place) == 1]
+    equal = {i: equivalents(design, selection.accepted, [i], case.partitions, case.control) for i in single}
+    noise = max(float(np.sqrt(np.mean(_left(design, selection.accepted) ** 2))), 1.0)
+    known = Known(design, selection.accepted, equal, case.parameters, case.terms, case.nuisances, noise)
+    return propose_postures(known, readings, case.cell, offers)
+
+
+def _left(design: AbsoluteDesign, accepted: tuple[int, ...]) -> Float1D:
+    """Return what a fit of the accepted candidates leaves, (3 s,), in units of the claimed noise."""
+    columns = design.of(accepted)
+    return design.residual - columns @ np.linalg.lstsq(columns, design.residual, rcond=1e-9)[0]
 
 
 def _geometry(case: Case, extended: AbsoluteExtended, rest: Rest) -> tuple[Finding, ...]:

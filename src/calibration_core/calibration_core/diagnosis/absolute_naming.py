@@ -49,7 +49,8 @@ def absolute_findings(
         first = design.candidates[members[0]]
         magnitude = float(np.sqrt(np.mean(np.sum(own_shift(extended, positions) ** 2, axis=1))))
         gain = _gain(design, selection.accepted, members, partitions[0])
-        alternatives = _alternatives(design, selection.accepted, members, partitions, control)
+        near = equivalents(design, selection.accepted, members, partitions, control)
+        alternatives = tuple(_alternative(design.candidates[i], nats) for i, nats in near)
         found.append(
             Finding(
                 effect=first.effect,
@@ -122,21 +123,32 @@ def _gain(design: AbsoluteDesign, accepted: tuple[int, ...], members: Sequence[i
     return 1 - after / before
 
 
-def _alternatives(
+def equivalents(
     design: AbsoluteDesign,
     accepted: tuple[int, ...],
     members: Sequence[int],
     partitions: Sequence[Blocks],
     control: Control,
-) -> tuple[Alternative, ...]:
-    """Return other places that explain the data as well as a finding of one term; of several terms none can."""
+) -> tuple[tuple[int, float], ...]:
+    """Return other places that explain the data as well as a finding of one term; of several terms none can.
+
+    Args:
+        design: The search's linear model.
+        accepted: Everything in the model.
+        members: Those of one finding.
+        partitions: Of the design's readings.
+        control: What it refuses is no alternative.
+
+    Returns:
+        Index of the candidate and its log Bayes factor, nats; at most five, nearest first.
+    """
     if len(members) > 1:
         return ()
     index = members[0]
     others = tuple(i for i in accepted if i != index)
     scores = evidence(design, others, partitions, dict.fromkeys((p.kind for p in partitions), 0.0), index)
     scale = min(scores.weakest(index) / scores.plain[index], 1.0) if scores.plain[index] > 0 else 1.0
-    best: dict[object, Alternative] = {}
+    best: dict[object, tuple[int, float]] = {}
     for i in np.argsort(-scores.plain, kind="stable"):
         candidate = design.candidates[int(i)]
         behind = scale * float(scores.plain[index] - scores.plain[i])
@@ -145,10 +157,12 @@ def _alternatives(
         if candidate.place == design.candidates[index].place or candidate.place in best:
             continue
         if _plausible(design, others, int(i)) and not control(design, others, int(i)):
-            location = dict(candidate.location)
-            evidence_left = scores.weakest(index) - behind
-            best[candidate.place] = Alternative(candidate.effect, candidate.family, location, evidence_left)
+            best[candidate.place] = int(i), scores.weakest(index) - behind
     return tuple(best.values())
+
+
+def _alternative(candidate: Candidate, score: float) -> Alternative:
+    return Alternative(candidate.effect, candidate.family, dict(candidate.location), score)
 
 
 def _plausible(design: AbsoluteDesign, others: tuple[int, ...], index: int) -> bool:

@@ -130,7 +130,7 @@ def _diagnose(
     offers: Sequence[Offer] | None,
 ) -> Diagnosis:
     if not is_loaded(readings):
-        return diagnose_absolute(readings, cell, test=test, believed=options.start)
+        return diagnose_absolute(readings, cell, test=test, believed=options.start, offers=offers)
     single = _single(readings)
     if len(np.unique(readings.configuration[single])) < ENOUGH or cell.measurements.points == "displacement":
         return diagnose_loaded(readings, cell, options, test, offers)
