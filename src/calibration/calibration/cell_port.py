@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -25,7 +24,12 @@ SOURCE = "sequencer"
 
 
 class CellPort:
-    """Implements `runner.Cell`; called by the runner's thread alone, but for `load_applied`."""
+    """Implements `runner.Cell`; called by the runner's thread alone, but for `load_applied`.
+
+    Attributes:
+        session: Open for writing.
+        confirmed: Readings on the disk.
+    """
 
     def __init__(
         self,
@@ -51,7 +55,7 @@ class CellPort:
             progress: Tells how far it is.
             scaling: Returns the controller's speed scaling, or NaN.
         """
-        self._node, self._session, self._joints = node, session, joints
+        self._node, self.session, self._joints = node, session, joints
         self._instruments, self._load_device = instruments, load_device
         self._temperature, self.progress, self.scaling = temperature, progress, scaling
         self._attempt: tuple[int, int, int] | None = None  # row of the session, configuration, count
@@ -102,9 +106,9 @@ class CellPort:
         temperature = self._temperature()
         rows = confirmed_readings(*place, measured.points, measured.wrench, self._joints, temperature)
         row = self._row(command.configuration)
-        self._session.record(row, rows)
+        self.session.record(row, rows)
         if command.configuration == REFERENCE_NUMBER:
-            self._session.end_attempt(row, completed=True)
+            self.session.end_attempt(row, completed=True)
         self.confirmed += len(rows)
         tare = 0 if measured.wrench is None else measured.wrench.tare
         for reading, mean in zip(rows, measured.points, strict=True):
@@ -113,7 +117,7 @@ class CellPort:
 
     def _row(self, configuration: int) -> int:
         if configuration == REFERENCE_NUMBER or self._attempt is None:
-            return self._session.begin_attempt(configuration, self._node.now_ns())
+            return self.session.begin_attempt(configuration, self._node.now_ns())
         return self._attempt[0]
 
     # --- what needs no answer ----------------------------------------------------------------------------------------
@@ -125,11 +129,11 @@ class CellPort:
             case m.Mark():
                 self._node.steps.publish(to_step(now, command.configuration, command.step, command.phase))
             case m.BeginAttempt():
-                row = self._session.begin_attempt(command.configuration, now)
+                row = self.session.begin_attempt(command.configuration, now)
                 self._attempt = (row, command.configuration, command.attempt)
             case m.EndAttempt():
                 if self._attempt is not None:
-                    self._session.end_attempt(self._attempt[0], completed=command.completed, reason=command.reason)
+                    self.session.end_attempt(self._attempt[0], completed=command.completed, reason=command.reason)
                 self._attempt = None
             case m.AskOperator():
                 self.ask(command.text)
@@ -142,8 +146,10 @@ class CellPort:
             SessionEvent(header=to_header(now), kind=int(record.kind), source=SOURCE, text=record.text, **place)
         )
         text = f"{record.kind.name.lower()} {record.configuration}.{record.step} {record.text}".rstrip()
-        self._session.note(Event(now, record.kind.name.lower(), f"{record.configuration}.{record.step} {record.text}"))
+        self.session.note(Event(now, record.kind.name.lower(), f"{record.configuration}.{record.step} {record.text}"))
         self._node.get_logger().info(text)
+        if record.kind is m.Kind.CONFIGURATION_DONE:
+            self._node.feedback.configuration_done(str(self.session.directory))
 
     def ask(self, text: str) -> None:
         """Show the operator what is needed."""
@@ -152,7 +158,7 @@ class CellPort:
 
     def decided(self, decision: Decision) -> None:
         """Store a change of the guard's mind."""
-        self._session.decide(decision)
+        self.session.decide(decision)
 
     # --- stopping, and requests without an answer --------------------------------------------------------------------
 
@@ -165,11 +171,6 @@ class CellPort:
         self._instruments.tick(now)
         if self._load_device is not None:
             self._load_device.port.tick(now)
-
-
-def latest_temperature(message: Any) -> float:
-    """Return degrees Celsius of the last `sensor_msgs/Temperature`, NaN where none came."""
-    return math.nan if message is None else float(message.temperature)
 
 
 def call_and_wait(node: Node, client: Any, request: Any, timeout: float) -> Any:

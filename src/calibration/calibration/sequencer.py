@@ -7,7 +7,6 @@ says yes; whatever takes that away stops the motion at once, and nothing moves a
 
 from __future__ import annotations
 
-import math
 import sys
 import threading
 import time
@@ -16,21 +15,23 @@ from pathlib import Path
 from typing import Any
 
 from calibration_interfaces.action import RunPlan
-from calibration_interfaces.msg import MeasurementStep, Outcome, Permission, RobotState
-from calibration_interfaces.srv import LoadApplied
+from calibration_interfaces.msg import MeasurementStep, Outcome, Permission
+from calibration_interfaces.srv import LoadApplied, OverrideCondition
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState, Temperature
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from calibration.background import Background
-from calibration.cell_port import CellPort, call_and_wait, latest_temperature
+from calibration.cell_port import CellPort, call_and_wait
 from calibration.clients import Instruments, LoadDevice
+from calibration.conditions_watch import ConditionsWatch, refused
 from calibration.conversions import joint_positions, stamp_ns, to_outcome
+from calibration.feedback import Feedback
 from calibration.guard import PULSE_DEADLINE
 from calibration.motion.arrival import Joints
 from calibration.motion.calls import parse_call
@@ -44,7 +45,7 @@ from calibration.robot_state.catalogue import load_type
 from calibration.runner import Call, Runner
 from calibration.sequencer_parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
 from calibration.stopper import RUNGS, Stopper
-from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, PLAN_MARKERS, READING, ROBOT_STATE, Quality, profile
+from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, PLAN_MARKERS, READING, Quality, profile
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError, SessionError
 from calibration_core.model.nominal import nominal_parameters
@@ -56,10 +57,9 @@ from calibration_core.procedure.sequence import Sequence
 from calibration_core.procedure.session import DATABASE, Session
 from calibration_core.procedure.session_values import Decision
 from calibration_core.procedure.speed import Monitored
-from calibration_core.timeseries import NANOSECONDS, Phase
+from calibration_core.timeseries import NANOSECONDS
 
 PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way
-FEEDBACK = 0.5  # s of wall time
 END_TIME = 1.6  # s of wall time, a run has to end when the process does
 CALL_TIME = 5.0  # s of wall time, services have to answer
 OUTCOMES = {
@@ -93,11 +93,8 @@ class SequencerNode(CalibrationNode):
         self._watch = PermissionWatch(self.value("permission_age"))
         self._runner: Runner | None = None
         self._port: CellPort | None = None
-        self._goal: Any = None
         self._ended = threading.Event()
         self._ended.set()
-        self._told, self._scaling = -math.inf, math.nan
-        self._temperature: Any = None
         self._decided: tuple[Any, ...] = ()
         self._backend = make_backend(
             self.value("motion.backend"),
@@ -121,6 +118,8 @@ class SequencerNode(CalibrationNode):
         by_device = self.value("load.by") == DEVICE
         self._load_device = LoadDevice(self, self.value("load.interface")) if by_device else None
         self._instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
+        self._conditions = ConditionsWatch(self)
+        self.feedback = Feedback(self, advise=self.value("progress"))
         self._speak()
         self._listen()
 
@@ -140,6 +139,7 @@ class SequencerNode(CalibrationNode):
         self.create_service(Trigger, "~/resume", self._on_resume)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(LoadApplied, "~/load_applied", self._on_load_applied)
+        self.create_service(OverrideCondition, "~/override_condition", self._on_override)
         self._action = ActionServer(
             self, RunPlan, "~/run", self._on_run, callback_group=group, cancel_callback=self._on_cancel
         )
@@ -153,9 +153,6 @@ class SequencerNode(CalibrationNode):
     def _listen(self) -> None:
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.create_subscription(JointState, self.cell.topics.joint_states.lstrip("/"), self._on_joints, newest)
-        self.create_subscription(Temperature, self.cell.topics.temperature.lstrip("/"), self._on_temperature, newest)
-        kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.create_subscription(RobotState, ROBOT_STATE.relative, self._on_state, kept)
         pulse = PERMISSION.qos
         pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
         silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
@@ -167,12 +164,6 @@ class SequencerNode(CalibrationNode):
         q = joint_positions(message, self.cell.robot.joints)
         if q is not None:
             self._joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
-
-    def _on_temperature(self, message: Temperature) -> None:
-        self._temperature = message
-
-    def _on_state(self, message: RobotState) -> None:
-        self._scaling = float(message.speed_scaling)
 
     def _on_permission(self, message: Permission) -> None:
         self._watch.hear(message, time.monotonic())
@@ -239,6 +230,13 @@ class SequencerNode(CalibrationNode):
         response.outcome = to_outcome(Outcome.INPUT_UNUSABLE if fault else Outcome.OK, fault)
         return response
 
+    def _on_override(self, request: Any, response: Any) -> Any:
+        runner, port = self._runner, self._port
+        response.outcome = refused(request.override, running=runner is not None) or to_outcome(Outcome.OK, "")
+        if response.outcome.code == Outcome.OK and runner is not None and port is not None:
+            runner.post(Call(lambda: self._conditions.override(request.override, port.session)))
+        return response
+
     def _on_cancel(self, _goal: Any) -> CancelResponse:
         runner = self._runner
         if runner is not None:
@@ -252,9 +250,9 @@ class SequencerNode(CalibrationNode):
             goal.abort()
             return RunPlan.Result(outcome=to_outcome(Outcome.BUSY, "a plan is being measured"))
         self._ended.clear()
-        self._goal, result = goal, RunPlan.Result()
+        result = RunPlan.Result()
         try:
-            result = await Background(self, lambda: self._measure(goal.request))
+            result = await Background(self, lambda: self._measure(goal))
         except InputError as error:
             result.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
         except Exception as error:  # noqa: BLE001  # a defect of ours: it must reach whoever asked
@@ -262,7 +260,8 @@ class SequencerNode(CalibrationNode):
             self._backend.stop()
             result.outcome = to_outcome(Outcome.INTERNAL, f"{type(error).__name__}: {error}")
         finally:
-            self._runner = self._port = self._goal = None
+            self._runner = self._port = None
+            self.feedback.end()
             self._ended.set()
         if goal.is_cancel_requested:
             result.outcome.code = Outcome.CANCELLED
@@ -273,8 +272,9 @@ class SequencerNode(CalibrationNode):
             goal.abort()
         return result
 
-    def _measure(self, request: Any) -> Any:
+    def _measure(self, goal: Any) -> Any:
         """Measure a plan from beginning to end; runs in a thread of its own."""
+        request = goal.request
         plan = read_plan(request.plan, self.cell)
         self._markers.publish(plan_markers(plan, self.cell, *(self.value(f"markers.{name}") for name in LOOK)))
         directory = Path(request.session)
@@ -284,12 +284,23 @@ class SequencerNode(CalibrationNode):
         absent = self._missing()
         if absent:
             return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, absent))
+        wrong = self._conditions.begin(plan, self._limits.allowed, self._rules.startup_period, request.overrides)
+        if wrong:
+            return RunPlan.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, wrong))
+        violated = "" if request.resume else self._conditions.violated()
+        if violated:  # before there is a session that would have to be resumed
+            return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
         open_session = Session.resume if request.resume else Session.create
         with open_session(directory, text, self.cell) as session:
             parameters = {name: self.value(name) for name in sorted(self._table)}
+            self._conditions.opened(session)
+            violated = self._conditions.violated()
+            if violated:
+                return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
             session.begin_run(self.now_ns(), provenance(self.cell, text, parameters))
             self._record("open")
             runner = self._start(plan, session)
+            self.feedback.begin(goal, runner)
             finish = runner.run()
             done, skipped = len(runner.sequence.completed), len(runner.sequence.given_up)
             readings = self._port.confirmed if self._port is not None else 0
@@ -305,7 +316,7 @@ class SequencerNode(CalibrationNode):
         )
 
     def _start(self, plan: Plan, session: Session) -> Runner:
-        given_up = given_up_in(session, self._rules.attempts)
+        given_up = session.given_up(self._rules.attempts)
         sequence = Sequence(
             plan,
             self._rules,
@@ -319,9 +330,9 @@ class SequencerNode(CalibrationNode):
             self._joints,
             self._instruments,
             self._load_device,
-            temperature=lambda: latest_temperature(self._temperature),
+            temperature=lambda: self._conditions.temperature,
             progress=self._progress,
-            scaling=lambda: self._scaling,
+            scaling=lambda: self._conditions.scaling,
         )
         self._decided = ()
         self._runner = Runner(
@@ -345,6 +356,7 @@ class SequencerNode(CalibrationNode):
             self._backend.prepare,
             *map(served, ports),
             joints_heard(self._joints, self.cell.topics.joint_states),
+            self._conditions.thermometer_heard,
         ]
         return missing(checks, self.value("server_wait"))
 
@@ -357,22 +369,10 @@ class SequencerNode(CalibrationNode):
             self.get_logger().error(f"the recorder does not answer to {what}")
 
     def _progress(self) -> None:
-        runner, goal = self._runner, self._goal
-        if runner is None or goal is None or time.monotonic() - self._told < FEEDBACK:
-            return
-        self._told = time.monotonic()
-        sequence = runner.sequence
-        configuration, step, phase = sequence.position or (0, 0, Phase.MOVING)
-        goal.publish_feedback(
-            RunPlan.Feedback(
-                configuration=configuration,
-                step=step,
-                phase=int(phase),
-                share_done=float(sequence.share_done),
-                seconds_left=float(sequence.seconds_left),
-                text=f"waits for {sequence.state.value}",
-            )
-        )
+        runner, port = self._runner, self._port
+        if runner is not None and port is not None:
+            self._conditions.look(port, runner)
+            self.feedback.send()
 
     def stop(self) -> None:
         """End the run: the motion is stopped, the session closed."""
@@ -380,15 +380,7 @@ class SequencerNode(CalibrationNode):
         if runner is not None:
             runner.post(m.Stop(0.0))
         self._ended.wait(END_TIME)
-
-
-def given_up_in(session: Session, attempts: int) -> frozenset[int]:
-    """Return the configurations that an earlier run of the session tried as often as allowed, without success."""
-    tried: dict[int, int] = {}
-    for _, configuration, outcome, _ in session.attempts:
-        if outcome == "given up":
-            tried[configuration] = tried.get(configuration, 0) + 1
-    return frozenset(number for number, count in tried.items() if count >= attempts) - frozenset(session.completed)
+        self.feedback.close()
 
 
 def main(args: Arguments[str] | None = None) -> int:

@@ -51,6 +51,7 @@ PARAMETERS = (
     Declared("reading_limit", RULES.reading_limit, "s, of one reading.", low=1.0),
     Declared("permission_age", 0.1, "s, of the guard's last word; older means no.", low=0.02, high=1.0),
     Declared("server_wait", 10.0, "s, that the other nodes may take to appear.", low=0.1, high=300.0),
+    Declared("progress", True, "Whether it is worked out after every configuration what the session has told."),
     Declared("markers.base", "", "Name of the robot's base frame; empty: the cell file's, or base_link."),
     Declared("markers.flange", "", "Name of the robot's flange frame; empty: the cell file's, or flange."),
     Declared("markers.size", 0.02, "m, diameter of a point that is shown.", low=1e-4, high=1.0),

@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.qos import QoSCompatibility as Compatibility
 
 from calibration_core.cell import Cell
-from calibration_core.recording.definitions import STEP_TYPE, TEXT_TYPE
+from calibration_core.recording.definitions import CONDITIONS_TYPE, STEP_TYPE, TEXT_TYPE
 from calibration_core.recording.kinds import Kind
 
 SAMPLES_DEPTH = 2000  # two seconds at 1 kHz: a keep-last history overwrites without a word
@@ -83,7 +83,10 @@ MARKERS = Topic("/calibration/markers", "visualization_msgs/msg/MarkerArray", Qu
 PLAN_MARKERS = Topic("/calibration/plan_markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
 RAW_WRENCH = Topic("/force_torque/raw", Kind.WRENCH.value, Quality.SAMPLES)
 
-OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, TARE, SAMPLE_CHECK, LOAD_STATE, RAW_WRENCH)
+PROGRESS = Topic("/calibration/progress", "calibration_interfaces/msg/MeasurementProgress", Quality.EVENTS)
+CONDITIONS_QUALITY = Quality.EVENTS
+
+OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, PROGRESS, TARE, SAMPLE_CHECK, LOAD_STATE, RAW_WRENCH)
 
 
 def contract_topics(cell: Cell) -> tuple[Topic, ...]:
@@ -96,6 +99,7 @@ def contract_topics(cell: Cell) -> tuple[Topic, ...]:
         Topic(names.temperature, Kind.TEMPERATURE.value, Quality.SAMPLES),
         Topic(names.robot_description, TEXT_TYPE, Quality.STATE),
         Topic(names.step, STEP_TYPE, Quality.EVENTS),
+        Topic(names.conditions, CONDITIONS_TYPE, CONDITIONS_QUALITY),
     )
 
 

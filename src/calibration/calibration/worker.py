@@ -1,7 +1,8 @@
 """A process beside the node that does the long work: the same commands as the command line, one after another.
 
-Lines of JSON on stdin and stdout.  The process loads what the commands need before the first one arrives, ends when its
-stdin does, and is replaced when a command is cancelled: half a result is never written.
+Besides, it tells what a session under way has told so far.  Lines of JSON on stdin and stdout.  The process loads what
+the commands need before the first one arrives, ends when its stdin does, and is replaced when a command is cancelled:
+half a result is never written.
 """
 
 from __future__ import annotations
@@ -52,15 +53,20 @@ class Worker:
         progress: What it last said of that command.
     """
 
-    def __init__(self) -> None:
-        """Start the process; it gets ready while others go on."""
+    def __init__(self, *, niceness: int = 0) -> None:
+        """Start the process; it gets ready while others go on.
+
+        Args:
+            niceness: How far the process stands back behind others.
+        """
+        self._niceness = niceness
         self.progress = Progress()
         self._commands: tuple[str, ...] = ()
         self._process = self._start()
 
     def _start(self) -> subprocess.Popen[str]:
         self._commands = ()
-        command = [sys.executable, "-P", __file__]
+        command = [sys.executable, "-P", __file__, str(self._niceness)]
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": os.environ.get("OPENBLAS_NUM_THREADS", "1")}
         return subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment, encoding="utf-8"
@@ -89,9 +95,13 @@ class Worker:
             CancelledError: It was cancelled.
             RuntimeError: The process died.
         """
-        self.commands_when_ready(cancelled)
-        answer = self._beside(lambda: self._ask({"arguments": list(arguments)}), cancelled)
+        answer = self.ask({"arguments": list(arguments)}, cancelled)
         return Finished(str(answer["kind"]), str(answer["text"]), str(answer["trace"]))
+
+    def ask(self, question: dict[str, Any], cancelled: Callable[[], bool]) -> dict[str, Any]:
+        """Put a question; return the answer.  Called and raising as `do`."""
+        self.commands_when_ready(cancelled)
+        return self._beside(lambda: self._ask(question), cancelled)
 
     def _beside(self, step: Callable[[], dict[str, Any] | None], cancelled: Callable[[], bool]) -> dict[str, Any]:
         """Take one step that waits for the process, in a thread, so that it can be given up."""
@@ -182,9 +192,27 @@ def perform(arguments: list[str], tell: Callable[[float, str], None]) -> dict[st
     return {"kind": "", "text": text, "trace": ""}
 
 
+def worked_out(question: dict[str, Any]) -> dict[str, Any]:
+    """Answer one question: the progress, None while nothing can be told; or the class of the error and its words."""
+    from calibration_core.commands.progress import progress_record
+
+    found: dict[str, Any] | None = None
+    try:
+        found = progress_record(question["session"], question["cell"], question["wanted"])
+    except IdentificationError as error:
+        return {"kind": "", "text": str(error), "trace": "", "progress": None}
+    except (InputError, EquilibriumError) as error:
+        return {"kind": "InputError", "text": str(error), "trace": "", "progress": None}
+    except Exception as error:  # noqa: BLE001  # told in full to the one who asked
+        text = f"{type(error).__name__}: {error}"
+        return {"kind": "defect", "text": text, "trace": traceback.format_exc(), "progress": None}
+    return {"kind": "", "text": "", "trace": "", "progress": found}
+
+
 def serve() -> None:
     """Answer one line after another until there are no more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the node decides
+    os.nice(int(sys.argv[1]) if len(sys.argv) > 1 else 0)
     from calibration_core import commands
     from calibration_core.commands import identify  # noqa: F401  # loaded before the first question
     from calibration_core.recording.typed import standard_types
@@ -198,7 +226,11 @@ def serve() -> None:
 
     say(commands=list(commands.NAMES))
     for line in sys.stdin:
-        say(**perform(json.loads(line)["arguments"], lambda share, text: say(share=share, text=text)))
+        question = json.loads(line)
+        if "session" in question:
+            say(**worked_out(question))
+        else:
+            say(**perform(question["arguments"], lambda share, text: say(share=share, text=text)))
 
 
 if __name__ == "__main__":

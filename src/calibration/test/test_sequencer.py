@@ -16,8 +16,17 @@ pytest.importorskip("calibration_interfaces")
 
 from builtin_interfaces.msg import Time
 from calibration_interfaces.action import Measure, RunPlan
-from calibration_interfaces.msg import MeasurementStep, Outcome, Permission, Reading
-from calibration_interfaces.srv import LoadApplied
+from calibration_interfaces.msg import (
+    Condition,
+    ConditionOverride,
+    Conditions,
+    MeasurementStep,
+    Outcome,
+    Permission,
+    Reading,
+    SessionEvent,
+)
+from calibration_interfaces.srv import LoadApplied, OverrideCondition
 from rclpy.action import ActionClient, ActionServer
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -29,7 +38,7 @@ from calibration.conversions import Mean, to_average, to_outcome
 from calibration.runner import Call
 from calibration.sequencer import SequencerNode
 from calibration.sequencer_parameters import PARAMETERS, motion_limits
-from calibration.topics import PERMISSION, READING, Quality, profile
+from calibration.topics import EVENT, PERMISSION, READING, Quality, profile
 from calibration_core.cell import Safety, load_cell
 from calibration_core.errors import InputError
 from calibration_core.observations.average import Average
@@ -43,7 +52,7 @@ PULL = [0.0, 0.0, -500.0, 0.0, 0.0, 0.0]
 
 def overrides(**values: Any) -> list[Parameter]:
     usual = {"cell": CELL, "motion.backend": "external", "force_torque": "", "settle_time": 0.1, "recorder": ""}
-    usual |= {"arrival.dwell": 0.1, "server_wait": 10.0, "permission_age": 1.0}
+    usual |= {"arrival.dwell": 0.1, "server_wait": 10.0, "permission_age": 1.0, "progress": False}
     return [Parameter(name, value=value) for name, value in (usual | values).items()]
 
 
@@ -70,14 +79,14 @@ class World:
         self.joints = self.node.create_publisher(JointState, "joint_states", 10)
         self.temperatures = self.node.create_publisher(Temperature, "cell/temperature", 10)
         self.q = np.zeros(6)
-        self.permitted = True
+        self.permitted, self.temperature = True, 21.5
         self.tracker = ActionServer(self.node, Measure, "tracker/measure", self._measure)
         self.timer = self.node.create_timer(0.02, self._live)
 
     def _live(self) -> None:
         self.permissions.publish(Permission(permitted=self.permitted, text="" if self.permitted else "not now"))
         self.joints.publish(JointState(header=now(), name=JOINTS, position=self.q.tolist()))
-        self.temperatures.publish(Temperature(temperature=21.5))
+        self.temperatures.publish(Temperature(temperature=self.temperature))
 
     def _measure(self, goal: Any) -> Any:
         at = time.time_ns()
@@ -99,9 +108,14 @@ class Operator:
         node = spinning.plain("operator")
         self.clients = {name: node.create_client(Trigger, f"sequencer/{name}") for name in ("pause", "resume", "stop")}
         self.load = node.create_client(LoadApplied, "sequencer/load_applied")
+        self.condition = node.create_client(OverrideCondition, "sequencer/override_condition")
         self.plan = ActionClient(node, RunPlan, "sequencer/run")
         self.readings: list[Any] = []
         self.steps: list[Any] = []
+        self.conditions: list[Any] = []
+        self.events: list[Any] = []
+        node.create_subscription(Conditions, "calibration/conditions", self.conditions.append, profile(Quality.EVENTS))
+        node.create_subscription(SessionEvent, EVENT.relative, self.events.append, EVENT.qos)
         node.create_subscription(Reading, READING.relative, self.readings.append, READING.qos)
         node.create_subscription(MeasurementStep, "calibration/step", self.steps.append, profile(Quality.EVENTS))
 
@@ -114,9 +128,14 @@ class Operator:
         request = LoadApplied.Request(operator_name=name, configuration=configuration, step=step)
         return self.load.call(request, timeout_sec=10.0).outcome
 
-    def measure(self, plan: Path, session: Path, *, resume: bool = False) -> Any:
+    def overrides(self, condition: str, name: str = "A. Smith", reason: str = "no cooling today") -> Any:
+        assert self.condition.wait_for_service(10.0)
+        override = ConditionOverride(condition=condition, operator_name=name, reason=reason)
+        return self.condition.call(OverrideCondition.Request(override=override), timeout_sec=10.0).outcome
+
+    def measure(self, plan: Path, session: Path, **goal: Any) -> Any:
         assert self.plan.wait_for_server(10.0)
-        accepted = self.plan.send_goal_async(RunPlan.Goal(plan=str(plan), session=str(session), resume=resume))
+        accepted = self.plan.send_goal_async(RunPlan.Goal(plan=str(plan), session=str(session), **goal))
         end = time.monotonic() + 10.0
         while not accepted.done():
             assert time.monotonic() < end
@@ -220,6 +239,96 @@ def test_a_silent_guard_stops_a_motion_even_while_a_disk_is_slow(
     assert "stop" in trace.read_text()
     handle.cancel_goal_async()
     assert ended(handle).outcome.code == Outcome.CANCELLED
+
+
+HOT = 25.0  # degrees Celsius
+WHO = {"operator_name": "A. Smith", "reason": "no cooling today"}
+
+
+def test_a_violated_condition_refuses_the_run(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path
+) -> None:
+    world.temperature = HOT
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    result = ended(operator.measure(plan, tmp_path / "session"))
+    assert result.outcome.code == Outcome.CONDITION_VIOLATED
+    assert result.outcome.text == "temperature (5.1): found 25.0 °C, expected 20 °C ± 2 °C"
+    assert not (tmp_path / "session").exists()
+    assert not operator.steps
+
+
+def test_an_override_with_the_goal_stands_in_session_and_messages(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    world.temperature = HOT
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    override = ConditionOverride(condition="temperature", **WHO)
+    handle = operator.measure(plan, tmp_path / "session", overrides=[override])
+    until(lambda: operator.conditions)
+    rows = {one.name: one for one in operator.conditions[-1].conditions}
+    assert (rows["temperature"].verdict, rows["temperature"].override) == (Condition.VIOLATED, override)
+    assert rows["manual_mode"].verdict == Condition.UNKNOWN
+    until(lambda: any(one.kind == SessionEvent.CONDITION_OVERRIDDEN for one in operator.events))
+    told = next(one for one in operator.events if one.kind == SessionEvent.CONDITION_OVERRIDDEN)
+    assert told.text == "temperature by A. Smith: no cooling today"
+    handle.cancel_goal_async()
+    assert ended(handle).outcome.code == Outcome.CANCELLED
+    with Session.look(tmp_path / "session") as session:
+        assert [(one.condition, one.operator) for one in session.overrides] == [("temperature", "A. Smith")]
+        last = {one.name: one for one in session.conditions[-1]}
+        assert (last["temperature"].met, last["temperature"].override) == (False, session.overrides[0])
+    handle = operator.measure(plan, tmp_path / "session", resume=True)  # it goes on counting
+    until(lambda: len(operator.conditions) > 1)
+    assert operator.says("stop").success
+    assert ended(handle).outcome.code == Outcome.STOPPED
+
+
+def test_a_condition_violated_on_the_way_pauses_until_it_is_overridden(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: node._runner is not None and node._runner.moving)
+    world.temperature = HOT
+    until(lambda: node._runner.sequence.paused)
+    assert any(one.kind == SessionEvent.CONDITION_VIOLATED for one in operator.events)
+    assert operator.says("resume").success
+    until(lambda: not node._runner.sequence.paused)
+    until(lambda: node._runner.sequence.paused)  # still too warm
+    assert operator.overrides("temperature").code == Outcome.OK
+    until(lambda: any(one.kind == SessionEvent.CONDITION_OVERRIDDEN for one in operator.events))
+    assert operator.says("resume").success
+    world.q = np.array(GOAL)
+    for step in (1, 1):
+        until(lambda: operator.loaded(7, step).code == Outcome.OK)  # noqa: B023
+    assert ended(handle).outcome.code == Outcome.OK
+
+
+@pytest.mark.parametrize(
+    ("condition", "name", "reason", "text"),
+    [
+        ("weather", "A. Smith", "rain", "found 'weather', expected one of temperature"),
+        ("temperature", " ", "no cooling", "operator_name: found nothing"),
+        ("temperature", "A. Smith", "", "reason: found nothing"),
+        ("temperature", "A. Smith", "no cooling", "no plan is being measured"),
+    ],
+)
+def test_an_override_that_cannot_be_taken(
+    spinning: Any, operator: Operator, condition: str, name: str, reason: str, text: str
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    answer = operator.overrides(condition, name, reason)
+    assert answer.code == Outcome.INPUT_UNUSABLE
+    assert text in answer.text
+
+
+def test_a_goal_with_an_unknown_condition_is_refused(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    given = [ConditionOverride(condition="weather", **WHO)]
+    result = ended(operator.measure(plan, tmp_path / "session", overrides=given))
+    assert (result.outcome.code, "weather" in result.outcome.text) == (Outcome.INPUT_UNUSABLE, True)
 
 
 def test_a_run_can_be_cancelled(

@@ -123,6 +123,51 @@ class Note:
 
 
 @dataclasses.dataclass(frozen=True)
+class Override:
+    """Who let a measurement go on although a condition of the standard was violated, and why.
+
+    Attributes:
+        condition: Name of the condition.
+        operator: Who answers for it.
+        reason: Why.
+    """
+
+    condition: str
+    operator: str
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Condition:
+    """One condition that CWA 17384 puts on the measurement, as it was seen while measuring.
+
+    Attributes:
+        name: A stable word, e.g. `temperature`.
+        clause: Of the standard.
+        requirement: In few words.
+        limit: With its unit.
+        value: What was seen, with its unit.
+        met: True, False, or None where it cannot be seen.
+        shall: Whether the standard demands it; otherwise it recommends it.
+        override: Who let the measurement go on all the same; None if nobody did.
+    """
+
+    name: str
+    clause: str
+    requirement: str
+    limit: str
+    value: str
+    met: bool | None
+    shall: bool
+    override: Override | None = None
+
+    @property
+    def stops(self) -> bool:
+        """Whether a run must not go on."""
+        return self.shall and self.met is False and self.override is None
+
+
+@dataclasses.dataclass(frozen=True)
 class Provenance:
     """Where data came from.
 
@@ -155,6 +200,7 @@ class Recording:
         robot_description: URDF text, empty if not recorded.
         provenance: Files, hashes and counts.
         notes: What was lost or repaired.
+        conditions: The standard's conditions as they were seen while measuring: every change, in the order of time.
     """
 
     joints: TimeSeries
@@ -166,6 +212,7 @@ class Recording:
     provenance: Provenance
     notes: tuple[Note, ...] = ()
     joint_efforts: TimeSeries | None = None
+    conditions: tuple[tuple[Condition, ...], ...] = ()
 
     def __post_init__(self) -> None:
         """Freeze the mapping of points."""
@@ -191,6 +238,7 @@ class Readings:
         samples: (m,) int64, tracker samples averaged; None for a table.
         provenance: Files, hashes and counts.
         notes: What was lost, repaired or set aside on the way.
+        conditions: The standard's conditions as they were seen while measuring, the worst of each; empty for a table.
     """
 
     points: tuple[str, ...]
@@ -207,6 +255,7 @@ class Readings:
     position_covariance: Float3D | None = None
     wrench_covariance: Float3D | None = None
     samples: Int1D | None = None
+    conditions: tuple[Condition, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays; raise ValueError on unequal lengths."""

@@ -43,7 +43,7 @@ from calibration_sim.motion_log import MotionLog
 from calibration_sim.node_messages import PARAMETERS, path_of, reported, wrench_message, wrench_values
 from calibration_sim.schedule import Schedule
 from calibration_sim.streams import START, Rates
-from calibration_sim.truth import draw_truth, nominal_truth
+from calibration_sim.truth import SPREADS, Truth, draw_truth, nominal_truth
 
 FEEDBACK = 0.1  # s of wall time between two feedbacks
 STREAM = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
@@ -71,7 +71,7 @@ class SimulatedCell(Node):
         if self.speed <= 0.0 or (self.speed != 1.0 and not self._with_clock):
             raise InputError("simulated_cell", "speed", f"{self.speed:g}", "above 0, and other than 1 only with clock")
         seed = int(self._value("seed"))
-        truth = nominal_truth(self.cell) if self._value("truth") == "nominal" else draw_truth(self.cell, seed)
+        truth = self._truth(seed)
         self.live = LiveCell(self.cell, truth, self._home(), self._concealed())
         rate = {name: float(self._value(f"rates.{name}")) for name in ("joints", "tracker", "wrench", "temperature")}
         self._sensors = LiveSensors(self.cell, truth, seed, rates=Rates(**rate), window=float(self._value("window")))
@@ -113,6 +113,14 @@ class SimulatedCell(Node):
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
+
+    def _truth(self, seed: int) -> Truth:
+        kind = self._value("truth")
+        if kind == "nominal":
+            return nominal_truth(self.cell)
+        if kind not in SPREADS:
+            raise InputError("simulated_cell", "truth", quoted(kind), f"one of nominal, {', '.join(SPREADS)}")
+        return draw_truth(self.cell, seed, spread=SPREADS[kind])
 
     def _concealed(self) -> tuple[Spring, ...]:
         joint, joints = self._value("concealed_joint"), self.cell.robot.joints

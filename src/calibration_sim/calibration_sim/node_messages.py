@@ -16,7 +16,10 @@ from calibration_sim.live import Path, Refused
 PARAMETERS: dict[str, tuple[Any, str]] = {
     "cell": ("", "Cell file."),
     "seed": (1, "Of the hidden truth and of the noise."),
-    "truth": ("draw", "draw: stiffnesses differ from the cell file's; nominal: they do not."),
+    "truth": (
+        "draw",
+        "nominal, draw (other stiffnesses), workshop or uncalibrated (all else wrong, too).",
+    ),
     "concealed_joint": ("", "Joint whose bearing tilts, which no cell file says; empty: none."),
     "concealed_compliance": (2.0e-7, "rad/(N*m), of that bearing about one axis across the joint's."),
     "speed": (1.0, "Multiple of real time."),

@@ -97,6 +97,17 @@ WORKSHOP = Spread(
     sensor_turn=2e-3,
     point=1e-3,
 )
+# A cell of which nothing but the robot's nominal description is known: 0.5 mm and 0.5 mrad off in every joint's frame,
+# the tracker somewhere about where somebody put it, the targets glued on by eye.
+UNCALIBRATED = Spread(
+    joint_zero=5e-4,
+    joint_shift=5e-4,
+    joint_turn=5e-4,
+    tracker_shift=0.05,
+    tracker_turn=0.02,
+    point=3e-3,
+)
+SPREADS = {"draw": ROUGH, "workshop": WORKSHOP, "uncalibrated": UNCALIBRATED}
 
 
 def nominal_truth(cell: Cell, sensors: Sensors = SOUND) -> Truth:

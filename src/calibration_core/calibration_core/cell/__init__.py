@@ -18,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from calibration_core.cell.surroundings import Box
+from calibration_core.cell.surroundings import Box, EndEffector
 from calibration_core.cell.values import (
     FieldError,
     Interval,
@@ -33,7 +33,7 @@ from calibration_core.cell.values import (
 )
 from calibration_core.errors import CellError, quoted
 
-__all__ = ["Box", "Cell", "Pose", "load_cell", "too_deep"]
+__all__ = ["Box", "Cell", "EndEffector", "Pose", "load_cell", "too_deep"]
 
 MAX_BYTES = 1 << 18
 MAX_ALIASES = 100
@@ -204,6 +204,7 @@ class Topics(Strict):
     temperature: Name = "/cell/temperature"
     robot_description: Name = "/robot_description"
     step: Name = "/calibration/step"
+    conditions: Name = "/calibration/conditions"
 
     @model_validator(mode="before")
     @classmethod
@@ -254,6 +255,7 @@ class Cell(Strict):
     measurements: Measurements = Field(default_factory=Measurements)
     safety: Safety | None = None
     boxes: tuple[Box, ...] = ()
+    end_effector: EndEffector | None = None
     path: Path = Path("cell.yaml")
     sha256: str = ""
 

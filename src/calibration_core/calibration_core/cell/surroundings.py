@@ -1,8 +1,8 @@
-"""What stands in a cell besides the robot."""
+"""What is in a cell besides the robot: what stands about, and what the robot carries."""
 
 from __future__ import annotations
 
-from calibration_core.cell.values import Name, Positive, Strict, Vector
+from calibration_core.cell.values import Name, NonNegative, Positive, Strict, Vector
 
 
 class Box(Strict):
@@ -19,3 +19,17 @@ class Box(Strict):
     xyz: Vector
     rpy: Vector = (0.0, 0.0, 0.0)
     size: tuple[Positive, Positive, Positive]
+
+
+class EndEffector(Strict):
+    """How the end effector gives way at the flange, where it is not much stiffer than the robot (CWA 17384, 5.1).
+
+    Attributes:
+        rotation: rad/(N*m) about the flange's axes.
+        translation: m/N along them.
+        source: Who states it, e.g. a finite element analysis.
+    """
+
+    rotation: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    translation: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    source: Name

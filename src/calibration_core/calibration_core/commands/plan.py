@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from calibration_core.model.model_file import read_model
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.simulate import Schedule
 from calibration_core.procedure.loads import NINE_STEPS, LoadRules
+from calibration_core.procedure.phases import PhaseRules, plan_phases
 from calibration_core.procedure.plan import Expected, Plan
 from calibration_core.procedure.plan_file import plan_dict, plan_text
 from calibration_core.procedure.planning import PlanningRules, make_plan
@@ -47,6 +50,9 @@ def run(arguments: argparse.Namespace) -> str:
         seed=arguments.seed,
         parameters=parameters,
     )
+    if arguments.phases:
+        phases = plan_phases(cell, PhaseRules(space=rules.space), seed=arguments.seed, parameters=parameters)
+        plan = dataclasses.replace(plan, preparation=phases)
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
     result = result_json(plan_result(plan, cell, space, inputs, seed=arguments.seed))
     files: dict[str, Content] = {RESULT: result, **plan_files(plan)}
@@ -128,6 +134,7 @@ def plan_result(
         spares=len(plan.spares),
         expected=content["expected"],
         joints=content["joints"],
+        preparation=dict(Counter(c.phase for c in plan.preparation)),
         largest_force=largest_force(plan),
         reference=content["reference"],
         startup_cycle=content["startup_cycle"],
@@ -158,9 +165,13 @@ def plan_summary(plan: Plan) -> str:
             f"{counted(len(plan.primary[0].steps), 'load step')}, largest force {largest_force(plan):,.0f} N"
         )
     ]
+    if plan.preparation:
+        phases = Counter(c.phase.replace("_", " ") for c in plan.preparation)
+        told = ", ".join(f"{phase} {count}" for phase, count in phases.items())
+        lines.append(f"standstills of the phases before: {told}")
     expected = plan.expected
     if expected is None:
-        return lines[0]
+        return "\n".join(lines)
     lines.append(f"{certificate(expected)}; condition number {expected.condition:.2f}")
     if expected.stiffness_std is not None:
         shares = (

@@ -117,8 +117,9 @@ def simulate(cell: Cell, plan: Path | None, model: Path | None, seed: int | None
     if np.any(schedule.wrench) and not np.any(parameters.compliance):
         raise cell.missing("robot.stiffness", "simulating deflections (or an identified model, --model)")
     files = {"plan": plan, "model": model}
+    measured = (*chosen.preparation, *chosen.primary)
     try:
-        readings = simulate_plan(chosen.primary, cell, parameters, seed)
+        readings = simulate_plan(measured, cell, parameters, seed)
     except ModelFileError as error:
         raise ModelFileError(model or error.file, error.place, error.found, error.expected) from None
     return Simulated(
@@ -127,7 +128,7 @@ def simulate(cell: Cell, plan: Path | None, model: Path | None, seed: int | None
         parameters=parameters,
         seed=seed,
         readings=readings,
-        recording=as_recording(chosen.primary, _for_streams(cell), parameters, seed),
+        recording=as_recording(measured, _for_streams(cell), parameters, seed),
         space=scheduled_space(schedule, cell, parameters),
         inputs={role: digest_of(path) for role, path in files.items() if path is not None},
     )

@@ -157,12 +157,18 @@ class Precondition:
         requirement: What the clause demands.
         found: What the recording shows, with figures.
         met: True, False, or None where the recording cannot tell.
+        name: A stable word for those that are watched while measuring; empty for the others.
+        shall: Whether the standard demands it (`shall`); otherwise it recommends it (`should`).
+        override: Who let the measurement go on although it was violated, and why; empty if nobody did.
     """
 
     clause: str
     requirement: str
     found: str
     met: bool | None
+    name: str = ""
+    shall: bool = True
+    override: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.absolute import identify_absolute
 from calibration_core.identification.decoupled import with_decoupled
+from calibration_core.identification.end_effector import accounted
 from calibration_core.identification.estimate import Identification
 from calibration_core.identification.known import without_effects
 from calibration_core.identification.loaded import Options, identify_prepared, prepare_loaded
@@ -38,12 +39,14 @@ def identify(
         cell: The cell file.
         options: How to evaluate.
         test: A second recording of the same kind that is predicted, not fitted.
-        given: A model to start from; its effects are taken off both recordings and stand in the identified model.
+        given: A model to start from; its effects are taken off both recordings and stand in the identified model, and
+            so does the compliance of the end effector where the cell file states one.
 
     Raises:
         InputError: The input cannot be used; the message names file, place, what was found and what was expected.
     """
     options = options or Options()
+    given = accounted(cell, given) if is_loaded(readings) else given
     if given is None:
         return _identify(readings, cell, options, test)
     freed, test = (None if one is None else without_effects(one, cell, given) for one in (readings, test))

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import OperatingSpace, Precondition
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import Condition, Override, Readings
 
 MIN_CONFIGURATIONS = 12
 AMBIENT, TOLERANCE = 20.0, 2.0  # degrees Celsius
 TEST_UNCERTAINTY_RATIO = 5.0
 NEAR_SINGULAR = 0.02  # smallest singular value of the scaled Jacobian
+UNSEEN = (  # what only a live measurement shows
+    ("5.1", "maximum Cartesian speed 250 mm/s, manual mode, servos on, brakes released"),
+    ("5.2", "start-up cycle before the test, repeated periodically"),
+)
 
 
 def check_preconditions(
@@ -29,20 +35,42 @@ def check_preconditions(
     if space.force is not None:
         checks.append(_rated_load(cell, space))
     checks += [_uncertainty_ratio(space, sigma), *_calibrated(cell), _singularities(space)]
-    checks.append(
-        Precondition(
-            "5.1",
-            "maximum Cartesian speed 250 mm/s, manual mode, servos on, brakes released",
-            "not contained in the evaluated data",
-            None,
-        )
+    seen = {condition.name: condition for condition in readings.conditions}
+    checks = [_with_override(check, seen.pop(check.name, None)) for check in checks]
+    watched = [_watched(condition) for condition in seen.values()]
+    if "end_effector" not in seen:
+        watched.append(_end_effector(cell))
+    if not readings.conditions:
+        watched += [Precondition(*row, "not contained in the evaluated data", None) for row in UNSEEN]
+    return (*checks, *watched)
+
+
+def _with_override(check: Precondition, seen: Condition | None) -> Precondition:
+    """Add what was seen live to what the readings show: a violation then counts, and so does who overrode it."""
+    if seen is None:
+        return check
+    if seen.met is False and check.met is not False:
+        check = dataclasses.replace(check, found=f"{check.found}; while measuring: {seen.value}", met=False)
+    return dataclasses.replace(check, override=_who(seen.override))
+
+
+def _watched(condition: Condition) -> Precondition:
+    requirement = f"{condition.requirement}: {condition.limit}"
+    who = _who(condition.override)
+    return Precondition(
+        condition.clause, requirement, condition.value, condition.met, condition.name, condition.shall, who
     )
-    checks.append(
-        Precondition(
-            "5.2", "start-up cycle before the test, repeated periodically", "not contained in the evaluated data", None
-        )
-    )
-    return tuple(checks)
+
+
+def _who(override: Override | None) -> str:
+    return "" if override is None else f"{override.operator}: {override.reason}"
+
+
+def _end_effector(cell: Cell) -> Precondition:
+    tool = cell.end_effector
+    found = "its stiffness is not stated" if tool is None else f"its compliance is accounted for ({tool.source})"
+    requirement = "end effector considerably stiffer than the robot, or its compliance accounted for"
+    return Precondition("5.1", requirement, found, None if tool is None else True, "end_effector")
 
 
 def _configurations(space: OperatingSpace) -> Precondition:
@@ -70,10 +98,10 @@ def _temperature(readings: Readings) -> Precondition:
     requirement = f"{AMBIENT:.0f} °C ± {TOLERANCE:.0f} °C"
     known = readings.temperature[np.isfinite(readings.temperature)]
     if not len(known):
-        return Precondition("5.1", requirement, "no temperature recorded", None)
+        return Precondition("5.1", requirement, "no temperature recorded", None, "temperature")
     low, high = float(known.min()), float(known.max())
     inside = abs(low - AMBIENT) <= TOLERANCE and abs(high - AMBIENT) <= TOLERANCE
-    return Precondition("5.1", requirement, f"{low:.1f} to {high:.1f} °C", inside)
+    return Precondition("5.1", requirement, f"{low:.1f} to {high:.1f} °C", inside, "temperature")
 
 
 def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
@@ -93,13 +121,15 @@ def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
         f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:.0f} N)",
         f"{found} (torques are not part of this check)",
         bool(largest <= rated + expanded),
+        "rated_load",
     )
 
 
 def _uncertainty_ratio(space: OperatingSpace, sigma: float) -> Precondition:
     requirement = "test uncertainty ratio not lower than 1:5"
     if space.deflection is None:
-        return Precondition("5.3", requirement, "no deflection is measured in an absolute recording", None)
+        found = "no deflection is measured in an absolute recording"
+        return Precondition("5.3", requirement, found, None, "uncertainty_ratio", shall=False)
     size = float(np.sqrt(np.mean(np.sum(space.deflection**2, axis=1))))
     expanded = 2 * np.sqrt(2) * sigma
     ratio = size / expanded
@@ -107,7 +137,8 @@ def _uncertainty_ratio(space: OperatingSpace, sigma: float) -> Precondition:
         f"1:{ratio:.1f} (deflection {1e3 * size:.3f} mm rms, "
         f"expanded uncertainty of a deflection {1e6 * expanded:.0f} µm, k = 2)"
     )
-    return Precondition("5.3", requirement, found, bool(ratio >= TEST_UNCERTAINTY_RATIO))
+    met = bool(ratio >= TEST_UNCERTAINTY_RATIO)
+    return Precondition("5.3", requirement, found, met, "uncertainty_ratio", shall=False)
 
 
 def _calibrated(cell: Cell) -> list[Precondition]:

@@ -11,6 +11,7 @@ from calibration_core.cell import Cell
 from calibration_core.errors import ObservationError
 from calibration_core.observations.average import average
 from calibration_core.observations.clock import clock_offset, corrected, on_one_base
+from calibration_core.observations.conditions import worst
 from calibration_core.observations.plateaus import USUAL_SIGMA, Window, found_windows, marked_windows
 from calibration_core.observations.settling import settled_from
 from calibration_core.recording.bag import read_bag
@@ -169,6 +170,7 @@ def _readings(recording: Recording, cell: Cell, rows: list[_Row], notes: tuple[N
         position_covariance=np.array([row.position_covariance for row in rows]),
         wrench_covariance=np.array([row.wrench_covariance for row in rows]) if has_wrench else None,
         samples=np.array([row.samples for row in rows], np.int64),
+        conditions=worst(recording.conditions),
     )
 
 

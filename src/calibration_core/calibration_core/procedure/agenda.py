@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from calibration_core.procedure.plan import REFERENCE_NUMBER, Plan, PlannedConfiguration
+from calibration_core.procedure.plan import REFERENCE_NUMBER, PhaseName, Plan, PlannedConfiguration
 from calibration_core.timeseries import Float1D, Float2D
 
 
@@ -51,6 +51,7 @@ class Item:
         steps: (k, 6) wrenches; empty: only drive there.
         first_step: Number of the first step (for the reference, of the visit).
         kind: `startup`, `reference` or `configuration`.
+        phase: Of a configuration.
     """
 
     number: int
@@ -58,6 +59,7 @@ class Item:
     steps: Float2D
     first_step: int
     kind: str
+    phase: PhaseName = "compliance"
 
 
 class Agenda:
@@ -69,6 +71,12 @@ class Agenda:
         completed: Numbers of configurations measured in an earlier run of the same session.
         given_up: Numbers of those that were given up.
         visits: Visits to the reference so far.
+
+    Attributes:
+        completed: Numbers of the configurations measured; likewise `given_up`.
+        visits: Visits to the reference.
+        target: How many configurations are to be measured.
+        warmed_up: When the start-up cycle was last driven through, s of the caller's clock; None: not yet.
     """
 
     def __init__(
@@ -77,13 +85,18 @@ class Agenda:
         self._plan, self._rules = plan, rules
         self.completed, self.given_up, self.visits = set(completed), set(given_up), visits
         over = completed | given_up
-        self._pending = [c for c in plan.primary if c.number not in over]
+        first = [*plan.preparation, *plan.primary]  # the phases before the compliance have no spares
+        self._pending = [c for c in first if c.number not in over]
         self._spares = [c for c in plan.spares if c.number not in over]
-        self.target = len(plan.primary)
-        while len(self.completed) + len(self._pending) < self.target and self._spares:
+        self.target = len(first)
+        lost = sum(c.number in given_up for c in plan.preparation)
+        while len(self.completed) + len(self._pending) + lost < self.target and self._spares:
             self._pending.append(self._spares.pop(0))
         self._startup_left = list(plan.startup_cycle) * rules.startup_cycles if self._pending else []
         self._startup_due = math.inf
+        self.warmed_up: float | None = None
+        self._warming = False
+        self._phase: PhaseName | None = None
         self._since_reference = plan.reference.every if plan.reference is not None and self._pending else 0
         self._total = self._nominal_left()
 
@@ -92,18 +105,24 @@ class Agenda:
         if self._pending and now >= self._startup_due:
             self._startup_left, self._startup_due = list(self._plan.startup_cycle), math.inf
         if self._startup_left:
+            self._warming = True
             number = self._pending[0].number if self._pending else REFERENCE_NUMBER
             return Item(number, self._startup_left[0], np.empty((0, 6)), 0, "startup")
         if math.isinf(self._startup_due) and len(self._plan.startup_cycle):
             self._startup_due = now + self._rules.startup_period
+        if self._warming:
+            self.warmed_up, self._warming = now, False
         reference = self._plan.reference
-        if reference is not None and reference.every:
+        swept = bool(self._pending) and self._pending[0].phase != "compliance"  # nothing else within a sweep
+        if reference is not None and reference.every and not swept:
             last = not self._pending and self._since_reference > 0
             if last or (self._pending and self._since_reference >= reference.every):
                 return Item(REFERENCE_NUMBER, reference.q, np.zeros((1, 6)), self.visits, "reference")
         if self._pending:
             configuration = self._pending[0]
-            return Item(configuration.number, configuration.q, configuration.steps, 0, "configuration")
+            return Item(
+                configuration.number, configuration.q, configuration.steps, 0, "configuration", configuration.phase
+            )
         return None
 
     def done(self, item: Item) -> None:
@@ -116,7 +135,7 @@ class Agenda:
         else:
             del self._pending[0]
             self.completed.add(item.number)
-            self._since_reference += 1
+            self._since_reference += item.phase == "compliance"
 
     def give_up(self, item: Item) -> PlannedConfiguration | None:
         """Strike off what cannot be done; return the spare that takes the place of a configuration."""
@@ -128,11 +147,23 @@ class Agenda:
             return None
         del self._pending[0]
         self.given_up.add(item.number)
-        if not self._spares:
+        if not self._spares or item.phase != "compliance":
             return None
         spare = self._spares.pop(0)
         self._pending.append(spare)
         return spare
+
+    def enough(self, item: Item | None) -> None:
+        """Strike off everything but what is under way, as not needed any more."""
+        present = item is not None and item.kind == "configuration"
+        self._pending, self._spares = self._pending[:1] if present else [], []
+        self.target = len(self.completed) + len(self._pending)
+
+    def phase_begins(self, item: Item) -> bool:
+        """Tell whether a configuration is the first of its phase, in a plan that has several; once."""
+        begins = bool(self._plan.preparation) and item.phase != self._phase
+        self._phase = item.phase
+        return begins
 
     @property
     def share_done(self) -> float:

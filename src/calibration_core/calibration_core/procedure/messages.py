@@ -123,10 +123,18 @@ class Fault:
     reason: str
 
 
+@dataclasses.dataclass(frozen=True)
+class Enough:
+    """What is wanted is known: the present configuration is finished, and nothing follows."""
+
+    now: float
+    text: str
+
+
 Answer = Arrived | Blocked | LoadReached | LoadFailed | Settled | ReadingConfirmed | ReadingFailed
 Event = (
     Start | Tick | PermissionChanged | Arrived | Blocked | LoadReached | LoadFailed | Settled | ReadingConfirmed
-    | ReadingFailed | Pause | Resume | Stop | Fault
+    | ReadingFailed | Pause | Resume | Stop | Fault | Enough
 )  # fmt: skip
 
 
@@ -231,6 +239,10 @@ class Kind(enum.IntEnum):
     OPERATOR_ASKED = 16
     FINISHED = 17
     ABORTED = 18
+    PHASE = 19
+    CONDITION_VIOLATED = 20
+    CONDITION_OVERRIDDEN = 21
+    ENOUGH = 22
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
 from calibration_core.identification.observability import HARDLY
 from calibration_core.timeseries import Float1D, Float2D, read_only
 
+PhaseName = Literal["base_frame", "geometry", "wrist_centre", "points", "compliance"]
+PREPARATION: tuple[PhaseName, ...] = ("base_frame", "geometry", "wrist_centre", "points")  # CWA 17384, 7.1 to 7.5
 REFERENCE_NUMBER = 0  # configuration number under which the reference configuration is recorded, a step per visit
 
 
@@ -23,12 +26,14 @@ class PlannedConfiguration:
         q: (n,) rad, commanded.
         steps: (k, 6) N and N*m, base axes, at the wrench point: the wrench of every load step, the first unloaded.
         spare: Measured only in place of one that cannot be measured (CWA 17384, 5.1).
+        phase: What it is measured for.
     """
 
     number: int
     q: Float1D
     steps: Float2D
     spare: bool = False
+    phase: PhaseName = "compliance"
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays."""
@@ -118,6 +123,8 @@ class Plan:
         startup_cycle: (k, n) rad, driven through before measuring and again periodically (CWA 17384, 5.2).
         reference: Measured again and again; None: no reference.
         expected: What it promises; None for a plan that somebody else made.
+        preparation: Measured before, one unloaded step each, in order: the sweeps and postures of the phases that find
+            base frame, geometry, wrist centre and points (CWA 17384, 7.1 to 7.5); empty where these are known.
     """
 
     robot: str
@@ -126,6 +133,7 @@ class Plan:
     startup_cycle: Float2D
     reference: Reference | None = None
     expected: Expected | None = None
+    preparation: tuple[PlannedConfiguration, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy to a read-only array."""

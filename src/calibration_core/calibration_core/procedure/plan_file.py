@@ -5,6 +5,8 @@
     joints: [joint_1, ...]                 # the order of every q
     configurations:
       - {number: 1, q: [rad, ...], spare: false, steps: [[fx, fy, fz, tx, ty, tz], ...]}
+    preparation:                           # may be missing: measured before, unloaded, phase by phase
+      - {number: 1001, phase: base_frame, q: [rad, ...]}
     startup_cycle: [[rad, ...], ...]
     reference: {q: [rad, ...], every: 4}   # or null
     expected: {efficiency: 0.95, ...}      # what the planner promised; passed over on reading where it is incomplete
@@ -16,7 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,7 @@ import yaml
 from calibration_core.cell import Cell, too_deep
 from calibration_core.errors import PlanError, quoted
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.plan import Expected, Plan, PlannedConfiguration, Reference
+from calibration_core.procedure.plan import PREPARATION, Expected, Plan, PlannedConfiguration, Reference
 from calibration_core.timeseries import Float1D, Float2D
 
 SCHEMA = 1
@@ -34,10 +36,11 @@ MAX_BYTES = 8 << 20
 MAX_CONFIGURATIONS = 10_000
 MAX_STEPS = 1000
 MAX_ALIASES = 100
-KEYS = ("schema", "robot", "joints", "configurations", "startup_cycle", "reference", "expected")
+KEYS = ("schema", "robot", "joints", "configurations", "preparation", "startup_cycle", "reference", "expected")
 EXPECTED_ARRAYS = {"compliance_std", "stiffness_std"}
 EXPECTED_OPTIONAL = {"efficiency", "stiffness_std", "a_value", "e_value", "k_csm"}
 EXPECTED_MAPPINGS = {"observability", "duration"}
+SWEPT_KEYS = ("number", "phase", "q", "note")
 ENTRY_KEYS = ("number", "q", "spare", "steps", "note")
 
 
@@ -52,10 +55,15 @@ def plan_dict(plan: Plan) -> dict[str, Any]:
             {"number": c.number, "q": c.q.tolist(), "spare": c.spare, "steps": c.steps.tolist()}
             for c in plan.configurations
         ],
+        **({"preparation": [_prepared_dict(c) for c in plan.preparation]} if plan.preparation else {}),
         "startup_cycle": plan.startup_cycle.tolist(),
         "reference": None if reference is None else {"q": reference.q.tolist(), "every": reference.every},
         "expected": None if expected is None else _expected_dict(expected),
     }
+
+
+def _prepared_dict(configuration: PlannedConfiguration) -> dict[str, Any]:
+    return {"number": configuration.number, "phase": configuration.phase, "q": configuration.q.tolist()}
 
 
 def plan_text(plan: Plan) -> str:
@@ -86,13 +94,15 @@ def read_plan(path: str | Path, cell: Cell) -> Plan:
     startup = data.get("startup_cycle") or []
     if not isinstance(startup, list) or len(startup) > MAX_STEPS:
         raise PlanError(path, "startup_cycle", quoted(startup), "a list of postures")
+    configurations = _configurations(path, data.get("configurations"), cell, limits)
     return Plan(
         robot=robot,
         joints=cell.robot.joints,
-        configurations=_configurations(path, data.get("configurations"), cell, limits),
+        configurations=configurations,
         startup_cycle=np.array([_angles(path, f"startup_cycle.{i}", q, limits) for i, q in enumerate(startup)]),
         reference=_reference(path, data.get("reference"), limits),
         expected=_expected(data.get("expected"), len(limits)),
+        preparation=_preparation(path, data.get("preparation"), {c.number for c in configurations}, limits),
     )
 
 
@@ -148,11 +158,7 @@ def _configurations(path: Path, rows: object, cell: Cell, limits: Float2D) -> tu
         if not isinstance(row, dict):
             raise PlanError(path, place, quoted(row), f"a mapping with the keys {', '.join(ENTRY_KEYS)}")
         _known_keys(path, place, row, ENTRY_KEYS)
-        number, spare = row.get("number", i + 1), row.get("spare", False)
-        if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number < 1 << 32:
-            raise PlanError(path, f"{place}.number", quoted(number), "an integer of at least one")
-        if number in found:
-            raise PlanError(path, f"{place}.number", f"{number} twice", "every number once")
+        number, spare = _number(path, place, row.get("number", i + 1), found.keys()), row.get("spare", False)
         if not isinstance(spare, bool):
             raise PlanError(path, f"{place}.spare", quoted(spare), "true or false")
         q = _angles(path, f"{place}.q", row.get("q"), limits)
@@ -168,6 +174,35 @@ def _configurations(path: Path, rows: object, cell: Cell, limits: Float2D) -> tu
     if all(configuration.spare for configuration in configurations):
         raise PlanError(path, "configurations", "spares only", "at least one configuration to measure")
     return configurations
+
+
+def _preparation(path: Path, rows: object, taken: set[int], limits: Float2D) -> tuple[PlannedConfiguration, ...]:
+    """Read the sweeps and postures of the phases before the compliance, whose numbers are `taken` already."""
+    if rows is None:
+        return ()
+    if not isinstance(rows, list) or len(rows) > MAX_CONFIGURATIONS:
+        raise PlanError(path, "preparation", quoted(rows), f"a list of at most {MAX_CONFIGURATIONS} configurations")
+    found: dict[int, PlannedConfiguration] = {}
+    for i, row in enumerate(rows):
+        place = f"preparation.{i}"
+        if not isinstance(row, dict):
+            raise PlanError(path, place, quoted(row), f"a mapping with the keys {', '.join(SWEPT_KEYS)}")
+        _known_keys(path, place, row, SWEPT_KEYS)
+        number = _number(path, place, row.get("number"), {*taken, *found})
+        phase = row.get("phase")
+        if phase not in PREPARATION:
+            raise PlanError(path, f"{place}.phase", quoted(phase), f"one of {', '.join(PREPARATION)}")
+        q = _angles(path, f"{place}.q", row.get("q"), limits)
+        found[number] = PlannedConfiguration(number, q, np.zeros((1, 6)), phase=phase)
+    return tuple(found.values())
+
+
+def _number(path: Path, place: str, number: object, taken: Collection[int]) -> int:
+    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number < 1 << 32:
+        raise PlanError(path, f"{place}.number", quoted(number), "an integer of at least one")
+    if number in taken:
+        raise PlanError(path, f"{place}.number", f"{number} twice", "every number once")
+    return number
 
 
 def _reference(path: Path, value: object, limits: Float2D) -> Reference | None:

@@ -23,6 +23,9 @@ from calibration_core.timeseries import Float1D, Phase
 class Sequence:
     """Runs a plan.
 
+    Attributes:
+        agenda: What is done and what is left.
+
     Args:
         plan: What is measured.
         rules: Retries, time limits, repetition of the start-up cycle.
@@ -41,7 +44,7 @@ class Sequence:
         visits: int = 0,
     ) -> None:
         self._rules = rules or SequenceRules()
-        self._agenda = Agenda(plan, self._rules, completed, given_up, visits)
+        self.agenda = Agenda(plan, self._rules, completed, given_up, visits)
         self._resumed = bool(completed or given_up or visits)
         self._state = State.IDLE
         self._permitted = self._paused = self._held = self._asked = False
@@ -82,22 +85,22 @@ class Sequence:
     @property
     def completed(self) -> frozenset[int]:
         """Numbers of the configurations measured."""
-        return frozenset(self._agenda.completed)
+        return frozenset(self.agenda.completed)
 
     @property
     def given_up(self) -> frozenset[int]:
         """Numbers of the configurations given up."""
-        return frozenset(self._agenda.given_up)
+        return frozenset(self.agenda.given_up)
 
     @property
     def share_done(self) -> float:
         """Share of the work done, 0 ... 1."""
-        return self._agenda.share_done
+        return self.agenda.share_done
 
     @property
     def seconds_left(self) -> float:
         """Estimate of the time left, s; NaN where nothing is known yet."""
-        return self._agenda.seconds_left(self._now - self._begun)
+        return self.agenda.seconds_left(self._now - self._begun)
 
     # --- events -------------------------------------------------------------------------------------------------------
 
@@ -111,16 +114,19 @@ class Sequence:
 
     def _dispatch(self, event: m.Event) -> None:
         match event:
-            case m.Start():
+            case m.Start() if self._state is State.IDLE:
                 self._start()
             case m.Tick():
                 self._tick()
-            case m.PermissionChanged():
+            case m.PermissionChanged() if event.permitted != self._permitted:
                 self._permission(event)
-            case m.Pause():
+            case m.Pause() if not self._paused and self._state is not State.IDLE:
                 self._pause()
-            case m.Resume():
+            case m.Resume() if self.paused:
                 self._resume()
+            case m.Enough():
+                self.agenda.enough(self._item)
+                self._say(Kind.ENOUGH, event.text)
             case m.Stop():
                 self._end(Outcome.STOPPED, "stopped by the operator")
             case m.Fault():
@@ -128,7 +134,7 @@ class Sequence:
                 self._end(Outcome.FAULT, event.reason)
             case m.ReadingConfirmed() if event.request in self._readings:
                 self._confirmed()  # a late one counts as well: it is on the disk
-            case _ if event.request == self._request:
+            case _ if isinstance(event, m.Answer) and event.request == self._request:
                 self._answer(event)
 
     def _answer(self, event: m.Answer) -> None:
@@ -155,10 +161,8 @@ class Sequence:
                 self._failed(event.reason)
 
     def _start(self) -> None:
-        if self._state is not State.IDLE:
-            return
         self._begun = self._now
-        text = f"{len(self._agenda.completed)} of {self._agenda.target} configurations are measured already"
+        text = f"{len(self.agenda.completed)} of {self.agenda.target} configurations are measured already"
         self._out.append(m.Record(Kind.RESUMED if self._resumed else Kind.STARTED, 0, 0, text if self._resumed else ""))
         self._advance()
 
@@ -172,8 +176,6 @@ class Sequence:
             self._failed("never at rest" if self._state is State.SETTLING else "the reading takes too long")
 
     def _permission(self, event: m.PermissionChanged) -> None:
-        if event.permitted == self._permitted:
-            return
         self._permitted = event.permitted
         self._asked = False
         if self._state is State.IDLE:
@@ -186,17 +188,14 @@ class Sequence:
             self._interrupt(f"permission lost: {event.reason}")
 
     def _pause(self) -> None:
-        if self._paused or self._state is State.IDLE:
-            return
         self._paused, self._asked = True, False
         self._say(Kind.PAUSED, "")
         self._interrupt("paused")
 
     def _resume(self) -> None:
-        if self.paused:
-            self._paused = self._held = self._asked = False
-            self._say(Kind.CONTINUED, "")
-            self._go_on()
+        self._paused = self._held = self._asked = False
+        self._say(Kind.CONTINUED, "")
+        self._go_on()
 
     def _interrupt(self, reason: str) -> None:
         """Stop a motion; it begins anew, from wherever the robot stands, when the operator resumes."""
@@ -216,7 +215,7 @@ class Sequence:
         """Begin what comes next, if it may begin: a motion, the next step, or the release of the load."""
         self._wait(State.READY)
         if self._item is None:
-            self._item = self._agenda.next(self._now)
+            self._item = self.agenda.next(self._now)
             if self._item is None:
                 self._complete()
                 return
@@ -249,6 +248,8 @@ class Sequence:
         item = self._present
         if item.kind == "configuration" and not self._open:
             self._open = True
+            if self.agenda.phase_begins(item):
+                self._say(Kind.PHASE, item.phase)
             self._out.append(m.BeginAttempt(item.number, self._attempt))
         kinds = {"startup": Kind.WARM_UP, "reference": Kind.REFERENCE, "configuration": Kind.CONFIGURATION_STARTED}
         self._say(kinds[item.kind], "")
@@ -260,7 +261,7 @@ class Sequence:
         if len(self._present.steps):
             self._at_item = True
         else:
-            self._agenda.done(self._present)
+            self.agenda.done(self._present)
             self._item = None
         self._advance()
 
@@ -324,7 +325,7 @@ class Sequence:
             self._retry_or_skip(self._given_up_for)
             return
         self._mark(Phase.DONE)
-        self._agenda.done(self._present)
+        self.agenda.done(self._present)
         self._end_attempt(completed=True)
         if self._present.kind == "configuration":
             self._say(Kind.CONFIGURATION_DONE, "")
@@ -340,7 +341,7 @@ class Sequence:
         if self._attempt < self._rules.attempts:
             self._say(Kind.CONFIGURATION_RETRIED, reason)
         else:
-            spare = self._agenda.give_up(item)
+            spare = self.agenda.give_up(item)
             self._say(Kind.CONFIGURATION_SKIPPED, reason)
             if spare is not None:
                 self._out.append(m.Record(Kind.SPARE_USED, spare.number, 0, f"in place of {item.number}"))
@@ -355,7 +356,7 @@ class Sequence:
     # --- the end ------------------------------------------------------------------------------------------------------
 
     def _complete(self) -> None:
-        done, target = len(self._agenda.completed), self._agenda.target
+        done, target = len(self.agenda.completed), self.agenda.target
         text = f"{done} of {target} configurations are measured"
         self._say(Kind.FINISHED, text)
         self._wait(State.FINISHED)

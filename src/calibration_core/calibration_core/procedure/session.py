@@ -14,6 +14,7 @@ rows that count are those of attempts that were completed, and of the reference 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import fcntl
 import hashlib
 import json
@@ -27,6 +28,7 @@ from calibration_core.cell import Cell
 from calibration_core.errors import SessionError
 from calibration_core.procedure.plan import REFERENCE_NUMBER
 from calibration_core.procedure.session_values import ConfirmedReading, Decision, Event, packed, unpacked
+from calibration_core.timeseries import Condition, Override
 
 SCHEMA = 1
 DATABASE, PLAN, LOCK = "session.db", "plan.yaml", "session.lock"
@@ -46,6 +48,11 @@ CREATE TABLE decision (id INTEGER PRIMARY KEY, time INTEGER NOT NULL, permitted 
   latched INTEGER NOT NULL, reasons TEXT NOT NULL);
 CREATE TABLE event (id INTEGER PRIMARY KEY, time INTEGER NOT NULL, kind TEXT NOT NULL, text TEXT NOT NULL);
 """
+LATER = """
+CREATE TABLE IF NOT EXISTS condition (id INTEGER PRIMARY KEY, time INTEGER NOT NULL, content TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS override (id INTEGER PRIMARY KEY, time INTEGER NOT NULL, condition TEXT NOT NULL,
+  operator TEXT NOT NULL, reason TEXT NOT NULL);
+"""  # sessions begun by earlier versions get them when they are resumed
 
 
 class Session:
@@ -83,7 +90,7 @@ class Session:
         unfinished = directory / f".{DATABASE}"
         unfinished.unlink(missing_ok=True)
         with contextlib.closing(sqlite3.connect(unfinished, isolation_level=None)) as database:
-            database.executescript(f"PRAGMA synchronous = FULL; BEGIN; {TABLES} COMMIT;")
+            database.executescript(f"PRAGMA synchronous = FULL; BEGIN; {TABLES} {LATER} COMMIT;")
             row = (SCHEMA, _digest(plan_text), cell.sha256, cell.robot.name, json.dumps(cell.points))
             database.execute("INSERT INTO session VALUES (?, ?, ?, ?, ?)", row)
         unfinished.rename(directory / DATABASE)
@@ -108,6 +115,7 @@ class Session:
         except SessionError:
             lock.close()
             raise
+        session._database.executescript(LATER)
         with session._transaction():
             session._database.execute("UPDATE attempt SET outcome = 'interrupted' WHERE outcome = 'open'")
         return session
@@ -172,6 +180,16 @@ class Session:
         """Store an event."""
         self._insert("INSERT INTO event (time, kind, text) VALUES (?, ?, ?)", (event.time, event.kind, event.text))
 
+    def judge(self, time: int, conditions: Sequence[Condition]) -> None:
+        """Store how the standard's conditions stand at `time` (ns)."""
+        text = json.dumps([dataclasses.asdict(one) for one in conditions])
+        self._insert("INSERT INTO condition (time, content) VALUES (?, ?)", (time, text))
+
+    def override(self, time: int, override: Override) -> None:
+        """Store who lets the measurement go on in spite of a condition, from `time` (ns)."""
+        row = (time, override.condition, override.operator, override.reason)
+        self._insert("INSERT INTO override (time, condition, operator, reason) VALUES (?, ?, ?, ?)", row)
+
     # --- reading -----------------------------------------------------------------------------------------------------
 
     @property
@@ -204,6 +222,14 @@ class Session:
         rows = self._all("SELECT id, configuration, outcome, reason FROM attempt ORDER BY id")
         return tuple((int(row[0]), int(row[1]), str(row[2]), str(row[3])) for row in rows)
 
+    def given_up(self, attempts: int) -> frozenset[int]:
+        """Return the configurations that were given up so many times, and never measured."""
+        tried: dict[int, int] = {}
+        for _, configuration, outcome, _ in self.attempts:
+            if outcome == "given up":
+                tried[configuration] = tried.get(configuration, 0) + 1
+        return frozenset(number for number, count in tried.items() if count >= attempts) - frozenset(self.completed)
+
     @property
     def reference_visits(self) -> int:
         """How often the reference configuration has been recorded; the step number of the next visit."""
@@ -220,6 +246,16 @@ class Session:
     def events(self) -> tuple[Event, ...]:
         """What happened, in the order of time."""
         return tuple(Event(*row) for row in self._all("SELECT time, kind, text FROM event ORDER BY id"))
+
+    @property
+    def overrides(self) -> tuple[Override, ...]:
+        """Which conditions are overridden by whom, in the order of time."""
+        return tuple(Override(*row) for row in self._later("SELECT condition, operator, reason FROM override"))
+
+    @property
+    def conditions(self) -> tuple[tuple[Condition, ...], ...]:
+        """How the standard's conditions stood: every change, in the order of time."""
+        return tuple(_conditions(row[0]) for row in self._later("SELECT content FROM condition"))
 
     def confirmed(self, *, all_attempts: bool = False) -> tuple[ConfirmedReading, ...]:
         """Return the readings in the order of time.
@@ -256,8 +292,20 @@ class Session:
     def _all(self, statement: str, row: tuple[object, ...] = ()) -> list[tuple[Any, ...]]:
         return self._database.execute(statement, row).fetchall()
 
+    def _later(self, statement: str) -> list[tuple[Any, ...]]:
+        """Read from a table that sessions of earlier versions do not have."""
+        there = self._one("SELECT COUNT(*) FROM sqlite_master WHERE name = 'condition'")[0]
+        return self._all(f"{statement} ORDER BY id") if there else []
+
     def _one(self, statement: str, row: tuple[object, ...] = ()) -> tuple[Any, ...]:
         return self._all(statement, row)[0]
+
+
+def _conditions(text: str) -> tuple[Condition, ...]:
+    rows = json.loads(text)
+    for row in rows:
+        row["override"] = None if row["override"] is None else Override(**row["override"])
+    return tuple(Condition(**row) for row in rows)
 
 
 def _connect(directory: Path) -> sqlite3.Connection:

@@ -12,14 +12,15 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError, RecordingError
 from calibration_core.recording.batch import Batch
+from calibration_core.recording.conditions import read_conditions
 from calibration_core.recording.decode import Decoder
-from calibration_core.recording.definitions import STEP_TYPE, TEXT_TYPE
+from calibration_core.recording.definitions import CONDITIONS_TYPE, STEP_TYPE, TEXT_TYPE
 from calibration_core.recording.files import BagFiles, BagStorage, bag_files, type_error
 from calibration_core.recording.kinds import Kind, Samples
 from calibration_core.recording.source import sha256_of
 from calibration_core.recording.streams import to_series
 from calibration_core.recording.typed import FAULTS, deserializer, stamp_of
-from calibration_core.timeseries import NANOSECONDS, Note, Provenance, Recording, StepMarkers, TimeSeries
+from calibration_core.timeseries import NANOSECONDS, Condition, Note, Provenance, Recording, StepMarkers, TimeSeries
 
 EARLIEST_DATE = 946_684_800  # 2000-01-01; earlier stamps count from a start-up, not from the epoch
 MAX_MARKERS = 1_000_000
@@ -35,6 +36,7 @@ class Contents:
         text: The first message on the text topic, empty if there is none.
         topics: Topic -> type of everything in the bag.
         notes: What was lost.
+        conditions: The standard's conditions as seen while measuring, one tuple per message.
     """
 
     streams: Mapping[str, Samples]
@@ -42,6 +44,7 @@ class Contents:
     text: str
     topics: Mapping[str, str]
     notes: tuple[Note, ...]
+    conditions: tuple[tuple[Condition, ...], ...] = ()
 
 
 def read_contents(
@@ -51,6 +54,7 @@ def read_contents(
     *,
     step_topic: str = "",
     text_topic: str = "",
+    conditions_topic: str = "",
     fast: bool = True,
 ) -> Contents:
     """Read the given topics of a bag.
@@ -61,6 +65,7 @@ def read_contents(
         joints: Names of the joints, in order.
         step_topic: Topic of the step markers, empty: none.
         text_topic: Topic of the robot description, empty: none.
+        conditions_topic: Topic of the standard's conditions, empty: none.
         fast: Whether fixed layouts are read without Python per message.
 
     Raises:
@@ -70,12 +75,14 @@ def read_contents(
     decoders: dict[str, Decoder] = {}
     markers: list[tuple[int, int, int, int, int]] = []
     notes: list[Note] = []
+    conditions: list[tuple[Condition, ...]] = []
     text = ""
-    wanted = {*streams, step_topic, text_topic} - {""}
+    others = {step_topic: STEP_TYPE, text_topic: TEXT_TYPE, conditions_topic: CONDITIONS_TYPE}
+    wanted = {*streams, *others} - {""}
     for batch in storage.batches(wanted):
         topic = batch.channel.topic
         kind = streams.get(topic)
-        expected = kind.value if kind else STEP_TYPE if topic == step_topic else TEXT_TYPE
+        expected = kind.value if kind else others[topic]
         if batch.channel.type != expected:
             raise type_error(bag.path, batch.channel, expected)
         if kind:
@@ -84,10 +91,12 @@ def read_contents(
             decoders[topic].add(batch)
         elif topic == step_topic:
             markers += _markers(bag, batch, notes, len(markers))
+        elif topic == conditions_topic:
+            conditions += read_conditions(str(bag.path), batch, notes)
         elif not text:
             text = _text(bag, batch, notes)
     samples = {topic: decoder.samples() for topic, decoder in decoders.items()}
-    return Contents(samples, tuple(markers), text, storage.topics, (*storage.notes, *notes))
+    return Contents(samples, tuple(markers), text, storage.topics, (*storage.notes, *notes), tuple(conditions))
 
 
 def _markers(bag: BagFiles, batch: Batch, notes: list[Note], before: int) -> list[tuple[int, int, int, int, int]]:
@@ -135,7 +144,12 @@ def read_bag(path: Path, cell: Cell) -> Recording:
     bag = bag_files(path)
     topics = cell.topics
     contents = read_contents(
-        bag, _streams(cell), cell.robot.joints, step_topic=topics.step, text_topic=topics.robot_description
+        bag,
+        _streams(cell),
+        cell.robot.joints,
+        step_topic=topics.step,
+        text_topic=topics.robot_description,
+        conditions_topic=topics.conditions,
     )
     _require(path, cell, contents)
     files = [*bag.files, *([bag.metadata] if bag.metadata else [])]
@@ -151,7 +165,7 @@ def _streams(cell: Cell) -> dict[str, Kind]:
         (topics.temperature, Kind.TEMPERATURE),
         *((topics.point(name), Kind.POINT) for name in cell.points),
     ]
-    every = [topics.step, topics.robot_description, *(topic for topic, _ in named)]
+    every = [topics.step, topics.robot_description, topics.conditions, *(topic for topic, _ in named)]
     twice = next((topic for topic in every if every.count(topic) > 1), None)
     if twice is not None:
         raise CellError(cell.path, "topics", f"{twice} for two streams", "a topic for each")
@@ -192,6 +206,7 @@ def _recording(path: Path, bag: BagFiles, cell: Cell, contents: Contents, sha256
         provenance=Provenance(str(path), kind, sha256, counts, iso_date(start)),
         notes=tuple(notes),
         joint_efforts=efforts,
+        conditions=contents.conditions,
     )
 
 

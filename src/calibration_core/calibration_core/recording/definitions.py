@@ -8,6 +8,7 @@ from __future__ import annotations
 from calibration_core.timeseries import Phase
 
 STEP_TYPE = "calibration_interfaces/msg/MeasurementStep"
+CONDITIONS_TYPE = "calibration_interfaces/msg/Conditions"
 TEXT_TYPE = "std_msgs/msg/String"
 
 STEP_DEFINITION = "\n".join(

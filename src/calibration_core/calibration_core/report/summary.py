@@ -42,7 +42,11 @@ def summary(found: Identification) -> str:
         lines.append(f"excluded: {len(found.exclusions) - 10} more, all in the report")
     lines += [f"note: {note.place}: {note.text}" for note in found.notes[:10]]
     unmet = [p for p in found.preconditions if p.met is False]
-    lines += [f"not as the standard demands ({p.clause}): {p.requirement}: {p.found}" for p in unmet]
+    lines += [
+        f"not as the standard {'demands' if p.shall else 'recommends'} ({p.clause}): {p.requirement}: {p.found}"
+        + (f" (overridden by {p.override})" if p.override else "")
+        for p in unmet
+    ]
     return "\n".join(lines)
 
 

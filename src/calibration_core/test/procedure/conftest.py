@@ -79,6 +79,7 @@ class World:
 
     def __init__(self, plan: Plan, rules: SequenceRules = RULES, **resumed: object) -> None:
         self.plan, self.rules = plan, rules
+        self.everything = (*plan.preparation, *plan.configurations)
         self.sequence = Sequence(plan, rules, **resumed)  # type: ignore[arg-type]
         self.now = 0.0
         self.permitted = self.paused = self.lost = False
@@ -99,7 +100,7 @@ class World:
     def wrenches(self, number: int) -> np.ndarray:
         if number == REFERENCE_NUMBER:
             return np.zeros((1000, 6))
-        return next(c.steps for c in self.plan.configurations if c.number == number)
+        return next(c.steps for c in self.everything if c.number == number)
 
     def tell(self, event: m.Event) -> None:
         over = self.finish is not None
@@ -183,7 +184,7 @@ class World:
         wanted = self.wrenches(command.configuration)[command.step]
         assert np.array_equal(self.load, wanted), "reads under another load than planned"
         if command.configuration != REFERENCE_NUMBER:
-            q = next(c.q for c in self.plan.configurations if c.number == command.configuration)
+            q = next(c.q for c in self.everything if c.number == command.configuration)
             assert np.array_equal(self.place, q), "reads somewhere else"
         self.asked = command
         self.readings_asked.append(command)

@@ -106,12 +106,16 @@ def requirements(
     """Return the standard's requirements, each met, not met, or not to be told."""
     columns = (
         Column("Clause", "left"),
-        Column("Requirement", "left", wide=True),
+        Column("Requirement and limit", "left", wide=True),
         Column("Found", "left", wide=True),
         Column("Result", "left"),
     )
-    rows = tuple((item.clause, item.requirement, item.found, _ANSWER[item.met]) for item in preconditions)
+    rows = tuple((item.clause, item.requirement, item.found, _answer(item)) for item in preconditions)
     return (Table(caption, columns, rows, requirement_text(preconditions, source) + "."),)
+
+
+def _answer(item: Precondition) -> str:
+    return _ANSWER[item.met] + (f"; overridden by {item.override}" if item.override else "")
 
 
 def requirement_text(preconditions: tuple[Precondition, ...], source: str = "recording") -> str:
@@ -119,7 +123,8 @@ def requirement_text(preconditions: tuple[Precondition, ...], source: str = "rec
     met, failed, unknown = (sum(item.met is answer for item in preconditions) for answer in (True, False, None))
     text = f"{met} of {len(preconditions)} met"
     if failed:
-        text += f", {failed} not met"
+        overridden = sum(bool(item.override) for item in preconditions if item.met is False)
+        text += f", {failed} not met" + (f" ({overridden} overridden by name)" if overridden else "")
     return text + (f", {unknown} cannot be told from the {source}" if unknown else "")
 
 

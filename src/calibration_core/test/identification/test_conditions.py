@@ -1,0 +1,189 @@
+"""The standard's conditions while measuring: limits, values, verdicts, overrides, and what the report tells."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robots import loaded_readings, write_cell
+
+from calibration_core.cell import Cell, EndEffector
+from calibration_core.errors import CellError
+from calibration_core.identification.conditions import NAMES, CellState, judge
+from calibration_core.identification.end_effector import TOOL_COMPLIANCE, accounted, relative_stiffness
+from calibration_core.identification.identify import identify
+from calibration_core.identification.predict import shift_by_effects
+from calibration_core.model.given import GivenModel
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.observations.conditions import worst
+from calibration_core.report.content import build
+from calibration_core.report.result import result_dict
+from calibration_core.timeseries import Condition, Override, Readings
+
+STATE = CellState(
+    temperature=np.array([[0.0, 20.1], [1800.0, 20.4]]),
+    mode="MANUAL_REDUCED",
+    drives=True,
+    warm_up_age=600.0,
+    warm_up_period=3600.0,
+    largest_force=2000.0,
+    uncertainty_ratio=12.0,
+    tool_stiffness=40.0,
+    speed=0.2375,
+)
+WHO = Override("temperature", "A. Smith", "the air conditioning is out of order")
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Cell:
+    """Return the test cell, of 240 kg or so."""
+    return write_cell(tmp_path)
+
+
+def verdicts(state: CellState, cell: Cell) -> dict[str, bool | None]:
+    return {one.name: one.met for one in judge(state, cell)}
+
+
+def test_a_good_cell_meets_every_condition(cell: Cell) -> None:
+    found = judge(STATE, cell)
+    assert tuple(one.name for one in found) == NAMES
+    assert all(one.met for one in found), found
+    assert all(one.limit and one.value and one.clause.startswith("5.") for one in found)
+    assert not any(one.stops for one in found)
+
+
+def test_what_cannot_be_seen_is_no_violation(cell: Cell) -> None:
+    found = judge(CellState(np.empty((0, 2))), cell)
+    unknown = {one.name for one in found if one.met is None}
+    assert unknown == set(NAMES) - {"rated_load"}
+    assert not any(one.stops for one in found)
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "stops"),
+    [
+        ({"temperature": np.array([[0.0, 22.1]])}, "temperature", True),
+        ({"temperature": np.array([[0.0, 17.9]])}, "temperature", True),
+        ({"temperature": np.array([[0.0, 19.0], [3000.0, 20.5]])}, "temperature_stable", False),
+        ({"warm_up_age": 6000.0}, "start_up", True),
+        ({"largest_force": 1e5}, "rated_load", True),
+        ({"uncertainty_ratio": 4.9}, "uncertainty_ratio", False),
+        ({"drives": False}, "servo", True),
+        ({"mode": "AUTOMATIC"}, "manual_mode", True),
+        ({"mode": "EXTERNAL"}, "manual_mode", True),
+        ({"speed": 0.3}, "reduced_speed", True),
+    ],
+)
+def test_a_violated_shall_stops_and_a_should_does_not(
+    cell: Cell, change: dict[str, object], name: str, stops: bool
+) -> None:
+    found = {one.name: one for one in judge(dataclasses.replace(STATE, **change), cell)}  # type: ignore[arg-type]
+    assert found[name].met is False
+    assert found[name].stops is stops
+    assert [one for one in found if found[one].met is False] == [name]
+
+
+def test_old_changes_of_temperature_do_not_count(cell: Cell) -> None:
+    warm = np.array([[0.0, 18.5], [7000.0, 20.0], [10_000.0, 20.1]])
+    assert verdicts(dataclasses.replace(STATE, temperature=warm), cell)["temperature_stable"] is True
+
+
+def test_a_soft_end_effector_is_accounted_for(cell: Cell) -> None:
+    found = {one.name: one for one in judge(dataclasses.replace(STATE, tool_stiffness=2.0), cell)}
+    assert found["end_effector"].met is True
+    assert "accounted for" in found["end_effector"].value
+
+
+def test_an_override_by_name_lets_the_run_go_on(cell: Cell) -> None:
+    hot = dataclasses.replace(STATE, temperature=np.array([[0.0, 25.0]]))
+    found = {one.name: one for one in judge(hot, cell, [WHO])}
+    assert (found["temperature"].met, found["temperature"].stops) == (False, False)
+    assert found["temperature"].override == WHO
+    assert found["servo"].override is None
+
+
+def test_over_a_measurement_the_worst_counts(cell: Cell) -> None:
+    hot = judge(dataclasses.replace(STATE, temperature=np.array([[0.0, 23.0]])), cell)
+    overridden = judge(dataclasses.replace(STATE, temperature=np.array([[0.0, 24.0]])), cell, [WHO])
+    unknown = judge(dataclasses.replace(STATE, drives=None), cell)
+    found = {one.name: one for one in worst([unknown, judge(STATE, cell), hot, overridden, judge(STATE, cell)])}
+    assert (found["temperature"].met, found["temperature"].value) == (False, "23.0 °C")
+    assert found["temperature"].override == WHO
+    assert found["servo"].met is True
+    assert worst([]) == ()
+
+
+def test_report_and_result_tell_limit_value_verdict_and_who_overrode(cell: Cell) -> None:
+    hot = dataclasses.replace(STATE, temperature=np.array([[0.0, 25.0]]))
+    readings = dataclasses.replace(loaded_readings(cell, 1), conditions=judge(hot, cell, [WHO]))
+    found = identify(readings, cell)
+    checks = {one.name: one for one in found.preconditions if one.name}
+    assert set(NAMES) <= set(checks)
+    assert (checks["temperature"].met, "25.0 °C" in checks["temperature"].found) == (False, True)
+    assert checks["temperature"].override == "A. Smith: the air conditioning is out of order"
+    assert checks["manual_mode"].met is True
+    rows = {row["name"]: row for row in result_dict(found, cell)["preconditions"]}
+    assert rows["temperature"]["override"].startswith("A. Smith")
+    assert "A. Smith" in str(build(found, cell))
+
+
+def test_without_a_suite_the_report_says_what_was_not_seen(cell: Cell) -> None:
+    found = identify(loaded_readings(cell, 1), cell)
+    unseen = [one for one in found.preconditions if one.found == "not contained in the evaluated data"]
+    assert [one.clause for one in unseen] == ["5.1", "5.2"]
+
+
+SOFT = EndEffector(rotation=(4e-7, 6e-7, 2e-7), translation=(1e-8, 1e-8, 2e-8), source="finite elements")
+
+
+def test_the_stated_compliance_of_the_tool_is_taken_off(cell: Cell) -> None:
+    """Readings of a cell with a soft tool give the joints' stiffnesses if the cell file states the tool."""
+    stated = cell.model_copy(update={"end_effector": SOFT})
+    given = accounted(stated, None)
+    assert given is not None
+    readings = loaded_readings(cell, 4, noise=0.0)
+    moved = applied_to(readings, cell, given)
+    true = np.array([joint.value for joint in identify(readings, cell).stiffness])
+    biased = np.array([joint.value for joint in identify(moved, cell).stiffness])
+    freed = np.array([joint.value for joint in identify(moved, stated).stiffness])
+    assert np.abs(freed / true - 1).max() < 2e-3
+    assert np.abs(biased / true - 1).max() > 2e-2
+
+
+def applied_to(readings: Readings, cell: Cell, given: GivenModel) -> Readings:
+    """Return readings moved by what the effects of a model say."""
+    shift = shift_by_effects(readings, cell, given.parameters) @ given.parameters.tracker[:3, :3]
+    return dataclasses.replace(readings, position=readings.position + shift)
+
+
+def test_a_model_that_knows_the_tool_keeps_what_it_found(cell: Cell) -> None:
+    stated = cell.model_copy(update={"end_effector": SOFT})
+    once = accounted(stated, None)
+    assert once is not None
+    assert accounted(stated, once) is once
+    other = GivenModel(nominal_parameters(cell), "model.yaml", "0")
+    both = accounted(stated, other)
+    assert both is not None
+    assert [one.effect for one in both.parameters.effects] == [TOOL_COMPLIANCE]
+    assert accounted(cell, None) is None
+    lost = stated.model_copy(update={"frames": stated.frames.model_copy(update={"tracker": None})})
+    with pytest.raises(CellError, match="tracker"):
+        accounted(lost, None)
+
+
+def test_the_stiffness_of_the_tool_beside_that_of_the_robot(cell: Cell) -> None:
+    q = np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])
+    assert np.isnan(relative_stiffness(cell, q))
+    soft, stiff = (
+        relative_stiffness(cell.model_copy(update={"end_effector": tool}), q)
+        for tool in (SOFT, SOFT.model_copy(update={"translation": (0.0, 0.0, 0.0), "rotation": (2e-9, 3e-9, 1e-9)}))
+    )
+    assert 0.0 < soft < stiff
+
+
+def test_a_condition_is_a_plain_value() -> None:
+    one = Condition("servo", "5.1", "servos", "on", "off", met=False, shall=True)
+    assert one.stops
+    assert not dataclasses.replace(one, override=WHO).stops
