@@ -72,6 +72,7 @@ def test_the_recorders_list_is_what_the_reader_reads() -> None:
         **{names.point(name): Kind.POINT.value for name in CELL.points},
         names.robot_description: "std_msgs/msg/String",
         names.step: "calibration_interfaces/msg/MeasurementStep",
+        names.conditions: "calibration_interfaces/msg/Conditions",
     }
     assert topics == read
     recorded = [topic.name for topic in recorded_topics(CELL)]
