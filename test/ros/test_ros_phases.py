@@ -51,7 +51,9 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cell = load_cell(CELL)
     rules = PlanningRules(load=LoadRules(levels=LEVELS))
     made = make_plan(cell, rules=rules, seed=2)
-    made = dataclasses.replace(made, preparation=plan_phases(cell, seed=2), startup_cycle=made.startup_cycle[-1:])
+    assert made.reference is not None
+    phases = plan_phases(cell, seed=2, home=made.reference.q)
+    made = dataclasses.replace(made, preparation=phases, startup_cycle=made.startup_cycle[-1:])
     path = tmp_path_factory.mktemp("phases") / "plan.yaml"
     path.write_text(plan_text(made), encoding="utf-8")
     return path

@@ -51,7 +51,8 @@ def run(arguments: argparse.Namespace) -> str:
         parameters=parameters,
     )
     if arguments.phases:
-        phases = plan_phases(cell, PhaseRules(space=rules.space), seed=arguments.seed, parameters=parameters)
+        home = plan.primary[0].q if plan.reference is None else plan.reference.q
+        phases = plan_phases(cell, PhaseRules(space=rules.space), seed=arguments.seed, parameters=parameters, home=home)
         plan = dataclasses.replace(plan, preparation=phases)
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
     result = result_json(plan_result(plan, cell, space, inputs, seed=arguments.seed))

@@ -16,12 +16,11 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
-from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.order import clear_paths, short_order, travel
+from calibration_core.procedure.collision import CollisionModel
 from calibration_core.procedure.plan import PREPARATION, PhaseName, PlannedConfiguration
 from calibration_core.procedure.space import WRIST, Site, SpaceRules, fitness, joint_range, positions
 from calibration_core.timeseries import Bool1D, Float1D, Float2D
@@ -29,7 +28,9 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D
 NUMBERS = 1000  # configurations of the k-th phase are numbered from k times this
 GRID = 41  # angles of a joint that are looked at
 TRIED = 120  # postures that a sweep may begin from
-LOOKED_AT = 12  # of them, whose way there is checked
+LOOKED_AT = 60  # of them, whose way there is checked
+ARMS = 12  # for the wrist centre, likewise
+MORE = 4  # postures for the points, of which the last ones are left out where the way home is not clear from them
 RADIUS = 0.25  # how much the radius of a circle counts beside its arc
 SINGULAR = ("away from singularities", "inside the operating space")  # rules that a sweep need not keep
 
@@ -45,8 +46,7 @@ class PhaseRules:
         dwells: Standstills of a sweep.
         wrist_turn: rad, largest turn of a wrist joint off its middle in the phase of the wrist centre.
         wrist_postures: Standstills there.
-        postures: Standstills in the phase of the points.
-        joint_speed: rad/s, for the order of visiting.
+        postures: Least number of standstills in the phase of the points.
     """
 
     space: SpaceRules = dataclasses.field(default_factory=SpaceRules)
@@ -56,7 +56,6 @@ class PhaseRules:
     wrist_turn: float = 1.2
     wrist_postures: int = 20
     postures: int = 16
-    joint_speed: float = 0.3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -84,15 +83,24 @@ class Sweep:
 
 
 def plan_phases(
-    cell: Cell, rules: PhaseRules | None = None, *, seed: int = 0, parameters: ModelParameters | None = None
+    cell: Cell,
+    rules: PhaseRules | None = None,
+    *,
+    seed: int = 0,
+    parameters: ModelParameters | None = None,
+    home: Float1D | None = None,
 ) -> tuple[PlannedConfiguration, ...]:
     """Plan the standstills of all phases before the compliance, in the order in which they are measured.
+
+    Every arc is free of collisions from end to end, and every standstill is seen; the ways between standstills are
+    straight in joint space, and clear ones are taken where there are any.
 
     Args:
         cell: The cell; without `frames.tracker` sight is not judged.
         rules: How; the defaults if None.
         seed: The same seed gives the same plan.
         parameters: Frames and points to plan with; the cell file's if None.
+        home: (n,) rad, where the robot comes from before and goes to afterwards; None: anywhere.
 
     Raises:
         CellError: The robot cannot be read.
@@ -101,9 +109,10 @@ def plan_phases(
     rules = rules or PhaseRules()
     parameters = parameters or nominal_parameters(cell)
     chain = chain_of(cell).corrected(parameters.geometry)
-    site = Site.of(chain, parameters, tracker_known=cell.frames.tracker is not None)
+    site = Site.of(chain, parameters, cell)
+    bodies = CollisionModel.of(cell, site, rules.space)
     rng = np.random.default_rng([seed, 4])
-    here: Float1D | None = None
+    here = home
     planned: list[PlannedConfiguration] = []
 
     def add(phase: PhaseName, q: Float2D) -> Float1D:
@@ -113,33 +122,34 @@ def plan_phases(
         return np.asarray(q[-1])
 
     for joint in range(chain.n):
-        sweep = best_sweep(site, joint, rules, rng, here)
+        sweep = best_sweep(bodies, joint, rules, rng, here)
         if sweep is not None:
             here = add("base_frame" if joint < 2 else "geometry", sweep.q)
         elif joint < 2:
             found = f"no arc of {math.degrees(rules.least_arc):.0f}° that is free and seen"
             raise PlanError(cell.path, chain.joints[joint], found, "a joint that can be swept (CWA 17384, 7.1)")
     if chain.n > WRIST:
-        here = add("wrist_centre", _wrist(cell, site, rules, rng))
-    add("points", _everywhere(cell, site, rules, rng, here))
+        here = add("wrist_centre", _wrist(cell, bodies, rules, rng, here))
+    add("points", _everywhere(cell, bodies, rules, rng, here, home))
     return tuple(planned)
 
 
 def best_sweep(
-    site: Site, joint: int, rules: PhaseRules, rng: np.random.Generator, here: Float1D | None = None
+    bodies: CollisionModel, joint: int, rules: PhaseRules, rng: np.random.Generator, here: Float1D | None = None
 ) -> Sweep | None:
     """Return the widest sweep of a joint that is free and seen all along, on a large circle; None if none is.
 
     The centre of a short arc is badly known (at 60 degrees 8 times worse than at 170), so the arc comes first and the
-    radius second; of the best, one that is reached on a clear way is taken.
+    radius second; of the best, one that is reached on a clear way is taken, if there is one.
 
     Args:
-        site: The robot in its cell.
+        bodies: The robot in its cell.
         joint: Index of the joint.
         rules: Arc, standstills, limits.
         rng: Draws the postures of the other joints.
         here: (n,) rad, where the robot comes from; None: anywhere.
     """
+    site = bodies.site
     low, high = joint_range(site.chain, rules.space)
     homes = rng.uniform(low, high, (TRIED, site.chain.n))
     grid = np.linspace(low[joint], high[joint], GRID)
@@ -149,15 +159,21 @@ def best_sweep(
     arc = np.minimum(grid[end] - grid[begin], rules.arc)
     homes[:, joint] = 0.5 * (grid[begin] + grid[end] - arc)
     worth = arc / rules.arc + RADIUS * np.minimum(_radius(site, homes, joint) / site.chain.reach, 1.0)
-    best = np.argsort(-np.where(arc >= rules.least_arc, worth, -1.0), kind="stable")[:LOOKED_AT]
-    best = best[arc[best] >= rules.least_arc]
-    if not len(best):
-        return None
-    clear = np.ones(len(best), dtype=bool)
-    if here is not None:
-        clear = clear_paths(site, np.broadcast_to(here, (len(best), len(here))), homes[best], rules.space)
-    pick = int(best[np.argmax(clear)])  # the best of all where no way is clear
-    return Sweep(joint, homes[pick], float(arc[pick]), rules.dwells)
+    order = np.argsort(-worth, kind="stable")
+    offered = [Sweep(joint, homes[i], float(arc[i]), rules.dwells) for i in order if arc[i] >= rules.least_arc]
+    found: Sweep | None = None
+    for one in offered[:LOOKED_AT]:
+        if not _swept_freely(bodies, one):
+            continue
+        if here is None or bodies.clear_way(here, one.start):
+            return one
+        found = found or one
+    return found
+
+
+def _swept_freely(bodies: CollisionModel, sweep: Sweep) -> bool:
+    q = sweep.q
+    return bool(bodies.clear_way(q[0], q[-1]) and bodies.seen(q).all())
 
 
 def _longest(free: Bool1D) -> tuple[np.ndarray, np.ndarray]:
@@ -186,41 +202,76 @@ def _radius(site: Site, q: Float2D, joint: int) -> Float1D:
     return np.asarray(np.linalg.norm(across, axis=1).min(axis=0))
 
 
-def _wrist(cell: Cell, site: Site, rules: PhaseRules, rng: np.random.Generator) -> Float2D:
+def _wrist(
+    cell: Cell, bodies: CollisionModel, rules: PhaseRules, rng: np.random.Generator, here: Float1D | None
+) -> Float2D:
     """Return postures in which only the last three joints differ, (w, n) rad, in a short order."""
-    chain = site.chain
-    low, high = joint_range(chain, rules.space)
+    site, wanted = bodies.site, rules.wrist_postures
+    low, high = joint_range(site.chain, rules.space)
     middle, half = 0.5 * (low + high)[-WRIST:], np.minimum(0.5 * (high - low)[-WRIST:], rules.wrist_turn)
-    wanted = rules.wrist_postures
-    arms = rng.uniform(low, high, (TRIED // 2, chain.n))
+    arms = rng.uniform(low, high, (TRIED // 2, site.chain.n))
     turns = middle + half * rng.uniform(-1.0, 1.0, (3 * wanted, WRIST))
     q = np.repeat(arms, len(turns), axis=0)
     q[:, -WRIST:] = np.tile(turns, (len(arms), 1))
     free = _free(site, q, rules.space).reshape(len(arms), -1)
-    best = int(np.argmax(free.sum(axis=1)))
-    seen = turns[free[best]]
-    if len(seen) < wanted:
-        raise PlanError(cell.path, "wrist", f"{len(seen)} postures free and seen while the arm stands", f"{wanted}")
-    chosen = _spread(seen, wanted)
-    postures = np.tile(arms[best], (wanted, 1))
-    postures[:, -WRIST:] = chosen
-    return _ordered(chain, postures, postures[0], rules)
+    most = 0
+    for arm in np.argsort(-free.sum(axis=1), kind="stable")[:ARMS]:
+        postures = np.tile(arms[arm], (int(free[arm].sum()), 1))
+        postures[:, -WRIST:] = turns[free[arm]]
+        postures = postures[bodies.clear(postures)] if len(postures) else postures
+        postures = postures[bodies.seen(postures)] if len(postures) else postures
+        if len(postures) >= wanted:
+            route = _route(bodies, _spread(postures, len(postures)), wanted, here)
+            if len(route) == wanted:
+                return route
+        most = max(most, len(postures))
+    raise PlanError(cell.path, "wrist", f"{most} postures free and seen while the arm stands", f"{wanted}")
 
 
-def _everywhere(cell: Cell, site: Site, rules: PhaseRules, rng: np.random.Generator, here: Float1D | None) -> Float2D:
+def _everywhere(
+    cell: Cell,
+    bodies: CollisionModel,
+    rules: PhaseRules,
+    rng: np.random.Generator,
+    here: Float1D | None,
+    home: Float1D | None,
+) -> Float2D:
     """Return postures all over the joints' ranges, away from singularities, (p, n) rad, in a short order."""
-    low, high = joint_range(site.chain, rules.space)
-    drawn = rng.uniform(low, high, (80 * rules.postures, site.chain.n))
-    found = drawn[np.logical_and.reduce(list(fitness(site, drawn, rules.space).values()))]
-    if len(found) < rules.postures:
+    low, high = joint_range(bodies.site.chain, rules.space)
+    drawn = rng.uniform(low, high, (80 * rules.postures, bodies.site.chain.n))
+    found = drawn[np.logical_and.reduce(list(fitness(bodies.site, drawn, rules.space).values()))]
+    found = found[bodies.clear(found)] if len(found) else found
+    found = found[bodies.seen(found)] if len(found) else found
+    offered = _spread(found / (high - low), min(2 * (rules.postures + MORE), len(found))) * (high - low)
+    route = _route(bodies, offered, rules.postures + MORE, here)
+    if len(route) < rules.postures:
         expected = f"at least {rules.postures} for the points (CWA 17384, 7.5)"
-        raise PlanError(cell.path, "robot", f"{len(found)} postures that can be measured", expected)
-    chosen = _spread(found / (high - low), rules.postures) * (high - low)
-    return _ordered(site.chain, chosen, chosen[0] if here is None else here, rules)
+        raise PlanError(cell.path, "robot", f"{len(route)} postures that can be measured", expected)
+    ends = range(len(route), rules.postures - 1, -1) if home is not None else [rules.postures]
+    return route[: next((k for k in ends if home is None or bodies.clear_way(route[k - 1], home)), rules.postures)]
+
+
+def _route(bodies: CollisionModel, q: Float2D, wanted: int, here: Float1D | None) -> Float2D:
+    """Return at most `wanted` of the postures, (m, n) rad, each the nearest that is reached on a clear way."""
+    left, way = list(range(len(q))), []
+    at = q[0] if here is None else here
+    while left and len(way) < wanted:
+        near = sorted(left[: 2 * wanted], key=lambda i: float(np.max(np.abs(q[i] - at))))
+        pick = next((i for i in near if bodies.clear_way(at, q[i])), None)
+        if pick is None:
+            if way:
+                break
+            pick = near[0]  # from where the robot comes no way is clear: the plan's report tells so
+        way.append(pick)
+        left.remove(pick)
+        at = q[pick]
+    return np.asarray(q[way])
 
 
 def _spread(values: Float2D, count: int) -> Float2D:
     """Return `count` of the rows, (m, k), each as far as can be from those before it."""
+    if not count:
+        return values[:0]
     order = list(_farthest(values, count))
     return np.asarray(values[order])
 
@@ -231,8 +282,3 @@ def _farthest(values: Float2D, count: int) -> Iterator[int]:
         pick = int(np.argmax(gap))
         yield pick
         gap = np.minimum(gap if _ else np.inf, np.linalg.norm(values - values[pick], axis=1))
-
-
-def _ordered(chain: Chain, q: Float2D, here: Float1D, rules: PhaseRules) -> Float2D:
-    cost = travel(np.vstack([here, q]), np.full(chain.n, rules.joint_speed))
-    return np.asarray(q[short_order(cost, 0)[1:] - 1])
