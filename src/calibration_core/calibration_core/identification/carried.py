@@ -21,7 +21,7 @@ from calibration_core.identification.poses import as_poses
 from calibration_core.identification.problem import Linearised, LoadedProblem, build_problem
 from calibration_core.identification.robust import fit_screened
 from calibration_core.identification.solve import Solution, solve_non_negative
-from calibration_core.identification.terms import PointTerm, TrackerTerm, View
+from calibration_core.identification.terms import PointTerm, TrackerTerm, View, names_of
 from calibration_core.model.chain import Chain
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -39,7 +39,8 @@ class Carried:
     Attributes:
         prepared: What `identify_prepared` takes.
         known: Frames, points and geometry after the loaded readings, compliances left aside.
-        covariance: (n + p, n + p) of the compliances and of the parameters of `known`, for the claimed noise.
+        covariance: (n + p, n + p) of the compliances and of the parameters of `known`, for the claimed noise; in that
+            of the compliances the doubt of what stays nominal, with the others taking up the difference.
         exact: (n, n) covariance of the compliances if the earlier phases had left no doubt.
     """
 
@@ -71,7 +72,7 @@ def fit_carried(readings: Readings, cell: Cell, options: Options, known: Knowled
     parameters = believed.replace(compliance=screened.fit.compliance)
     total, solution = _normal(case, parameters, screened.used), None
     for _ in range(ITERATIONS):
-        solution, nuisance = _solved(total, parameters.compliance, nominal.compliance)
+        solution, nuisance = _solved(total.matrix, total.vector, parameters.compliance, nominal.compliance)
         change = float(np.abs(solution.value - parameters.compliance).max())
         parameters = moved(parameters.replace(compliance=solution.value), known.terms, nuisance)
         total = _normal(case, parameters, screened.used)
@@ -83,12 +84,14 @@ def fit_carried(readings: Readings, cell: Cell, options: Options, known: Knowled
     plain = fit_compliance(some, parameters.compliance, options.deflections)
     chi2 = _chi2(some, parameters.compliance, options)
     n = len(parameters.compliance)
+    covariance = _covariance(total, solution, known)
+    solution = dataclasses.replace(solution, covariance=covariance[:n, :n])
     fit = LoadedFit(parameters.compliance, solution, plain.normal, chi2, plain.freedom)
     prepared = PreparedLoaded(
         problem, dataclasses.replace(screened, fit=fit), fit, nominal, parameters, None, "earlier phases"
     )
-    after = dataclasses.replace(known, parameters=parameters, information=total[0][n:, n:])
-    return Carried(prepared, after, _inverse(total[0], solution), plain.solution.covariance)
+    after = dataclasses.replace(known, parameters=parameters, information=total.matrix[n:, n:], held=None)
+    return Carried(prepared, after, covariance, plain.solution.covariance)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -108,8 +111,22 @@ class _Case:
         return build_problem(self.readings, self.cell, chain, parameters, method=how.method, weights=how.weights)
 
 
-def _normal(case: _Case, parameters: ModelParameters, used: Bool1D) -> tuple[Float2D, Float1D]:
-    """Return the normal equations of compliances and nuisances together, their prior information included."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Total:
+    """Normal equations of compliances and nuisances together, prior information included.
+
+    Attributes:
+        matrix: (n + p, n + p).
+        vector: (n + p,).
+        across: (n + p, h) information between these and what stays nominal.
+    """
+
+    matrix: Float2D
+    vector: Float1D
+    across: Float2D
+
+
+def _normal(case: _Case, parameters: ModelParameters, used: Bool1D) -> _Total:
     problem, known = case.problem(parameters), case.known
     linear = problem.linearise(parameters.compliance)
     columns = np.concatenate([linear.columns, _nuisances(case, problem, parameters, linear)], axis=2)
@@ -120,15 +137,18 @@ def _normal(case: _Case, parameters: ModelParameters, used: Bool1D) -> tuple[Flo
         normal = normal_equations(grouped, residual, designs)
     else:
         normal = normal_equations(whole.rows, whole.residual, whole.columns)
-    matrix, vector = normal.matrix.sum(axis=0), normal.vector.sum(axis=0)
-    n = len(parameters.compliance)
+    n, end = len(parameters.compliance), len(parameters.compliance) + len(known.names)
+    everything, vector = normal.matrix.sum(axis=0), normal.vector.sum(axis=0)[:end]
+    matrix, across = everything[:end, :end].copy(), everything[:end, end:].copy()
     matrix[n:, n:] += known.information
     vector[n:] -= known.information @ difference(known.terms, known.parameters, parameters)
-    return matrix, vector
+    if known.held is not None:
+        across[n:] += known.held.across
+    return _Total(matrix, vector, across)
 
 
 def _nuisances(case: _Case, problem: LoadedProblem, parameters: ModelParameters, linear: Linearised) -> Float3D:
-    """Return minus the derivative of the residual by the parameters of `known`, (m, 3, p).
+    """Return minus the derivative of the residual by the parameters of `known` and by what it holds, (m, 3, p + h).
 
     Tracker pose and points as any absolute position has them; geometry, which also changes the torques of the load and
     with them the deflection, by differences.
@@ -136,9 +156,11 @@ def _nuisances(case: _Case, problem: LoadedProblem, parameters: ModelParameters,
     rest, readings = problem.rest(parameters.compliance), problem.readings
     target, measured = linear.predicted.T, problem.measured.T
     view = View(problem.chain, parameters, rest.at, target, measured, readings.point, rest)
-    p = len(case.known.names)
+    held = case.known.held
+    terms = case.known.terms if held is None else (*case.known.terms, held.term)
+    p = len(names_of(terms))
     columns, first = np.zeros((p, 3, len(readings))), 0
-    for term in case.known.terms:
+    for term in terms:
         count = len(term.names)
         place = slice(first, first + count)
         if isinstance(term, TrackerTerm):
@@ -150,15 +172,14 @@ def _nuisances(case: _Case, problem: LoadedProblem, parameters: ModelParameters,
             for k in range(count):
                 step = np.zeros(p)
                 step[first + k] = STEP
-                shifted = case.problem(moved(parameters, case.known.terms, step))
+                shifted = case.problem(moved(parameters, terms, step))
                 columns[first + k] = (linear.residual - shifted.residual(parameters.compliance)).T / STEP
         first += count
     return np.moveaxis(columns, -1, 0).transpose(0, 2, 1)
 
 
-def _solved(total: tuple[Float2D, Float1D], compliance: Float1D, believed: Float1D) -> tuple[Solution, Float1D]:
+def _solved(matrix: Float2D, vector: Float1D, compliance: Float1D, believed: Float1D) -> tuple[Solution, Float1D]:
     """Solve for the compliances with the nuisances eliminated, and return these nuisances' step."""
-    matrix, vector = total
     n = len(compliance)
     across = matrix[n:, :n]
     inverse = np.linalg.solve(matrix[n:, n:], np.column_stack([across, vector[n:]]))
@@ -169,15 +190,23 @@ def _solved(total: tuple[Float2D, Float1D], compliance: Float1D, believed: Float
     return solution, inverse[:, n] - inverse[:, :n] @ step
 
 
-def _inverse(matrix: Float2D, solution: Solution) -> Float2D:
-    """Return the covariance of everything; infinite where a compliance is not determined."""
-    n = len(solution.value)
+def _covariance(total: _Total, solution: Solution, known: Knowledge) -> Float2D:
+    """Return the covariance of everything; infinite where a compliance is not determined.
+
+    What stays nominal is in error by dh; the solution is then off by -N^-1 A dh, with A the information across
+    (consider covariance, Schmidt 1966).  That counts for the compliances; frames, points and geometry are told as they
+    belong to these nominal values.
+    """
+    matrix, n = total.matrix, len(solution.value)
     kept = np.r_[solution.determined, np.ones(len(matrix) - n, dtype=bool)]
     scale = 1 / np.sqrt(np.diag(matrix)[kept])
+    inverse = np.linalg.inv(matrix[np.ix_(kept, kept)] * np.outer(scale, scale)) * np.outer(scale, scale)
+    if known.held is not None:
+        off = inverse @ total.across[kept] * known.held.std
+        off[int(solution.determined.sum()) :] = 0.0
+        inverse = inverse + off @ off.T
     covariance = np.zeros_like(matrix)
-    covariance[np.ix_(kept, kept)] = np.linalg.inv(matrix[np.ix_(kept, kept)] * np.outer(scale, scale)) * np.outer(
-        scale, scale
-    )
+    covariance[np.ix_(kept, kept)] = inverse
     covariance[~kept, ~kept] = np.inf
     return covariance
 

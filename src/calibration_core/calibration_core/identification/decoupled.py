@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.distributions import chi2_limit
+from calibration_core.identification.distributions import LEVEL, chi2_limit
 from calibration_core.identification.estimate import Identification
 from calibration_core.identification.loaded import PreparedLoaded
 from calibration_core.identification.offsets import Rows
@@ -28,7 +28,6 @@ MEETS = 5e-3  # m: how far the wrist axes may pass by the wrist centre; their sh
 PARALLEL = 1e-3  # sine of the angle between the last two axes
 SINGULAR = 1e-8  # inverse condition number of the scaled normal matrix
 ITERATIONS = 3  # the equilibrium is nearly linear in the compliances
-LEVEL = 0.01  # of the test of agreement
 TOLD_APART = 1e-4  # variance of a difference, in units of the joint estimate's, below which it is rounding
 
 

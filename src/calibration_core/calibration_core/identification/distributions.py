@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from scipy.special import betaincinv, chdtrc, chdtri, fdtrc, ndtri, stdtrit
 
+LEVEL = 0.01  # a claim, or agreement, is rejected at this level
+
 
 def normal_quantile(probability: float) -> float:
     """Return the value that a standard normal variable stays below with this probability."""

@@ -21,12 +21,12 @@ from calibration_core.identification.choice import Choice, candidates, choose, c
 from calibration_core.identification.circle_point import first_guess
 from calibration_core.identification.estimate import Exclusion, Unidentified
 from calibration_core.identification.geometry import AbsoluteProblem
-from calibration_core.identification.knowledge import Knowledge, learn
+from calibration_core.identification.knowledge import Held, Knowledge, learn
 from calibration_core.identification.loaded import UNLOADED
 from calibration_core.identification.screening import screen
 from calibration_core.identification.standard_geometry import unbent
 from calibration_core.identification.sweeps import single_joint_sweeps, wrist_sweep
-from calibration_core.identification.terms import ElasticityTerm, PointTerm, Term, names_of
+from calibration_core.identification.terms import ElasticityTerm, GeometryTerm, PointTerm, Term, names_of
 from calibration_core.identification.wrist_centre import WRIST
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.parameters import ModelParameters
@@ -136,6 +136,7 @@ def identify_kinematics(
         exclusions = tuple(_exclusion(readings, row, screened.squared[row], screened.threshold) for row in _not(used))
     later = _later(frames, readings, rows)
     known = _beginning(start, [*(term for term in frames if term not in later), choice.term], cell, problem)
+    known = dataclasses.replace(known, held=_held(choice, cell, len(known.names)))
     of_later = np.isin(readings.point, [readings.points.index(term.point) for term in later])
     together = (rows.sweeps | rows.poses) & used & ~of_later
     known = geometry = learn(problem.select(np.flatnonzero(together)), known)
@@ -190,6 +191,19 @@ def _beginning(start: ModelParameters, terms: list[Term], cell: Cell, problem: A
     bending = ElasticityTerm(tuple(range(n)), tuple(f"C {joint}" for joint in problem.chain.joints))
     information = np.concatenate([np.zeros(free), np.full(n, 1 / (BROAD * usual) ** 2)])
     return Knowledge(start, (*terms, bending), np.diag(information))
+
+
+def _held(choice: Choice, cell: Cell, fitted: int) -> Held | None:
+    """Return what stays nominal beyond joint 1 (whose frame is the base frame), with its usual error."""
+    hidden = [one for one in choice.nominal if one.joint > 0]
+    if not hidden:
+        return None
+    usual = {
+        "m": typical("geometry_length", cell.robot.rated_load),
+        "rad": typical("geometry_angle", cell.robot.rated_load),
+    }
+    term = GeometryTerm(tuple((one.joint, one.kind) for one in hidden), tuple(one.name for one in hidden))
+    return Held(term, np.zeros((fitted, len(hidden))), np.array([usual[one.unit] for one in hidden]))
 
 
 def _not(used: Bool1D) -> list[int]:

@@ -12,7 +12,7 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.identification.distributions import chi2_limit
+from calibration_core.identification.distributions import LEVEL, chi2_limit
 from calibration_core.identification.geometry import (
     AbsoluteProblem,
     NormalEquations,
@@ -20,11 +20,28 @@ from calibration_core.identification.geometry import (
     fit,
     normal_equations,
 )
-from calibration_core.identification.noise import LEVEL
-from calibration_core.identification.terms import ElasticityTerm, Term, TrackerTerm, names_of
+from calibration_core.identification.terms import ElasticityTerm, GeometryTerm, Term, TrackerTerm, names_of
 from calibration_core.model.chain import rotation_vector
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Held:
+    """Parameters that readings cannot tell from others: they stay nominal, and their doubt is not forgotten.
+
+    Where such a parameter is wrong, others take up the difference, so that the readings are met all the same; what
+    else depends on it, such as where the sensor sits, is then wrong.
+
+    Attributes:
+        term: The parameters.
+        across: (p, h) information between the parameters that are fitted and these.
+        std: (h,) usual errors of nominal values, one standard deviation, m or rad.
+    """
+
+    term: GeometryTerm
+    across: Float2D
+    std: Float1D
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,6 +55,7 @@ class Knowledge:
             of the twist (v, w) that makes T -> [exp(w), v] T.  A row of zeros: nothing is known yet.
         scale: Factor by which the residuals of the last readings exceeded the instruments' claim (1: they did not).
         freedom: Degrees of freedom of that comparison.
+        held: What stays nominal; None: nothing.
     """
 
     parameters: ModelParameters
@@ -45,6 +63,7 @@ class Knowledge:
     information: Float2D
     scale: float = 1.0
     freedom: int = 0
+    held: Held | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -70,17 +89,30 @@ class Knowledge:
     def and_of(self, term: Term) -> Knowledge:
         """Return the same knowledge with one more term, of which nothing is known yet."""
         count = len(term.names)
+        held = self.held
         return dataclasses.replace(
-            self, terms=(*self.terms, term), information=np.pad(self.information, ((0, count), (0, count)))
+            self,
+            terms=(*self.terms, term),
+            information=np.pad(self.information, ((0, count), (0, count))),
+            held=None if held is None else dataclasses.replace(held, across=np.pad(held.across, ((0, count), (0, 0)))),
         )
 
     def without_compliances(self) -> Knowledge:
         """Return what is known of everything but the compliances, whatever these are (the marginal)."""
-        kept = [k for k, term in enumerate(self.terms) if not isinstance(term, ElasticityTerm)]
         counts = np.cumsum([0, *(len(term.names) for term in self.terms)])
-        rows = np.concatenate([np.arange(counts[k], counts[k + 1]) for k in kept])
-        terms = tuple(self.terms[k] for k in kept)
-        return dataclasses.replace(self, terms=terms, information=np.linalg.inv(self.covariance[np.ix_(rows, rows)]))
+        bends = [isinstance(term, ElasticityTerm) for term in self.terms]
+        gone = np.concatenate([np.full(counts[k + 1] - counts[k], bend) for k, bend in enumerate(bends)])
+        kept = np.flatnonzero(~gone)
+        share = np.linalg.solve(self.information[np.ix_(gone, gone)], self.information[np.ix_(gone, ~gone)]).T
+        held = self.held
+        if held is not None:
+            held = dataclasses.replace(held, across=held.across[kept] - share @ held.across[gone])
+        return dataclasses.replace(
+            self,
+            terms=tuple(term for term, bend in zip(self.terms, bends, strict=True) if not bend),
+            information=self.information[np.ix_(kept, kept)] - share @ self.information[np.ix_(gone, kept)],
+            held=held,
+        )
 
 
 def learn(problem: AbsoluteProblem, known: Knowledge) -> Knowledge:
@@ -106,7 +138,12 @@ def learn(problem: AbsoluteProblem, known: Knowledge) -> Knowledge:
         problem = dataclasses.replace(problem, whitening=whitening)
         found = fit(problem, found.parameters, known.terms, known)
         seen = normal_equations(problem, found.parameters, known.terms)
-    return Knowledge(found.parameters, known.terms, known.information + seen.matrix, scale, freedom)
+    held = known.held
+    if held is not None:
+        p = len(known.names)
+        both = normal_equations(problem, found.parameters, (*known.terms, held.term)).matrix
+        held = dataclasses.replace(held, across=held.across + both[:p, p:])
+    return Knowledge(found.parameters, known.terms, known.information + seen.matrix, scale, freedom, held)
 
 
 def _freedom(seen: NormalEquations, known: Knowledge) -> int:

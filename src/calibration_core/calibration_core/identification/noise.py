@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.identification.distributions import chi2_limit
+from calibration_core.identification.distributions import LEVEL, chi2_limit
 from calibration_core.identification.estimate import NoiseAudit, NoiseCheck
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
 
-LEVEL = 0.01  # a claim is rejected at this level
 MODEL_FREE = ("rigid triangle",)
 UNLOADED_FORCE = 0.02  # steps below this share of the largest force count as unloaded
 

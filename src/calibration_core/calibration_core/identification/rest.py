@@ -10,9 +10,9 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.identification.distributions import chi2_limit
+from calibration_core.identification.distributions import LEVEL, chi2_limit
 from calibration_core.identification.estimate import NoiseAudit, NoiseCheck
-from calibration_core.identification.noise import LEVEL, audit
+from calibration_core.identification.noise import audit
 from calibration_core.timeseries import Float2D, Float3D, Int1D
 
 ENOUGH = 50  # readings below which neighbours say nothing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,14 +11,14 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.sphere import Sphere, fit_sphere, trilaterate
-from calibration_core.identification.sweeps import Sweep, wrist_sweep
+from calibration_core.identification.sweeps import LEAST, Sweep, wrist_sweep
+from calibration_core.identification.wrist_fit import fit_wrist
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
-from calibration_core.timeseries import Float1D, Float2D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
 
 WRIST = 3  # joints
 CORNERS = 3  # points that trilateration takes
-STEP = 1e-6  # m, of the differences by which uncertainties are carried on
 OFF = 2.0  # times the tracker's noise that points may lie off their spheres
 
 
@@ -26,9 +27,11 @@ class WristCentre:
     """The point where the wrist axes meet.
 
     Attributes:
-        position: (3,) m, tracker frame, by trilateration, where the arm stood during the wrist motion.
-        flange: (3,) m, flange frame, by trilateration from the points on the flange.
-        covariance: (3, 3) m^2, of `flange`: from the spheres' radii and from the points.
+        position: (3,) m, tracker frame, where the arm stood during the wrist motion.
+        flange: (3,) m, flange frame.
+        covariance: (3, 3) m^2, of `flange`: from all readings and from the points.
+        position_covariance: (3, 3) m^2, of `position`.
+        trilaterated: (3,) m, flange frame, by spheres and trilateration alone: where the fit of all readings began.
         sphere_centres: Measurement point -> (3,) m: each sphere's own centre, for comparison.
         spread: m, root mean square distance of the sphere centres from `position`: how far the wrist is from spherical,
             and how well the points determine it.
@@ -39,6 +42,8 @@ class WristCentre:
     position: Float1D
     flange: Float1D
     covariance: Float2D
+    position_covariance: Float2D
+    trilaterated: Float1D
     sphere_centres: Mapping[str, Float1D]
     spread: float
     spheres: tuple[Sphere, ...]
@@ -58,6 +63,7 @@ def identify_wrist_centre(
     The spheres' radii are distances from the points to the wrist centre.  With the three points of one pose as centres
     they meet in two places, of which the one near the spheres' own centres is the wrist centre; the mean over all
     poses is taken.  With the points on the flange as centres they meet on the same side of them in the flange frame.
+    Both begin a fit of all readings that also uses that the points keep their distances (`wrist_fit`).
 
     Args:
         readings: The recording.
@@ -87,16 +93,23 @@ def identify_wrist_centre(
         names = [readings.points[index] for index in indices]
         corners = np.stack([points[name] for name in names[:CORNERS]])
         radii = np.array([sphere.radius for sphere in spheres[:CORNERS]])
-        flange = trilaterate(corners, radii)[side]
+        trilaterated = trilaterate(corners, radii)[side]
+        chosen = _together(readings, sweeps)
+        local = np.stack([points[name] for name in names])
+        noise = position_covariance(readings, cell)[chosen]
+        known = None if covariance is None else _of_corners(covariance, indices)
+        fit = fit_wrist(readings.position[chosen], noise, local, known, trilaterated, position)
     except ValueError as error:
         expected = "three points that are no line, and poses spread over all three wrist joints"
         raise IdentificationError(path, "wrist motion", str(error), expected) from None
     centres = {name: sphere.centre for name, sphere in zip(names, spheres, strict=True)}
-    spread = float(np.sqrt(np.mean([np.sum((centre - position) ** 2) for centre in centres.values()])))
+    spread = float(np.sqrt(np.mean([np.sum((centre - fit.position) ** 2) for centre in centres.values()])))
     return WristCentre(
-        position=position,
-        flange=flange,
-        covariance=_covariance(corners, radii, side, spheres, _of_corners(covariance, indices[:CORNERS])),
+        position=fit.position,
+        flange=fit.flange,
+        covariance=fit.covariance[:3, :3],
+        position_covariance=fit.covariance[3:, 3:],
+        trilaterated=trilaterated,
         sphere_centres=centres,
         spread=spread,
         spheres=tuple(spheres),
@@ -117,23 +130,23 @@ def _mean(readings: Readings, sweeps: tuple[Sweep, ...], spheres: list[Sphere]) 
     return np.mean(found, axis=0), int(np.round(np.mean(sides)))
 
 
-def _of_corners(covariance: Float2D | None, indices: list[int]) -> Float2D:
+def _together(readings: Readings, sweeps: tuple[Sweep, ...]) -> Int1D:
+    """Return (m, k) rows of the poses in which all k points were seen."""
+    pose = readings.configuration * (int(readings.step.max()) + 1) + readings.step
+    keys = [pose[sweep.rows] for sweep in sweeps]
+    common = functools.reduce(np.intersect1d, keys)
+    if len(common) < LEAST:
+        msg = f"{len(common)} poses in which all points were seen, at least {LEAST} are needed"
+        raise ValueError(msg)
+    return np.stack(
+        [sweep.rows[[int(np.argmax(key == one)) for one in common]] for sweep, key in zip(sweeps, keys, strict=True)],
+        axis=1,
+    )
+
+
+def _of_corners(covariance: Float2D, indices: list[int]) -> Float2D:
     rows = np.concatenate([3 * index + np.arange(3) for index in indices])
-    return np.zeros((len(rows), len(rows))) if covariance is None else covariance[np.ix_(rows, rows)]
-
-
-def _covariance(corners: Float2D, radii: Float1D, side: int, spheres: list[Sphere], of_corners: Float2D) -> Float2D:
-    """Carry the uncertainty of corners and radii through the trilateration, to first order."""
-    values = np.concatenate([corners.ravel(), radii])
-
-    def place(moved: Float1D) -> Float1D:
-        return np.asarray(trilaterate(moved[:9].reshape(3, 3), moved[9:])[side])
-
-    slope = np.column_stack([(place(values + h) - place(values - h)) / (2 * STEP) for h in STEP * np.eye(len(values))])
-    total = np.zeros((len(values), len(values)))
-    total[:9, :9] = of_corners
-    total[9:, 9:] = np.diag([sphere.covariance[3, 3] for sphere in spheres[:CORNERS]])
-    return np.asarray(slope @ total @ slope.T)
+    return covariance[np.ix_(rows, rows)]
 
 
 def _warnings(readings: Readings, cell: Cell, sweeps: tuple[Sweep, ...], spheres: list[Sphere]) -> tuple[str, ...]:
