@@ -127,7 +127,9 @@ def test_from_a_nominal_robot_to_table_2(suite: Any, plan: Path, seed: int) -> N
         kept.write_text(json.dumps(found, indent=1), encoding="utf-8")
     found = json.loads(kept.read_text(encoding="utf-8"))
     assert np.abs(found["z"]).max() < 5.0, found
-    assert np.abs(found["tracker"]).max() < 5e-3, found  # of the 50 mm that it stood off
+    # of the 50 mm and 20 mrad that it stood off; the base frame is that of the axes as they are (7.1), 0.5 mrad beside
+    # the one that the simulation counts from, which is millimetres where the tracker stands
+    assert np.abs(found["tracker"]).max() < 15e-3, found
 
 
 def test_the_intervals_of_all_seeds_cover(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,18 @@ from rclpy.node import Node
 T = TypeVar("T")
 
 
+def in_executor(node: Node, work: Callable[[], object]) -> None:
+    """Do something short in the thread that spins a node; at once where nobody spins it.
+
+    An action client files a goal only after it was sent: an answer that another thread takes in between is lost.
+    """
+    executor = node.executor
+    if executor is None:
+        work()
+    else:
+        executor.create_task(work)
+
+
 class Background(Generic[T]):
     """One piece of work in a thread of its own.
 

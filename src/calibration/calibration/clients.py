@@ -16,6 +16,7 @@ from calibration_interfaces.msg import Outcome
 from rclpy.action import ActionClient
 from rclpy.node import Node
 
+from calibration.background import in_executor
 from calibration.conversions import Mean, from_average, to_wrench
 from calibration_core.timeseries import Float1D
 
@@ -37,7 +38,7 @@ class ActionPort:
 
     def __init__(self, node: Node, action: Any, name: str) -> None:
         """Listen for the action."""
-        self.name = name
+        self.name, self._node = name, node
         self._client = ActionClient(node, action, name)
         self._lock = threading.Lock()
         self._requests: list[_Request] = []
@@ -51,8 +52,12 @@ class ActionPort:
         request = _Request(answered, time.monotonic() + ACCEPT_TIME)
         with self._lock:
             self._requests.append(request)
-        future = self._client.send_goal_async(goal)
-        future.add_done_callback(lambda accepted: self._on_accept(request, accepted, wait))
+
+        def send() -> None:
+            future = self._client.send_goal_async(goal)
+            future.add_done_callback(lambda accepted: self._on_accept(request, accepted, wait))
+
+        in_executor(self._node, send)
 
     def cancel(self) -> None:
         """Cancel whatever is under way."""

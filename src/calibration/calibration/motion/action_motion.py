@@ -15,6 +15,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.node import Node
 
+from calibration.background import in_executor
 from calibration.motion.base import Done, End
 from calibration_core.procedure.trajectory import Trajectory
 
@@ -52,7 +53,7 @@ class ActionMotion:
             to_goal: Makes a goal of a trajectory.
             verdict: Tells from the answer (`.status`, `.result`) whether the driver calls it a success, and its words.
         """
-        self._client = ActionClient(node, action, name)
+        self._node, self._client = node, ActionClient(node, action, name)
         self._name, self._to_goal, self._verdict = name, to_goal, verdict
         self._lock = threading.Lock()
         self._goal: _Goal | None = None
@@ -76,8 +77,13 @@ class ActionMotion:
         goal = _Goal(done, time.monotonic())
         with self._lock:
             self._goal = goal
-        future = self._client.send_goal_async(self._to_goal(trajectory))
-        future.add_done_callback(lambda answer: self._on_accept(goal, answer))
+        message = self._to_goal(trajectory)
+
+        def send() -> None:
+            future = self._client.send_goal_async(message)
+            future.add_done_callback(lambda answer: self._on_accept(goal, answer))
+
+        in_executor(self._node, send)
 
     def stop(self) -> None:
         """Cancel the goal; one that is not accepted yet, as soon as it is."""
