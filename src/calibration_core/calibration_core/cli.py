@@ -170,6 +170,11 @@ def _plan(parser: argparse.ArgumentParser) -> None:
         help="load steps as shares of the full pull, the first 0 (default 0 0.25 0.5 0.75 1 0.75 0.5 0.25 0)",
     )
     parser.add_argument(
+        "--protocol",
+        metavar="NAME",
+        help="load steps by name: loading, unloading, small-steps, reversed or references (see the report of a plan)",
+    )
+    parser.add_argument(
         "--load-share",
         type=float,
         default=1.0,
@@ -184,6 +189,20 @@ def _plan(parser: argparse.ArgumentParser) -> None:
         nargs=6,
         metavar=("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
         help="operating space of the measurement points in the base frame, m (default: all that can be reached)",
+    )
+    parser.add_argument(
+        "--cube",
+        type=float,
+        nargs="?",
+        const=0.0,
+        metavar="SIDE",
+        help="the operating space is a cube of ISO 9283, of this side in m (without SIDE: the largest that fits)",
+    )
+    parser.add_argument(
+        "--task",
+        type=Path,
+        metavar="FILE.csv",
+        help="the operating space is that of a task: columns x, y, z (m), or q1 ... (rad), or theta_1 ... (degrees)",
     )
     parser.add_argument("--model", type=Path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
 

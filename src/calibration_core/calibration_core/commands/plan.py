@@ -12,22 +12,27 @@ import numpy as np
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.common import digest_of, report_line, scheduled_space
+from calibration_core.commands.plan_protocols import judged_protocols, protocols_result
+from calibration_core.diagnosis.protocol import PROTOCOLS, Worth
 from calibration_core.errors import InputError, quoted
 from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.model.model_file import read_model
 from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulate import Schedule
 from calibration_core.procedure.loads import NINE_STEPS, LoadRules
+from calibration_core.procedure.operating_space import iso_cube, read_task
 from calibration_core.procedure.phases import PhaseRules, plan_phases
 from calibration_core.procedure.plan import Expected, Plan
 from calibration_core.procedure.plan_file import plan_dict, plan_text
-from calibration_core.procedure.planning import PlanningRules, make_plan
+from calibration_core.procedure.planning import PlanningRules, ground_of, make_plan
 from calibration_core.procedure.space import SpaceRules
 from calibration_core.report.command_result import command_result, input_record
 from calibration_core.report.output import RESULT, Content, write_files
 from calibration_core.report.result import result_json
 from calibration_core.report.rounding import counted, spread
-from calibration_core.report.tables import TABLE_1, table1_csv
+from calibration_core.report.tables import TABLE_1, TABLE_1_YAML, table1_csv, table1_yaml
+from calibration_core.timeseries import Float2D
 
 PLAN = "plan.yaml"
 
@@ -41,7 +46,8 @@ def run(arguments: argparse.Namespace) -> str:
     cell = load_cell(arguments.cell)
     parameters = nominal_parameters(cell) if arguments.model is None else read_model(arguments.model, cell)
     inputs = {} if arguments.model is None else {"model": digest_of(arguments.model)}
-    rules = rules_of(arguments)
+    rules, task = space_of(arguments, cell, parameters, rules_of(arguments))
+    inputs |= {} if arguments.task is None else {"task": digest_of(arguments.task)}
     plan = make_plan(
         cell,
         configurations=arguments.configurations,
@@ -49,19 +55,23 @@ def run(arguments: argparse.Namespace) -> str:
         rules=rules,
         seed=arguments.seed,
         parameters=parameters,
+        task=task,
     )
     if arguments.phases:
         home = plan.primary[0].q if plan.reference is None else plan.reference.q
         phases = plan_phases(cell, PhaseRules(space=rules.space), seed=arguments.seed, parameters=parameters, home=home)
         plan = dataclasses.replace(plan, preparation=phases)
+    protocols = judged_protocols(plan, cell, parameters)
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
-    result = result_json(plan_result(plan, cell, space, inputs, seed=arguments.seed))
+    result = result_json(plan_result(plan, cell, space, inputs, seed=arguments.seed, protocols=protocols))
     files: dict[str, Content] = {RESULT: result, **plan_files(plan)}
     if arguments.report:
         from calibration_core.commands.plan_document import plan_document
         from calibration_core.report.rendering import rendered
 
-        files |= rendered(plan_document(plan, cell, space, result, inputs, seed=arguments.seed), space)
+        files |= rendered(
+            plan_document(plan, cell, space, result, inputs, seed=arguments.seed, protocols=protocols), space
+        )
     write_files(arguments.out, files)
     return f"{plan_summary(plan)}\nplan: {arguments.out / PLAN} and {arguments.out / TABLE_1}\n{report_line(arguments)}"
 
@@ -72,10 +82,19 @@ def rules_of(arguments: argparse.Namespace) -> PlanningRules:
     Raises:
         InputError: Load levels, share or box make no sense.
     """
-    levels = NINE_STEPS if arguments.load_levels is None else tuple(arguments.load_levels)
-    inside = all(math.isfinite(level) and 0.0 <= level <= 1.0 for level in levels)
+    named = {one.name.replace(" ", "-"): one.levels for one in PROTOCOLS if not one.hold}
+    if arguments.protocol is not None and arguments.load_levels is not None:
+        raise InputError("--protocol", "", "--protocol and --load-levels", "one of them")
+    if arguments.protocol is not None and arguments.protocol not in named:
+        raise InputError("--protocol", "", quoted(arguments.protocol), f"one of {', '.join(named)}")
+    asked = named.get(arguments.protocol or "", arguments.load_levels)
+    levels = NINE_STEPS if asked is None else tuple(asked)
+    inside = all(math.isfinite(level) and -1.0 <= level <= 1.0 for level in levels)
     if not inside or levels[0] != 0.0 or max(levels) != 1.0 or len(levels) > 100:
-        expected = "shares from 0 to 1 of the full pull, the first 0 and the largest 1, for example 0 0.5 1 0.5 0"
+        expected = (
+            "shares from -1 (pulled the other way) to 1 of the full pull, the first 0 and the largest 1, "
+            "for example 0 0.5 1 0.5 0"
+        )
         raise InputError("--load-levels", "", quoted(list(levels)), expected)
     if not 0.0 < arguments.load_share <= 1.0:
         raise InputError(
@@ -94,6 +113,28 @@ def rules_of(arguments: argparse.Namespace) -> PlanningRules:
     return PlanningRules(space=SpaceRules(box=_box(arguments.box)), load=load, criterion=arguments.criterion)
 
 
+def space_of(
+    arguments: argparse.Namespace, cell: Cell, parameters: ModelParameters, rules: PlanningRules
+) -> tuple[PlanningRules, Float2D | None]:
+    """Return the rules with the operating space that the arguments ask for, and the places of a task.
+
+    Raises:
+        InputError: More than one operating space is asked for, or it cannot be used.
+    """
+    asked = [f"--{name}" for name in ("box", "cube", "task") if getattr(arguments, name) is not None]
+    if len(asked) > 1:
+        raise InputError(asked[1], "", f"{' and '.join(asked)}", "one operating space")
+    if arguments.cube is None and arguments.task is None:
+        return rules, None
+    ground = ground_of(cell, parameters, rules.space, None)
+    if arguments.task is not None:
+        return rules, read_task(arguments.task, ground)
+    if not (arguments.cube == 0.0 or 0.05 <= arguments.cube <= 5.0):
+        raise InputError("--cube", "", f"{arguments.cube:g}", "the side of a cube from 0.05 to 5 m, or nothing")
+    box = iso_cube(ground, arguments.cube or None, arguments.seed)
+    return dataclasses.replace(rules, space=dataclasses.replace(rules.space, box=box)), None
+
+
 def _box(ends: list[float] | None) -> tuple[tuple[float, float], ...] | None:
     if ends is None:
         return None
@@ -104,12 +145,22 @@ def _box(ends: list[float] | None) -> tuple[tuple[float, float], ...] | None:
 
 
 def plan_files(plan: Plan) -> dict[str, Content]:
-    """Return `plan.yaml` and `table1.csv`: file name -> content."""
-    return {PLAN: plan_text(plan).encode(), TABLE_1: table1_csv(*plan.table1())}
+    """Return `plan.yaml`, `table1.csv` and `table1.yaml`: file name -> content."""
+    return {
+        PLAN: plan_text(plan).encode(),
+        TABLE_1: table1_csv(*plan.table1()),
+        TABLE_1_YAML: table1_yaml(*plan.table1()),
+    }
 
 
 def plan_result(
-    plan: Plan, cell: Cell, space: OperatingSpace, inputs: dict[str, dict[str, str]], *, seed: int
+    plan: Plan,
+    cell: Cell,
+    space: OperatingSpace,
+    inputs: dict[str, dict[str, str]],
+    *,
+    seed: int,
+    protocols: tuple[Worth, ...] = (),
 ) -> dict[str, Any]:
     """Return the content of result.json.
 
@@ -119,6 +170,7 @@ def plan_result(
         space: Its operating space.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
         seed: Seed of the search.
+        protocols: What other load steps would reveal.
     """
     steps = sum(len(configuration.steps) for configuration in plan.primary)
     content = plan_dict(plan)
@@ -141,6 +193,7 @@ def plan_result(
         startup_cycle=content["startup_cycle"],
         singularity=float(np.min(space.singularity)),
         seed=seed,
+        protocols=protocols_result(protocols),
         input=input_record(cell, None, inputs),
     )
 
@@ -182,7 +235,9 @@ def plan_summary(plan: Plan) -> str:
         lines.append(f"expected standard deviation of the stiffness: {', '.join(shares)}")
     if expected.unidentifiable:
         lines.append(f"not identifiable from here: {', '.join(plan.joints[i] for i in expected.unidentifiable)}")
+    if expected.duration:
+        lines.append(f"takes about {expected.duration['total'] / 60:.0f} minutes without spares")
     if expected.unclear_moves:
         moves = counted(expected.unclear_moves, "motion comes", "motions come")
-        lines.append(f"{moves} too near to floor or arm on the straight path in joint space: lead it by hand")
+        lines.append(f"{moves} too near to robot, floor or boxes on the straight path in joint space: lead it by hand")
     return "\n".join(lines)

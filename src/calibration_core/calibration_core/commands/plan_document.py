@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.commands.plan_protocols import protocols_section
+from calibration_core.commands.plan_requirements import full_pulls, plan_requirements
+from calibration_core.diagnosis.protocol import Worth
 from calibration_core.identification.estimate import OperatingSpace, Precondition
-from calibration_core.identification.preconditions import MIN_CONFIGURATIONS, NEAR_SINGULAR, TEST_UNCERTAINTY_RATIO
-from calibration_core.model.chain import pose_matrix
-from calibration_core.model.instruments import tracker_covariance
 from calibration_core.procedure.criteria import CRITERIA
-from calibration_core.procedure.plan import Expected, Plan, PlannedConfiguration
+from calibration_core.procedure.plan import Expected, Plan
 from calibration_core.report.document import (
     Block,
     Column,
@@ -49,13 +49,12 @@ from calibration_core.report.sections.procedure import (
 )
 from calibration_core.report.sections.records import traceability_section
 from calibration_core.report.sections.stiffness import symbol
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float2D
 
-SPARE_SHARE = 0.5  # CWA 17384, 5.1
 STATEMENT = (
     "The expected uncertainties hold for the nominal model and for instruments as good as stated; they contain no "
-    "compliance besides the joints', and no gross errors. Reachability was judged by joint limits, a floor, the arm's "
-    "own outline and the line of sight to the tracker: it is no collision check of the cell. Every motion is to be "
+    "compliance besides the joints', and no gross errors. Collisions were judged with the bodies that URDF and cell "
+    "file state, or with capsules around the arm: what these do not contain was not looked for. Every motion is to be "
     "tried at reduced speed before the measurement."
 )
 
@@ -69,6 +68,7 @@ def plan_document(
     *,
     seed: int,
     day: dt.date | None = None,
+    protocols: Sequence[Worth] = (),
 ) -> Document:
     """Build the report of a plan.
 
@@ -80,6 +80,7 @@ def plan_document(
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
         seed: Seed of the search.
         day: Date of planning; today (UTC) if not given.
+        protocols: What other load steps would reveal.
     """
     day = day or dt.datetime.now(dt.UTC).date()
     demands = plan_requirements(plan, cell, space)
@@ -92,6 +93,7 @@ def plan_document(
         Section("Operating space", "8 g)", operating_space(space)),
         Section("Manipulator configurations", "8 d)", configurations(*plan.table1(), _spare_note(plan))),
         Section("Loads", "5.1, 7.6", _loads(plan, cell)),
+        *protocols_section(protocols),
         Section("Start-up cycle and reference", "5.1, 5.2", _cycle(plan)),
         Section("Measuring equipment", "5.3", equipment(cell)),
         Section("Input and software", "", traceability_section(cell, None, inputs)),
@@ -110,65 +112,9 @@ def plan_document(
     return numbered(cleaned(document))
 
 
-def plan_requirements(plan: Plan, cell: Cell, space: OperatingSpace) -> tuple[Precondition, ...]:
-    """Check what the standard demands of a plan."""
-    count, spares = len(plan.primary), len(plan.spares)
-    largest, rated = _full_pulls(plan.configurations), rated_force(cell)
-    worst = int(np.argmin(space.singularity))
-    nearest = float(space.singularity[worst])
-    near = f"nearest: configuration {int(space.configuration[worst])}, smallest singular value {nearest:.3f}"
-    expected = plan.expected
-    apart = "not stated" if expected is None else f"{1e3 * expected.spacing:.0f} mm"
-    demands = [
-        Precondition(
-            "5.1", f"at least {MIN_CONFIGURATIONS} configurations", f"{count} configurations",
-            count >= MIN_CONFIGURATIONS,
-        ),
-        Precondition(
-            "5.1", "50 % or more configurations in reserve", f"{spares} spares, {100 * spares / count:.0f} %",
-            spares >= SPARE_SHARE * count,
-        ),
-        Precondition(
-            "5.1", "configurations evenly spaced in the operating space",
-            f"mean distance from a place of the operating space to the nearest configuration: {apart}", None,
-        ),
-        Precondition(
-            "5.1", f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:.0f} N)",
-            f"largest force {largest.max():.0f} N, {100 * largest.max() / rated:.1f} %",
-            bool(largest.max() <= 1.0001 * rated),
-        ),
-        Precondition(
-            "5.2", "start-up cycle before the test", f"{counted(len(plan.startup_cycle), 'posture')} planned",
-            len(plan.startup_cycle) > 0,
-        ),
-        *_uncertainty_ratio(cell, space),
-        Precondition("6.2", "configurations far from kinematic singularities", near, nearest >= NEAR_SINGULAR),
-    ]  # fmt: skip
-    return tuple(demands)
-
-
-def _uncertainty_ratio(cell: Cell, space: OperatingSpace) -> tuple[Precondition, ...]:
-    """Compare the expected deflections with the tracker's uncertainty; nothing where one of them is not known."""
-    frame = cell.frames.tracker
-    if (
-        space.deflection is None
-        or not np.any(space.deflection)
-        or (frame is None and cell.instruments.tracker.sigma is None)
-    ):
-        return ()
-    pose = np.eye(4) if frame is None else pose_matrix(np.array(frame.xyz), np.array(frame.rpy))
-    points = (np.concatenate(list(space.points.values())) - pose[:3, 3]) @ pose[:3, :3]
-    sigma = float(np.sqrt(np.mean(np.einsum("mii->m", tracker_covariance(cell, points))) / 3))
-    size = float(np.sqrt(np.mean(np.sum(space.deflection**2, axis=1))))
-    ratio = size / (2 * np.sqrt(2) * sigma)
-    found = f"1:{ratio:.0f} (expected deflection {spread(1e3 * size)} mm rms under the full pull)"
-    met = bool(ratio >= TEST_UNCERTAINTY_RATIO)
-    return (Precondition("5.3", "test uncertainty ratio not lower than 1:5", found, met),)
-
-
 def _facts(plan: Plan, cell: Cell, day: dt.date) -> Facts:
     steps = len(plan.primary[0].steps)
-    pulls = _full_pulls(plan.configurations)
+    pulls = full_pulls(plan.configurations)
     share = 100 * float(pulls.max()) / rated_force(cell)
     rows = [
         ("Industrial robot", cell.robot.name),
@@ -218,11 +164,18 @@ def _verdict(plan: Plan, cell: Cell, space: OperatingSpace, demands: tuple[Preco
 
 def _motion(plan: Plan) -> str:
     assert plan.expected is not None  # noqa: S101 - asked for only then
+    spent = plan.expected.duration
     text = f"about {plan.expected.travel:.0f} s between the configurations at the planned joint speed"
+    if spent:
+        text = (
+            f"about {spent['total'] / 60:.0f} minutes without spares: {spent['moving'] / 60:.0f} moving at 250 mm/s or "
+            f"less, {spent['startup'] / 60:.0f} start-up cycle, {spent['loading'] / 60:.0f} loading, "
+            f"{spent['reading'] / 60:.0f} reading"
+        )
     unclear = plan.expected.unclear_moves
     if not unclear:
-        return text + "; every straight path in joint space is clear of floor and arm"
-    return f"{text}; {counted(unclear, 'motion comes', 'motions come')} near floor or arm and must be led around"
+        return text + "; every motion is clear of robot, floor and boxes all the way"
+    return f"{text}; {counted(unclear, 'motion comes', 'motions come')} too near to them and must be led around"
 
 
 def _expected_table(plan: Plan, cell: Cell) -> tuple[Block, ...]:
@@ -310,11 +263,6 @@ def _spare_note(plan: Plan) -> str:
     first, last = plan.spares[0].number, plan.spares[-1].number
     numbers = f"No {first} is a spare" if first == last else f"No {first} to {last} are spares"
     return f"{numbers}, the most telling first: measured only in place of a configuration that cannot be measured."
-
-
-def _full_pulls(planned: tuple[PlannedConfiguration, ...]) -> Float1D:
-    """Return the size of each configuration's largest force, N."""
-    return np.array([np.linalg.norm(one.steps[:, :3], axis=1).max() for one in planned])
 
 
 def _loads(plan: Plan, cell: Cell) -> tuple[Block, ...]:

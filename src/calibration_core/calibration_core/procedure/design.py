@@ -59,6 +59,7 @@ def choose(
     group: Int1D | None = None,
     starts: int = 6,
     seed: int = 0,
+    repeated: bool = False,
 ) -> Choice:
     """Choose `count` different candidates by exchange, started from several draws of the continuous optimum.
 
@@ -69,6 +70,7 @@ def choose(
         group: (m,) at most one candidate of each group is chosen (the load directions of one posture).
         starts: Number of starts; the best result is kept.
         seed: Of the draws.
+        repeated: Whether a candidate may be chosen more than once; groups are then passed over.
 
     Raises:
         ValueError: Fewer groups than `count`, or the candidates do not determine all parameters.
@@ -86,12 +88,12 @@ def choose(
     for start in range(starts):
         disorder = 0.0 if start == 0 else 1.0
         chosen = _draw(weighted.weights[near], part_group, count, disorder, rng)
-        chosen, score = _exchange(part, criterion, chosen, part_group)
+        chosen, score = _exchange(part, criterion, chosen, part_group, repeated=repeated)
         if score > best_score + LEAST_GAIN or not len(best):
             best, best_score = near[chosen], score
-    best, best_score = _exchange(candidates, criterion, best, group)
+    best, best_score = _exchange(candidates, criterion, best, group, repeated=repeated)
     bound = weighted.bound
-    if criterion.concave:
+    if criterion.concave and not repeated:
         bound = min(capped_bound(candidates, criterion, best, group), bound)
     return Choice(criterion, np.sort(best), best_score, bound, weighted.bound)
 
@@ -159,7 +161,9 @@ def _draw(weights: Float1D, group: Int1D, count: int, disorder: float, rng: np.r
     return order[np.sort(first)[:count]]
 
 
-def _exchange(candidates: Candidates, criterion: Criterion, chosen: Int1D, group: Int1D) -> tuple[Int1D, float]:
+def _exchange(
+    candidates: Candidates, criterion: Criterion, chosen: Int1D, group: Int1D, *, repeated: bool
+) -> tuple[Int1D, float]:
     """Make the best exchange again and again until none gains."""
     count = len(chosen)
     chosen = chosen.copy()
@@ -170,13 +174,15 @@ def _exchange(candidates: Candidates, criterion: Criterion, chosen: Int1D, group
         score = float(criterion.score(matrix[None])[0])
         gain = candidates.sensitivity(criterion.slope(matrix))
         least = np.argsort(gain[chosen], kind="stable")
-        gain[chosen] = -np.inf
+        if not repeated:
+            gain[chosen] = -np.inf
         for leaving, offered in ((LEAST_TELLING, FEW), (count, SHORTLIST)):
             out, short = least[:leaving], _largest(gain, offered)
             rest = matrix - candidates.matrices(chosen[out]) / count
             after = _exchanged(criterion, rest, candidates.matrices(short) / count)
-            same = group[short][None, :] == group[chosen[out]][:, None]
-            after = np.where(taken[group[short]][None, :] & ~same, -np.inf, after)
+            if not repeated:
+                same = group[short][None, :] == group[chosen[out]][:, None]
+                after = np.where(taken[group[short]][None, :] & ~same, -np.inf, after)
             i, j = np.unravel_index(np.argmax(after), after.shape)
             if after[i, j] > score + LEAST_GAIN:
                 break

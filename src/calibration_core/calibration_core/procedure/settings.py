@@ -23,7 +23,7 @@ from calibration_core.procedure.trajectory import MotionLimits
 
 MAX_BYTES = 1 << 20
 MAY_BE_INFINITE = {"startup_period", "motion_limit", "settling_limit", "reading_limit"}
-MAY_BE_NEGATIVE = {"floor", "box"}
+MAY_BE_NEGATIVE = {"floor", "box", "levels"}
 MAY_BE_ZERO = {"reference_every", "startup_cycles"}
 MOST = 100_000
 SHARES = {"share", "kept", "limit_margin"}
@@ -138,7 +138,9 @@ def _tuple(path: Path, place: str, key: str, kinds: tuple[Any, ...], values: lis
         if len(numbers) != len(arguments) or not numbers[0] < numbers[1]:
             raise PlanError(path, place, quoted(values), "two numbers, the lower first")
     elif key == "levels" and (not 2 <= len(numbers) <= 1000 or numbers[0] != 0.0 or max(numbers) != 1.0):
-        raise PlanError(path, place, quoted(values), "at least two fractions from 0 to 1, the first 0, the largest 1")
+        raise PlanError(path, place, quoted(values), "at least two fractions from -1 to 1, the first 0, the largest 1")
+    elif key == "levels" and min(numbers) < -1.0:
+        raise PlanError(path, place, quoted(values), "fractions of at least -1, the full pull the other way")
     return numbers
 
 

@@ -15,6 +15,7 @@ from calibration_core.report.output import write_files
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
 
 TABLE_1, TABLE_2, PREDICTIONS, RESIDUALS = "table1.csv", "table2.csv", "predictions.csv", "residuals.csv"
+TABLE_1_YAML = "table1.yaml"
 
 
 def table1_csv(number: Int1D | Float1D | Sequence[int], q: Float2D) -> bytes:
@@ -26,6 +27,20 @@ def table1_csv(number: Int1D | Float1D | Sequence[int], q: Float2D) -> bytes:
     """
     head = ["No", *(f"theta_{i + 1}" for i in range(np.shape(q)[1]))]
     return _csv(head, ([int(no), *(f"{x:.6f}" for x in row)] for no, row in zip(number, np.degrees(q), strict=True)))
+
+
+def table1_yaml(number: Int1D | Float1D | Sequence[int], q: Float2D) -> bytes:
+    """Return Table 1 of CWA 17384 as YAML, a mapping per configuration, with the columns and units of `table1_csv`.
+
+    Args:
+        number: (k,) numbers of the configurations.
+        q: (k, n) rad.
+    """
+    lines = ["# Table 1 of CWA 17384: manipulator measurement configurations, angles in degrees."]
+    for no, row in zip(number, np.degrees(q), strict=True):
+        angles = ", ".join(f"theta_{i + 1}: {angle:.6f}" for i, angle in enumerate(row))
+        lines.append(f'- {{"No": {int(no)}, {angles}}}')  # bare, No would be false in YAML 1.1
+    return ("\n".join(lines) + "\n").encode()
 
 
 def table2_csv(stiffness: Sequence[JointStiffness]) -> bytes:

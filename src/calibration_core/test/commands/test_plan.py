@@ -15,7 +15,9 @@ from calibration_core.procedure.plan_file import read_plan
 
 
 def test_the_set_is_complete(planned: Path) -> None:
-    assert names(planned) == {"result.json", "report.html", "report.pdf", "table1.csv", "plan.yaml"}
+    assert names(planned) == {
+        "result.json", "report.html", "report.pdf", "table1.csv", "table1.yaml", "plan.yaml",
+    }  # fmt: skip
     assert (planned / "report.pdf").read_bytes().startswith(b"%PDF-")
 
 
@@ -40,6 +42,9 @@ def test_plan_and_table_1_agree(planned: Path, cell_path: Path) -> None:
     numbers, q = plan.table1()
     assert [int(row[0]) for row in rows[1:]] == numbers == list(range(1, 19))
     np.testing.assert_allclose(np.array(rows[1:], dtype=float)[:, 1:], np.degrees(q), atol=6e-7)
+    same = yaml.safe_load((planned / "table1.yaml").read_text())
+    assert [list(map(float, row.values())) for row in same] == [list(map(float, row)) for row in rows[1:]]
+    assert list(same[0]) == rows[0]
 
 
 def test_the_report_shows_certificate_spares_and_cycle(planned: Path) -> None:
@@ -50,7 +55,11 @@ def test_the_report_shows_certificate_spares_and_cycle(planned: Path) -> None:
         "No 13 to 18 are spares",
         "Reference configuration",
         "Start-up cycle",
-        "7 of 7 met" if "cannot be told" not in page else "1 cannot be told from the plan",
+        "8 of 10 met, 2 cannot be told from the plan" if "calibrated" in page else "7 of 9 met",
+        "not needed",
+        "What other load steps would reveal",
+        "minutes without spares",
+        "K_CSM moves no point by more than",
         "plan.yaml" if "plan.yaml" in page else "Full pull of every configuration",
     ):
         assert text in page
@@ -62,7 +71,7 @@ def test_the_same_seed_gives_the_same_plan_and_options_reach_the_planner(
     options = ("--cell", cell_path, "--configurations", 12, "--seed", 4, "--no-report")
     assert run("plan", *options, "--out", tmp_path / "same") == 0
     assert (tmp_path / "same" / "plan.yaml").read_bytes() == (planned / "plan.yaml").read_bytes()
-    assert names(tmp_path / "same") == {"result.json", "table1.csv", "plan.yaml"}
+    assert names(tmp_path / "same") == {"result.json", "table1.csv", "table1.yaml", "plan.yaml"}
     further = (
         "--spares",
         0,
@@ -90,11 +99,17 @@ def test_the_same_seed_gives_the_same_plan_and_options_reach_the_planner(
         (("--configurations", 11), "12 to 200"),
         (("--spares", "nan"), "a share"),
         (("--load-levels", 0.5, 1), "the first 0"),
-        (("--load-levels", 0, "nan"), "shares from 0 to 1"),
+        (("--load-levels", 0, "nan"), "shares from -1"),
         (("--load-share", 1.2), "at most 1"),
         (("--largest-force", -1), "a positive number"),
         (("--largest-torque", "inf"), "a positive number"),
         (("--box", 1, 0, 0, 1, 0, 1), "lower < upper"),
+        (("--box", 0, 1, 0, 1, 0, 1, "--cube"), "one operating space"),
+        (("--cube", "nan"), "the side of a cube"),
+        (("--cube", 4.5), "a cube of 4500 mm"),
+        (("--task", "nowhere.csv"), "a readable table"),
+        (("--protocol", "hold"), "one of loading, unloading, small-steps, reversed, references"),
+        (("--protocol", "loading", "--load-levels", 0, 1), "one of them"),
         (("--box", 50, 51, 50, 51, 50, 51), "postures"),
         (("--model", "nowhere.yaml"), "a readable model file"),
     ],
@@ -117,3 +132,19 @@ def test_an_identified_model_plans_too(planned: Path, identified: Path, cell_pat
     content = result_of(tmp_path / "out")
     assert [item["role"] for item in content["input"]["sha256"]] == ["cell", "model"]
     assert content["expected"]["stiffness_std"] != result_of(planned)["expected"]["stiffness_std"]
+
+
+def test_protocols_are_judged_in_the_result(planned: Path) -> None:
+    judged = {one["name"]: one for one in result_of(planned)["protocols"]}
+    assert next(iter(judged)) == "loading"
+    assert judged["unloading"]["minutes"] > judged["loading"]["minutes"]
+    assert set(judged["everything"]["told"]) >= set(judged["loading"]["told"])
+    assert len(judged["hold"]["stiffness_std"]) == 6
+
+
+def test_a_cube_and_a_named_protocol(cell_path: Path, tmp_path: Path) -> None:
+    options = ("--configurations", 12, "--spares", 0, "--no-report", "--cube", 0.25, "--protocol", "reversed")
+    assert run("plan", "--cell", cell_path, "--out", tmp_path / "out", *options) == 0
+    plan = yaml.safe_load((tmp_path / "out" / "plan.yaml").read_text())
+    force = np.array(plan["configurations"][0]["steps"])[:, :3]
+    assert force[2] @ force[6] == pytest.approx(-(force[2] @ force[2]))
