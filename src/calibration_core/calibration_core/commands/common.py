@@ -12,6 +12,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.identification.space import operating_space
+from calibration_core.model.chain import pose_matrix
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
@@ -20,7 +21,7 @@ from calibration_core.model.statics import Load
 from calibration_core.procedure.plan import Plan
 from calibration_core.recording.source import sha256_of
 from calibration_core.report.output import REPORT_HTML, REPORT_PDF, RESULT
-from calibration_core.timeseries import Provenance, Readings
+from calibration_core.timeseries import Float3D, Provenance, Readings
 
 
 def tell(arguments: argparse.Namespace, share: float, text: str) -> None:
@@ -75,7 +76,20 @@ def scheduled_space(schedule: Schedule, cell: Cell, parameters: ModelParameters)
     load = None
     if parameters.wrench_point is not None and np.any(schedule.wrench):
         load = Load(schedule.wrench[:, :3].T, schedule.wrench[:, 3:].T, parameters.wrench_point, None)
-    return operating_space(chain_of(cell).corrected(parameters.geometry), parameters, readings, load)
+    space = operating_space(chain_of(cell).corrected(parameters.geometry), parameters, readings, load)
+    tracker = None if cell.frames.tracker is None else parameters.tracker[:3, 3]
+    return dataclasses.replace(space, tracker=tracker, boxes=_corners(cell))
+
+
+def _corners(cell: Cell) -> Float3D | None:
+    """Return the corners of the cell's boxes, (b, 8, 3) m, base frame; None without boxes."""
+    if not cell.boxes:
+        return None
+    unit = np.array([(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+    poses = [pose_matrix(np.array(box.xyz), np.array(box.rpy)) for box in cell.boxes]
+    return np.stack(
+        [unit * box.size @ pose[:3, :3].T + pose[:3, 3] for box, pose in zip(cell.boxes, poses, strict=True)]
+    )
 
 
 def planned_space(plan: Plan, cell: Cell) -> OperatingSpace:

@@ -266,6 +266,8 @@ class OperatingSpace:
         q: (k, n) rad, the configurations of Table 1.
         singularity: (k,) smallest singular value of the Jacobian at the wrist, scaled by the reach: 0 is singular.
         k_csm_share: (k,) m, how far neglecting K_CSM moves the predicted point (clause 6.2); None for absolute ones.
+        tracker: (3,) where the tracker stands; None where that is not shown.
+        boxes: (b, 8, 3) corners of what stands in the cell, x fastest, z slowest; None where that is not shown.
     """
 
     configuration: Int1D
@@ -278,6 +280,8 @@ class OperatingSpace:
     q: Float2D
     singularity: Float1D
     k_csm_share: Float1D | None
+    tracker: Float1D | None = None
+    boxes: Float3D | None = None
 
 
 @dataclasses.dataclass(frozen=True)

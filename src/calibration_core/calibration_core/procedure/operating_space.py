@@ -15,7 +15,7 @@ from calibration_core.procedure.space import joint_range
 from calibration_core.timeseries import Bool1D, Float2D
 
 CUBE_SIDES = (1.0, 0.63, 0.4, 0.25)  # m (EN ISO 9283:1998, 6.8)
-STARTS = 8  # postures from which a corner is tried to be reached
+STARTS = 40  # postures from which a corner is tried to be reached
 GRID = 7  # places along x and z at which the cube's centre is tried
 REACHED = 2e-3  # m
 MOST_ROWS = 10_000

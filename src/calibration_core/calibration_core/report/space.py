@@ -31,7 +31,8 @@ def space_scene(space: OperatingSpace) -> str:
     """Return the scene as JSON (`data`, `layout`) that is safe inside a script element.
 
     Every configuration is a polyline from base to flange (of many, evenly spaced ones), with the measurement points,
-    the largest force at the wrench point, the deflection under it (enlarged), base axes and the convex outline.
+    the largest force at the wrench point, the deflection under it (enlarged), base axes and the convex outline, and
+    where they are known the tracker with its beams and the boxes that stand in the cell.
     """
     size = reach(space)
     arms = evenly(len(space.q), MOST_ARMS)
@@ -48,6 +49,8 @@ def space_scene(space: OperatingSpace) -> str:
         first = next(iter(space.points.values()), space.flange)
         shafts = _shafts(first, np.asarray(space.deflection) * factor, arms)
         data.append(_lines(f"deflection × {factor:g}", shafts, ACCENT, 5.0))
+    data += _sight(space, arms)
+    data += _boxes(space)
     data += _outline(measured_points(space))
     data += _base(0.15 * size)
     axis = {"backgroundcolor": "white", "gridcolor": "#dddddd", "zerolinecolor": "#aaaaaa", "showspikes": False}
@@ -111,6 +114,32 @@ def _shaft(start: Float2D, vector: Float2D) -> Float2D:
     side = side * (0.1 * float(np.linalg.norm(vector)) / norm) if norm > 0 else side
     tip, neck = start + vector, start + 0.78 * vector
     return np.array([start, tip, neck + side, tip, neck - side])
+
+
+def _sight(space: OperatingSpace, arms: Int1D) -> list[dict[str, Any]]:
+    """Return the tracker and its beams to every point of the configurations drawn; nothing where it is not shown."""
+    if space.tracker is None:
+        return []
+    here = np.asarray(space.tracker)
+    beams = [np.stack([here, np.asarray(points)[i]]) for points in space.points.values() for i in arms]
+    marker = {"size": 7, "color": INK, "symbol": "diamond"}
+    return [
+        {**_scatter("tracker", here[None]), "mode": "markers", "marker": marker, "hoverinfo": "name"},
+        _lines("beams", beams, "#d9b38c", 1.0),
+    ]
+
+
+def _boxes(space: OperatingSpace) -> list[dict[str, Any]]:
+    """Return what stands in the cell, box by box; the first one stands in the legend for all."""
+    if space.boxes is None:
+        return []
+    drawn = []
+    for k, corners in enumerate(np.asarray(space.boxes)):
+        faces = ConvexHull(corners).simplices
+        body = {**_scatter("boxes", corners), "type": "mesh3d", "opacity": 0.35, "color": GREY, "hoverinfo": "skip"}
+        drawn.append({**body, "legendgroup": "boxes", "showlegend": k == 0,
+                      **{key: faces[:, i].tolist() for i, key in enumerate("ijk")}})  # fmt: skip
+    return drawn
 
 
 def _outline(points: Float2D) -> list[dict[str, Any]]:

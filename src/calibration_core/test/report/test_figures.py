@@ -124,6 +124,18 @@ def test_scene_holds_every_configuration_and_point(loaded: Identification) -> No
     np.testing.assert_allclose(scene["data"][1]["z"], loaded.space.points["mp1"][:, 2], atol=1e-4)
 
 
+def test_scene_shows_tracker_beams_and_boxes_where_they_are_known(loaded: Identification) -> None:
+    bare = {trace["name"] for trace in json.loads(space_scene(loaded.space))["data"]}
+    assert not bare & {"tracker", "beams", "boxes"}
+    corners = np.array([[(x, y, z) for z in (0.0, 1.0) for y in (0.0, 2.0) for x in (0.0, 3.0)]])
+    space = dataclasses.replace(loaded.space, tracker=np.array([4.0, 1.0, 1.2]), boxes=corners)
+    traces = {trace["name"]: trace for trace in json.loads(space_scene(space))["data"]}
+    assert [traces["tracker"][axis] for axis in "xyz"] == [[4.0], [1.0], [1.2]]
+    assert traces["beams"]["x"][0] == 4.0
+    assert traces["beams"]["x"].count(4.0) == 18 * 3
+    assert len(traces["boxes"]["i"]) == 12  # two triangles per face
+
+
 def test_scene_cannot_leave_its_script(hostile: Case) -> None:
     scene = space_scene(hostile[0].space)
     assert not set("<>&") & set(scene)
