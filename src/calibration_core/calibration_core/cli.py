@@ -158,6 +158,13 @@ def _plan(parser: argparse.ArgumentParser) -> None:
         help="what makes a choice good: determinant, mean or worst variance, or one of CWA 17384, 5.4 (default D)",
     )
     parser.add_argument(
+        "--for",
+        dest="purpose",
+        choices=("stiffness", "geometry"),
+        default="stiffness",
+        help="what is to be found: joint stiffnesses (default), or frames and geometry, without loads",
+    )
+    parser.add_argument(
         "--phases",
         action="store_true",
         help="plan also what finds base frame, geometry, wrist centre and points before (CWA 17384, 7.1 to 7.5)",

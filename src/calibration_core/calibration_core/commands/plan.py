@@ -12,7 +12,8 @@ import numpy as np
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.common import digest_of, report_line, scheduled_space
-from calibration_core.commands.plan_protocols import judged_protocols, protocols_result
+from calibration_core.commands.plan_geometry import geometry_result, geometry_section, geometry_summary, plan_geometry
+from calibration_core.commands.plan_protocols import judged_protocols, protocols_result, protocols_section
 from calibration_core.diagnosis.protocol import PROTOCOLS, Worth
 from calibration_core.errors import InputError, quoted
 from calibration_core.identification.estimate import OperatingSpace
@@ -48,32 +49,32 @@ def run(arguments: argparse.Namespace) -> str:
     inputs = {} if arguments.model is None else {"model": digest_of(arguments.model)}
     rules, task = space_of(arguments, cell, parameters, rules_of(arguments))
     inputs |= {} if arguments.task is None else {"task": digest_of(arguments.task)}
-    plan = make_plan(
-        cell,
-        configurations=arguments.configurations,
-        spares=arguments.spares,
-        rules=rules,
-        seed=arguments.seed,
-        parameters=parameters,
-        task=task,
-    )
+    sized = {"configurations": arguments.configurations, "spares": arguments.spares, "seed": arguments.seed}
+    geometry = None
+    if arguments.purpose == "geometry":
+        plan, geometry = plan_geometry(cell, parameters, rules, task=task, **sized)
+    else:
+        plan = make_plan(cell, rules=rules, parameters=parameters, task=task, **sized)
     if arguments.phases:
         home = plan.primary[0].q if plan.reference is None else plan.reference.q
         phases = plan_phases(cell, PhaseRules(space=rules.space), seed=arguments.seed, parameters=parameters, home=home)
         plan = dataclasses.replace(plan, preparation=phases)
     protocols = judged_protocols(plan, cell, parameters)
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
-    result = result_json(plan_result(plan, cell, space, inputs, seed=arguments.seed, protocols=protocols))
+    content = plan_result(plan, cell, space, inputs, seed=arguments.seed, protocols=protocols)
+    told = [] if geometry is None else [geometry_summary(geometry)]
+    result = result_json(content if geometry is None else {**content, "geometry": geometry_result(geometry)})
     files: dict[str, Content] = {RESULT: result, **plan_files(plan)}
     if arguments.report:
         from calibration_core.commands.plan_document import plan_document
         from calibration_core.report.rendering import rendered
 
-        files |= rendered(
-            plan_document(plan, cell, space, result, inputs, seed=arguments.seed, protocols=protocols), space
-        )
+        sections = protocols_section(protocols) if geometry is None else (geometry_section(geometry),)
+        document = plan_document(plan, cell, space, result, inputs, seed=arguments.seed, further=sections)
+        files |= rendered(document, space)
     write_files(arguments.out, files)
-    return f"{plan_summary(plan)}\nplan: {arguments.out / PLAN} and {arguments.out / TABLE_1}\n{report_line(arguments)}"
+    where = f"plan: {arguments.out / PLAN} and {arguments.out / TABLE_1}"
+    return "\n".join([plan_summary(plan), *told, where, report_line(arguments)])
 
 
 def rules_of(arguments: argparse.Namespace) -> PlanningRules:

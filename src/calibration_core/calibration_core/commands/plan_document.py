@@ -8,9 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.commands.plan_protocols import protocols_section
 from calibration_core.commands.plan_requirements import full_pulls, plan_requirements
-from calibration_core.diagnosis.protocol import Worth
 from calibration_core.identification.estimate import OperatingSpace, Precondition
 from calibration_core.procedure.criteria import CRITERIA
 from calibration_core.procedure.plan import Expected, Plan
@@ -68,7 +66,7 @@ def plan_document(
     *,
     seed: int,
     day: dt.date | None = None,
-    protocols: Sequence[Worth] = (),
+    further: Sequence[Section] = (),
 ) -> Document:
     """Build the report of a plan.
 
@@ -80,7 +78,7 @@ def plan_document(
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
         seed: Seed of the search.
         day: Date of planning; today (UTC) if not given.
-        protocols: What other load steps would reveal.
+        further: Sections after the loads: what other load steps would reveal, or what is promised of the geometry.
     """
     day = day or dt.datetime.now(dt.UTC).date()
     demands = plan_requirements(plan, cell, space)
@@ -93,7 +91,7 @@ def plan_document(
         Section("Operating space", "8 g)", operating_space(space)),
         Section("Manipulator configurations", "8 d)", configurations(*plan.table1(), _spare_note(plan))),
         Section("Loads", "5.1, 7.6", _loads(plan, cell)),
-        *protocols_section(protocols),
+        *further,
         Section("Start-up cycle and reference", "5.1, 5.2", _cycle(plan)),
         Section("Measuring equipment", "5.3", equipment(cell)),
         Section("Input and software", "", traceability_section(cell, None, inputs)),
@@ -116,13 +114,14 @@ def _facts(plan: Plan, cell: Cell, day: dt.date) -> Facts:
     steps = len(plan.primary[0].steps)
     pulls = full_pulls(plan.configurations)
     share = 100 * float(pulls.max()) / rated_force(cell)
+    load = f"oblique pulls up to {pulls.max():,.0f} N, {share:.0f} % of the rated load" if share else "none"
     rows = [
         ("Industrial robot", cell.robot.name),
         ("Cell", cell.name),
         ("Date of planning", f"{day:%Y-%m-%d}"),
         ("Configurations", f"{len(plan.primary)} to measure, {len(plan.spares)} in reserve (spares)"),
         ("Load steps", f"{steps} per configuration, the first unloaded"),
-        ("Applied load", f"oblique pulls up to {pulls.max():,.0f} N, {share:.0f} % of the rated load"),
+        ("Applied load", load),
         ("Measurement points", f"{len(cell.points)}: {', '.join(shortened(name) for name in cell.points)}"),
     ]
     return Facts(tuple(rows))
@@ -274,8 +273,10 @@ def _loads(plan: Plan, cell: Cell) -> tuple[Block, ...]:
         angle = DASH if size == 0.0 else f"{np.degrees(np.arccos(np.clip(pull @ down / size, -1.0, 1.0))):.1f}"
         rows.append((str(one.number), *(fixed(float(part), 0) for part in pull), f"{size:,.0f}", angle))
     first = plan.primary[0].steps[:, :3]
-    full = float(np.linalg.norm(first, axis=1).max())
-    levels = np.linalg.norm(first, axis=1) / full if full > 0 else np.zeros(len(first))
+    full = first[int(np.argmax(np.linalg.norm(first, axis=1)))]
+    if not full.any():
+        return (Paragraph("The robot is measured under its own weight alone; no load is applied."),)
+    levels = first @ full / float(full @ full)
     share = ", ".join(f"{100 * level:.0f}" for level in levels)
     columns = (
         Column("No"),
