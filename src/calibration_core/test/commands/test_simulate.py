@@ -37,7 +37,7 @@ def test_the_report_says_that_nothing_was_measured(simulated: Path) -> None:
 
 def test_without_a_plan_one_is_made_and_written(cell_path: Path, tmp_path: Path) -> None:
     assert run("simulate", "--cell", cell_path, "--out", tmp_path, "--no-report") == 0
-    assert names(tmp_path) == {"result.json", "recording", "measurements.csv", "plan.yaml", "table1.csv"}
+    assert names(tmp_path) == {"result.json", "recording", "measurements.csv", "plan.yaml", "table1.csv", "table1.yaml"}
     assert result_of(tmp_path)["plan"] == "plan.yaml"
     cell = load_cell(cell_path)
     bag, table = observe(tmp_path / "recording", cell), observe(tmp_path / "measurements.csv", cell)
