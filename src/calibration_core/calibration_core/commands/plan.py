@@ -12,7 +12,13 @@ import numpy as np
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.common import digest_of, report_line, scheduled_space
-from calibration_core.commands.plan_geometry import geometry_result, geometry_section, geometry_summary, plan_geometry
+from calibration_core.commands.plan_geometry import (
+    GeometryPromise,
+    geometry_result,
+    geometry_section,
+    geometry_summary,
+    plan_geometry,
+)
 from calibration_core.commands.plan_protocols import judged_protocols, protocols_result, protocols_section
 from calibration_core.diagnosis.protocol import PROTOCOLS, Worth
 from calibration_core.errors import InputError, quoted
@@ -49,8 +55,12 @@ def run(arguments: argparse.Namespace) -> str:
     inputs = {} if arguments.model is None else {"model": digest_of(arguments.model)}
     rules, task = space_of(arguments, cell, parameters, rules_of(arguments))
     inputs |= {} if arguments.task is None else {"task": digest_of(arguments.task)}
-    sized = {"configurations": arguments.configurations, "spares": arguments.spares, "seed": arguments.seed}
-    geometry = None
+    sized: dict[str, Any] = {
+        "configurations": arguments.configurations,
+        "spares": arguments.spares,
+        "seed": arguments.seed,
+    }
+    geometry: GeometryPromise | None = None
     if arguments.purpose == "geometry":
         plan, geometry = plan_geometry(cell, parameters, rules, task=task, **sized)
     else:
@@ -62,7 +72,7 @@ def run(arguments: argparse.Namespace) -> str:
     protocols = judged_protocols(plan, cell, parameters)
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
     content = plan_result(plan, cell, space, inputs, seed=arguments.seed, protocols=protocols)
-    told = [] if geometry is None else [geometry_summary(geometry)]
+    told: list[str] = [] if geometry is None else [geometry_summary(geometry)]
     result = result_json(content if geometry is None else {**content, "geometry": geometry_result(geometry)})
     files: dict[str, Content] = {RESULT: result, **plan_files(plan)}
     if arguments.report:

@@ -13,9 +13,9 @@ from calibration_core.errors import PlanError
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.procedure.agenda import SequenceRules
-from calibration_core.procedure.candidates import draw_postures
+from calibration_core.procedure.candidates import Ground, draw_postures
 from calibration_core.procedure.criteria import CRITERIA, Observability
-from calibration_core.procedure.design import choose, extend
+from calibration_core.procedure.design import Choice, choose, extend
 from calibration_core.procedure.itinerary import Duration, clear_order, way_through
 from calibration_core.procedure.optimum import Candidates
 from calibration_core.procedure.order import startup_cycle
@@ -23,7 +23,7 @@ from calibration_core.procedure.plan import Plan, PlannedConfiguration, Referenc
 from calibration_core.procedure.planning import ROUNDS, PlanningRules, check_counts, ground_of, reference_of
 from calibration_core.procedure.speed import Monitored
 from calibration_core.procedure.trajectory import MotionLimits
-from calibration_core.timeseries import Float1D, Float2D, Float3D, read_only
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, read_only
 
 Tell = Callable[[Float2D], Float3D]
 """What one reading of all points at each posture, (m, n) rad, tells about the parameters, (m, k, k)."""
@@ -92,24 +92,8 @@ def make_pose_plan(
     rng = np.random.default_rng([seed, 0])
     q = draw_postures(ground, rules.postures, rules.batches, configurations + more, rng)
     names, tell = teller(q)
-    criterion = CRITERIA[rules.criterion]
     joint_speed = np.full(ground.site.chain.n, rules.joint_speed)
-    for _ in range(ROUNDS):
-        content = Candidates(tell(q))
-        try:
-            best = choose(content, configurations, criterion=criterion, seed=seed)
-        except ValueError as error:
-            raise PlanError(cell.path, "robot", str(error), "postures that show every parameter") from None
-        added = extend(content, best.chosen, more, group=np.arange(len(q)), criterion=criterion)
-        reference = reference_of(q, q[best.chosen], joint_speed)
-        taken = np.concatenate([best.chosen, added])
-        apart = [row for row in taken if not ground.bodies.clear_way(reference, q[row])]
-        if not apart:
-            break
-        q = np.delete(q, apart, axis=0)
-    else:
-        text = "no postures that a straight motion reaches from one reference without collision"
-        raise PlanError(cell.path, "boxes", text, "a cell with more free space, or a smaller operating space")
+    q, content, best, added, reference = _choose(ground, q, tell, configurations, more, rules, seed)
     way, _ = clear_order(ground.bodies, q[best.chosen], reference, rules.reference_every, joint_speed)
     plan = Plan(
         robot=cell.robot.name,
@@ -126,4 +110,33 @@ def make_pose_plan(
     monitored = Monitored.of(ground.site.chain, parameters)
     duration, unclear = way_through(plan, ground.bodies, monitored, MotionLimits(), SequenceRules())
     figures = Observability.of(total / configurations)
-    return plan, PosePromise(names, std, criterion.name, best.efficiency, figures, duration, unclear)
+    return plan, PosePromise(names, std, rules.criterion, best.efficiency, figures, duration, unclear)
+
+
+def _choose(
+    ground: Ground, q: Float2D, tell: Tell, count: int, more: int, rules: PlanningRules, seed: int
+) -> tuple[Float2D, Candidates, Choice, Int1D, Float1D]:
+    """Choose postures and spares that can be reached from a reference; those that cannot are not offered again.
+
+    Returns:
+        The postures offered, what they tell, the choice, the spares' rows, and the reference.
+    """
+    criterion, path = CRITERIA[rules.criterion], ground.cell.path
+    joint_speed = np.full(ground.site.chain.n, rules.joint_speed)
+    for _ in range(ROUNDS):
+        content = Candidates(tell(q))
+        try:
+            best = choose(content, count, criterion=criterion, seed=seed)
+        except ValueError as error:
+            raise PlanError(path, "robot", str(error), "postures that show every parameter") from None
+        added = extend(content, best.chosen, more, group=np.arange(len(q)), criterion=criterion)
+        if len(added) < more:
+            break
+        reference = reference_of(q, q[best.chosen], joint_speed)
+        taken = np.concatenate([best.chosen, added])
+        apart = [row for row in taken if not ground.bodies.clear_way(reference, q[row])]
+        if not apart:
+            return q, content, best, added, reference
+        q = np.delete(q, apart, axis=0)
+    text = f"no {count + more} postures that a straight motion reaches from one reference without collision"
+    raise PlanError(path, "boxes", text, "a cell with more free space, or a smaller operating space")
