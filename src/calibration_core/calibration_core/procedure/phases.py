@@ -253,7 +253,8 @@ def _everywhere(
 
 def _route(bodies: CollisionModel, q: Float2D, wanted: int, here: Float1D | None) -> Float2D:
     """Return at most `wanted` of the postures, (m, n) rad, each the nearest that is reached on a clear way."""
-    left, way = list(range(len(q))), []
+    left = list(range(len(q)))
+    way: list[int] = []
     at = q[0] if here is None else here
     while left and len(way) < wanted:
         near = sorted(left[: 2 * wanted], key=lambda i: float(np.max(np.abs(q[i] - at))))
