@@ -82,8 +82,8 @@ def geometry_result(found: GeometryPromise) -> dict[str, Any]:
 
 
 def _name(hidden: Unidentified) -> str:
-    """Return the parameter that stays nominal: the one whose weight is largest."""
-    return max(hidden.combination, key=lambda name: abs(hidden.combination[name]))
+    """Return the parameter that stays nominal, the first of its combination."""
+    return next(iter(hidden.combination))
 
 
 def geometry_section(found: GeometryPromise) -> Section:
