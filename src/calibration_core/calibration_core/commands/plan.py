@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell, load_cell
+from calibration_core.commands.arcs import arcs_told
 from calibration_core.commands.common import digest_of, report_line, scheduled_space
 from calibration_core.commands.plan_geometry import (
     GeometryPromise,
@@ -84,7 +85,7 @@ def run(arguments: argparse.Namespace) -> str:
         files |= rendered(document, space)
     write_files(arguments.out, files)
     where = f"plan: {arguments.out / PLAN} and {arguments.out / TABLE_1}"
-    return "\n".join([plan_summary(plan), *told, where, report_line(arguments)])
+    return "\n".join([plan_summary(plan), *arcs_told(plan, cell), *told, where, report_line(arguments)])
 
 
 def rules_of(arguments: argparse.Namespace) -> PlanningRules:

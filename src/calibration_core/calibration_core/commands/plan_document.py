@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.commands.arcs import arcs_told
 from calibration_core.commands.plan_requirements import full_pulls, plan_requirements
 from calibration_core.identification.estimate import OperatingSpace, Precondition
 from calibration_core.procedure.criteria import CRITERIA
@@ -17,6 +18,7 @@ from calibration_core.report.document import (
     Column,
     Document,
     Facts,
+    Items,
     Paragraph,
     Section,
     Table,
@@ -92,6 +94,7 @@ def plan_document(
         Section("Manipulator configurations", "8 d)", configurations(*plan.table1(), _spare_note(plan))),
         Section("Loads", "5.1, 7.6", _loads(plan, cell)),
         *further,
+        *_arcs(plan, cell),
         Section("Start-up cycle and reference", "5.1, 5.2", _cycle(plan)),
         Section("Measuring equipment", "5.3", equipment(cell)),
         Section("Input and software", "", traceability_section(cell, None, inputs)),
@@ -291,6 +294,12 @@ def _loads(plan: Plan, cell: Cell) -> tuple[Block, ...]:
         ),
         Table("Full pull of every configuration, base axes", columns, tuple(rows)),
     )
+
+
+def _arcs(plan: Plan, cell: Cell) -> tuple[Section, ...]:
+    """Return what the sweeps of single joints are worth; nothing where none is planned."""
+    told = arcs_told(plan, cell)
+    return (Section("Arcs of single joints", "7.1, 7.2", (Items(told),)),) if told else ()
 
 
 def _cycle(plan: Plan) -> tuple[Block, ...]:
