@@ -28,6 +28,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Readings
 
+WRENCH_POINT = "wrench_point"  # a measurement point of this name is the wrench point, measured like the others
 STEP = 1e-6  # m and rad, of the differences by which the nuisances' columns are found
 ITERATIONS = 6
 
@@ -79,6 +80,7 @@ def fit_carried(readings: Readings, cell: Cell, options: Options, known: Knowled
         if change <= 1e4 * CONVERGED * max(float(np.abs(solution.value).max()), 1e-30):
             break
     assert solution is not None  # noqa: S101 - there is at least one iteration
+    parameters = case.with_wrench_point(parameters)
     problem = case.problem(parameters)
     some = problem.select(np.flatnonzero(screened.used))
     plain = fit_compliance(some, parameters.compliance, options.deflections)
@@ -106,9 +108,16 @@ class _Case:
 
     def problem(self, parameters: ModelParameters) -> LoadedProblem:
         """Return the loaded problem with these frames, points and geometry."""
+        parameters = self.with_wrench_point(parameters)
         chain = self.chain.corrected(parameters.geometry)
         how = self.options
         return build_problem(self.readings, self.cell, chain, parameters, method=how.method, weights=how.weights)
+
+    def with_wrench_point(self, parameters: ModelParameters) -> ModelParameters:
+        """Return the parameters with the wrench point where it was measured, if it was."""
+        if f"{WRENCH_POINT} x" not in self.known.names:
+            return parameters
+        return parameters.replace(wrench_point=parameters.points[WRENCH_POINT])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -165,7 +174,7 @@ def _nuisances(case: _Case, problem: LoadedProblem, parameters: ModelParameters,
         place = slice(first, first + count)
         if isinstance(term, TrackerTerm):
             term.write(view, columns[place])
-        elif isinstance(term, PointTerm):
+        elif isinstance(term, PointTerm) and term.point != WRENCH_POINT:
             if term.point in readings.points:
                 PointTerm(term.point, readings.points.index(term.point), term.axes).write(view, columns[place])
         else:

@@ -23,7 +23,7 @@ from calibration_core.identification.estimate import Exclusion, Unidentified
 from calibration_core.identification.geometry import AbsoluteProblem
 from calibration_core.identification.knowledge import Held, Knowledge, learn
 from calibration_core.identification.loaded import UNLOADED
-from calibration_core.identification.screening import screen
+from calibration_core.identification.screening import Screened, screen
 from calibration_core.identification.standard_geometry import unbent
 from calibration_core.identification.sweeps import single_joint_sweeps, wrist_sweep
 from calibration_core.identification.terms import ElasticityTerm, GeometryTerm, PointTerm, Term, names_of
@@ -133,7 +133,8 @@ def identify_kinematics(
     if robust:
         screened = screen(problem, start, [*frames, choice.term], used, np.zeros_like(used))
         used = screened.used
-        exclusions = tuple(_exclusion(readings, row, screened.squared[row], screened.threshold) for row in _not(used))
+        off = np.linalg.norm(problem.residual(screened.fit.parameters), axis=0)
+        exclusions = tuple(_exclusion(readings, int(row), screened, float(off[row])) for row in np.flatnonzero(~used))
     later = _later(frames, readings, rows)
     known = _beginning(start, [*(term for term in frames if term not in later), choice.term], cell, problem)
     known = dataclasses.replace(known, held=_held(choice, cell, len(known.names)))
@@ -206,18 +207,14 @@ def _held(choice: Choice, cell: Cell, fitted: int) -> Held | None:
     return Held(term, np.zeros((fitted, len(hidden))), np.array([usual[one.unit] for one in hidden]))
 
 
-def _not(used: Bool1D) -> list[int]:
-    return [int(row) for row in np.flatnonzero(~used)]
-
-
-def _exclusion(readings: Readings, row: int, squared: float, threshold: float) -> Exclusion:
-    times = float(np.sqrt(squared))
+def _exclusion(readings: Readings, row: int, screened: Screened, off: float) -> Exclusion:
+    times = float(np.sqrt(screened.squared[row]))
     return Exclusion(
         int(readings.configuration[row]),
         int(readings.step[row]),
         readings.points[readings.point[row]],
-        f"{times:.1f} claimed standard deviations from where all other kinematic readings put it "
-        f"(limit {np.sqrt(threshold):.1f})",
-        size=float("nan"),
+        f"{off * 1e3:.3f} mm from where all other readings of the kinematic phases put it "
+        f"({times:.1f} claimed standard deviations, limit {np.sqrt(screened.threshold):.1f})",
+        size=off,
         times_sigma=times,
     )

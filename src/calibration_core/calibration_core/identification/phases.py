@@ -11,10 +11,11 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.identification.anomalies import anomalies_of
 from calibration_core.identification.carried import Carried, fit_carried
 from calibration_core.identification.circle_point import BaseFrame
 from calibration_core.identification.decoupled import with_decoupled
-from calibration_core.identification.estimate import Identification
+from calibration_core.identification.estimate import Anomaly, Identification, NoiseAudit
 from calibration_core.identification.kinematic_phases import Kinematics, Rows, identify_kinematics, split
 from calibration_core.identification.knowledge import Knowledge
 from calibration_core.identification.loaded import Options, identify_prepared
@@ -34,8 +35,6 @@ from calibration_core.model.chain import rpy_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Readings
-
-WRENCH_POINT = "wrench_point"  # a measurement point of this name is the wrench point, measured like the others
 
 
 def holds_phases(readings: Readings) -> bool:
@@ -78,7 +77,7 @@ def identify_phases(
     believed = nominal_parameters(cell) if options.start is None else options.start
     rows = split(readings)
     found = identify_kinematics(readings.select(rows.kinematic), cell, believed, robust=options.robust)
-    known = _with_wrench_point(found.final)
+    known = found.final
     if any(name.startswith("C ") for name in known.names):
         known = known.without_compliances()
     carried = fit_carried(readings.select(rows.loaded), cell, options, known)
@@ -99,16 +98,16 @@ def identify_phases(
         covariance=uncertainty.covariance,
         unidentified=(*answer.unidentified, *found.hidden, *found.choice.unidentified),
         exclusions=(*answer.exclusions, *found.exclusions),
+        anomalies=(*answer.anomalies, *_odd(found, answer.noise)),
         standard=standard,
         phases=_phases(found, rows, carried, uncertainty, standard, scale),
     )
 
 
-def _with_wrench_point(known: Knowledge) -> Knowledge:
-    point = known.parameters.points.get(WRENCH_POINT)
-    if point is None or f"{WRENCH_POINT} x" not in known.names:
-        return known
-    return dataclasses.replace(known, parameters=known.parameters.replace(wrench_point=point))
+def _odd(found: Kinematics, noise: NoiseAudit) -> tuple[Anomaly, ...]:
+    """Return what is wrong with the kinematic readings; their notes stand with the others already."""
+    quiet = dataclasses.replace(noise, understated=False)
+    return anomalies_of(quiet, found.exclusions, dataclasses.replace(found.readings, notes=()))
 
 
 def _everything(carried: Carried, answer: Identification, scale: float) -> Uncertainty:

@@ -138,6 +138,20 @@ def test_all_phases_with_a_wrench_point(cell: Cell, readings: Readings) -> None:
     assert "Base coordinate system in the tracker frame" in captions
 
 
+def test_a_gross_error_in_a_sweep_is_named_and_does_no_harm(cell: Cell, readings: Readings) -> None:
+    row = 40
+    position = readings.position.copy()
+    position[row, 1] += 5e-3
+    found = identify_phases(dataclasses.replace(readings, position=position), cell)
+    (named,) = found.exclusions
+    assert named.configuration == readings.configuration[row]
+    assert named.point == readings.points[readings.point[row]]
+    assert named.size == pytest.approx(5e-3, rel=0.05)
+    assert [one.kind for one in found.anomalies] == ["outlier_readings"]
+    errors = (found.model.compliance - _truth(cell).compliance) / [one.compliance_std for one in found.stiffness]
+    assert np.abs(errors).max() < 4
+
+
 def test_the_command_goes_the_same_way(cell: Cell, readings: Readings) -> None:
     small = identify(readings.select(readings.point < 3), cell)
     assert [one.phase for one in small.phases][-1] == "stiffness"
