@@ -29,12 +29,14 @@ from calibration_core.identification.sweeps import single_joint_sweeps, wrist_sw
 from calibration_core.identification.terms import ElasticityTerm, GeometryTerm, PointTerm, Term, names_of
 from calibration_core.identification.wrist_centre import WRIST
 from calibration_core.model.effects.priors import typical
+from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
 from calibration_core.timeseries import Bool1D, Readings
 
 NO_LOAD = 5.0  # standard deviations of the sensor below which a wrench is its noise
+UNLOADED_TORQUE = 1e-3  # N*m
 BROAD = 3.0  # times the typical compliance: standard deviation of the prior of what bends under its own weight
 
 
@@ -131,7 +133,8 @@ def identify_kinematics(
     used = np.ones(len(readings), dtype=bool)
     exclusions: tuple[Exclusion, ...] = ()
     if robust:
-        screened = screen(problem, start, [*frames, choice.term], used, np.zeros_like(used))
+        everything = [*frames, choice.term, *_bending(problem, start)]
+        screened = screen(problem, start, everything, used, np.zeros_like(used))
         used = screened.used
         off = np.linalg.norm(problem.residual(screened.fit.parameters), axis=0)
         exclusions = tuple(_exclusion(readings, int(row), screened, float(off[row])) for row in np.flatnonzero(~used))
@@ -192,6 +195,15 @@ def _beginning(start: ModelParameters, terms: list[Term], cell: Cell, problem: A
     bending = ElasticityTerm(tuple(range(n)), tuple(f"C {joint}" for joint in problem.chain.joints))
     information = np.concatenate([np.zeros(free), np.full(n, 1 / (BROAD * usual) ** 2)])
     return Knowledge(start, (*terms, bending), np.diag(information))
+
+
+def _bending(problem: AbsoluteProblem, start: ModelParameters) -> list[Term]:
+    """Return the compliances of the joints that weight or load turn at all: a wrong stiffness is no gross error."""
+    if not problem.loaded:
+        return []
+    torque = solve_equilibrium(problem.chain, problem.q, start.compliance, problem.load).torque
+    joints = tuple(int(j) for j in np.flatnonzero(np.abs(torque).max(axis=1) > UNLOADED_TORQUE))
+    return [ElasticityTerm(joints, tuple(f"C {problem.chain.joints[j]}" for j in joints))] if joints else []
 
 
 def _held(choice: Choice, cell: Cell, fitted: int) -> Held | None:

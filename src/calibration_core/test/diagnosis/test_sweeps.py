@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
-from absolute_cases import make_cell, random_angles
-from test_absolute import WAVES, named, planted, waves
+from absolute_cases import make_cell, make_readings, random_angles, truth_of
 
+from calibration_core.cell import Cell
 from calibration_core.diagnosis.absolute import diagnose_absolute
+from calibration_core.diagnosis.finding import Diagnosis
+from calibration_core.timeseries import Readings
 
+WAVES = {2: (1.5e-4, 0.5), 7: (1.0e-4, -1.0)}  # cycles per revolution of joint 2: amplitude and phase, rad
 HOME = np.array([0.2, -0.4, 0.3, 0.4, 0.9, -0.3])
 POSES, ARC = 30, 2.9
 
@@ -22,20 +27,35 @@ def _sweeps() -> np.ndarray:
     return np.concatenate([*parts, random_angles(3, 12, 6)])
 
 
+def _waves(q: np.ndarray) -> np.ndarray:
+    extra = np.zeros_like(q)
+    extra[:, 1] = sum(size * np.sin(k * q[:, 1] + phase) for k, (size, phase) in WAVES.items())
+    return extra
+
+
+def _seen(cell: Cell, q: np.ndarray, extra: np.ndarray) -> Readings:
+    """Return readings whose joints stand `extra` rad from where the encoders say."""
+    return dataclasses.replace(make_readings(cell, truth_of(cell, 5), q + extra, seed=5), q=q)
+
+
+def _named(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    return [(f.effect, str(*f.location.values())) for f in diagnosis.findings]
+
+
 def test_a_transmission_error_in_slow_circles_is_named_with_its_joint_and_orders() -> None:
     cell = make_cell(points=("mp1",))
     q = _sweeps()
-    found = diagnose_absolute(planted(cell, q, waves(q)), cell)
-    assert named(found)[0] == ("transmission_error", "joint_2")
+    found = diagnose_absolute(_seen(cell, q, _waves(q)), cell)
+    assert _named(found)[0] == ("transmission_error", "joint_2")
     values = {p.name: p.value for p in found.findings[0].parameters}
     seen = {int(values[f"harmonic_{k}"]): values[f"amplitude_{k}"] for k in (1, 2) if f"harmonic_{k}" in values}
     assert abs(seen[7] - WAVES[7][0]) < 0.3 * WAVES[7][0]
-    assert {effect for effect, _ in named(found)} == {"transmission_error"}
+    assert {effect for effect, _ in _named(found)} == {"transmission_error"}
 
 
 def test_nothing_is_found_in_circles_of_a_sound_robot() -> None:
     cell = make_cell(points=("mp1",))
     q = _sweeps()
-    found = diagnose_absolute(planted(cell, q, np.zeros_like(q)), cell)
-    assert named(found) == []
+    found = diagnose_absolute(_seen(cell, q, np.zeros_like(q)), cell)
+    assert _named(found) == []
     assert found.verdict == "consistent"
