@@ -207,3 +207,16 @@ def test_built_messages_are_those_of_the_contract() -> None:
     assert found["fields"] == FIELDS
     assert found["phases"] == PHASES
     assert found["round_trip"] is True
+
+
+def test_every_test_and_module_that_the_readme_names_exists() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    clauses = text[text.index("## Clause by clause") : text.index("## What it promises")]
+    files = [path.relative_to(ROOT).as_posix() for path in (*ROOT.glob("test/**/*.py"), *ROOT.glob("src/**/*.py"))]
+    tests = set(re.findall(r"`((?:\w+/)*test_\w+\.py)`", text))
+    modules = {f"{name}.py" for name in re.findall(r"`((?:[a-z_]+/)+[a-z_]+)`", clauses)}
+    assert len(tests) > 20
+    assert len(modules) > 10
+    assert [
+        name for name in sorted(tests | modules) if not any(f"/{file}".endswith(f"/{name}") for file in files)
+    ] == []

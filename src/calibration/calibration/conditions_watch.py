@@ -27,6 +27,7 @@ from calibration_core.procedure.robot_status import Drives, OperatingMode
 from calibration_core.timeseries import NANOSECONDS
 
 LOOK = 1.0  # s of wall time between two looks
+TOLD = 30.0  # s of wall time, after which values are told again although no verdict has changed
 KEPT = 4000  # temperatures
 SPACING = 5.0  # s of the cell's time between two temperatures that are kept
 HEARD = 3.0  # s of wall time, a thermometer may take to be heard before a run
@@ -49,7 +50,7 @@ class ConditionsWatch:
         self._fixed: dict[str, float] = {}
         self._overrides: list[core.Override] = []
         self._told: tuple[core.Condition, ...] = ()
-        self._looked = -math.inf
+        self._looked = self._sent = -math.inf
         topics = node.cell.topics
         self._publisher = node.create_publisher(Conditions, topics.conditions.lstrip("/"), profile(CONDITIONS_QUALITY))
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -97,7 +98,7 @@ class ConditionsWatch:
             "speed": speed,
         }
         self._overrides = [from_override(one) for one in overrides]
-        self._told, self._looked = (), -math.inf
+        self._told, self._looked, self._sent = (), -math.inf, -math.inf
         return "; ".join(wrong)
 
     def judged(self, warm_up_age: float = math.nan) -> tuple[core.Condition, ...]:
@@ -138,8 +139,9 @@ class ConditionsWatch:
         since = runner.sequence.agenda.warmed_up
         found = self.judged(math.nan if since is None else port.seconds() - since)
         before = {one.name: one for one in self._told}
-        if [(one.met, one.override) for one in found] != [(one.met, one.override) for one in self._told]:
-            now = self._node.now_ns()
+        changed = [(one.met, one.override) for one in found] != [(one.met, one.override) for one in self._told]
+        if changed or self._looked - self._sent >= TOLD:
+            now, self._sent = self._node.now_ns(), self._looked
             self._publisher.publish(to_conditions(now, found))
             port.session.judge(now, found)
             for one in found:

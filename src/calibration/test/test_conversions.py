@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from calibration import conversions as to
-from calibration.background import Background
+from calibration.background import Background, in_executor
 from calibration.topics import Quality, incompatible, message_class, offered_qos, profile, subscription_profile
 from calibration_core.observations.average import average
 from calibration_core.observations.samples import Problem
@@ -200,3 +200,19 @@ def test_errors_are_raised_where_the_result_is_awaited(spinning: Any) -> None:
     client = spinning.plain("client").create_client(Trigger, "failing")
     assert client.wait_for_service(15.0)
     assert client.call(Trigger.Request()).message == "'deliberate'"
+
+
+def test_what_is_short_is_done_by_the_thread_that_spins(spinning: Any, until: Any) -> None:
+    node, where = spinning.plain("short"), list[str]()
+    in_executor(node, lambda: where.append(threading.current_thread().name))
+    until(lambda: where)
+    assert where != [threading.current_thread().name]
+
+
+def test_where_nobody_spins_it_is_done_at_once(context: Any) -> None:
+    import rclpy
+
+    node, where = rclpy.create_node("alone", context=context), list[str]()
+    in_executor(node, lambda: where.append(threading.current_thread().name))
+    assert where == [threading.current_thread().name]
+    node.destroy_node()
