@@ -1,0 +1,33 @@
+"""The phases through the program: planned, simulated, identified to Table 2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from program import result_of, run
+
+from calibration_core.cell import load_cell
+from calibration_core.procedure.plan_file import read_plan
+
+PHASES = ["base_frame", "geometry", "wrist_centre", "points", "stiffness"]
+
+
+def test_from_the_plan_to_table_2(cell_path: Path, tmp_path: Path) -> None:
+    common = ("--cell", cell_path, "--no-report")
+    levels = ("--load-levels", 0, 0.5, 1)
+    assert run("plan", *common, "--phases", "--configurations", 12, *levels, "--out", tmp_path / "plan") == 0
+    plan = read_plan(tmp_path / "plan" / "plan.yaml", load_cell(cell_path))
+    counted = result_of(tmp_path / "plan")["preparation"]
+    assert list(counted) == PHASES[:-1]
+    assert sum(counted.values()) == len(plan.preparation)
+    where = tmp_path / "simulate"
+    assert run("simulate", *common, "--plan", tmp_path / "plan" / "plan.yaml", "--out", where) == 0
+    for recording in (where / "measurements.csv", where / "recording"):
+        out = tmp_path / recording.name
+        assert run("identify", recording, *common, "--out", out) == 0
+        found = result_of(out)
+        assert [phase["phase"] for phase in found["phases"]] == PHASES
+        believed = load_cell(cell_path).robot.stiffness
+        assert believed is not None
+        for row, value in zip(found["stiffness"], believed, strict=True):
+            assert abs(1.0 / row["value"] - 1.0 / value) < 5.0 * row["std"] / row["value"] ** 2, row
