@@ -22,6 +22,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from calibration.background import in_executor
 from calibration.motion import action_motion, follow_joint_trajectory
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.base import End
@@ -291,6 +292,23 @@ def test_a_motion_that_somebody_else_cancels(spinning: Any, awake: Any, until: A
     canceller.call(CancelGoal.Request(), timeout_sec=5.0)
     until(lambda: ends.said)
     assert ends.said[0][0] is End.CANCELLED
+
+
+def test_a_motion_that_is_stopped_before_it_is_sent_never_is(spinning: Any, awake: Any, until: Any) -> None:
+    driver, ends = Driver(awake), Ends()
+    node = spinning.plain()
+    backend = simulated(node)
+    assert backend.prepare(10.0) == ""
+
+    def at_once() -> None:
+        backend.move(TRAJECTORY, ends)
+        backend.stop()
+
+    in_executor(node, at_once)  # in the thread that would send it
+    until(lambda: ends.said)
+    assert ends.said == [(End.FAILURE, "stopped before it was sent")]
+    time.sleep(0.3)
+    assert not driver.goals
 
 
 def test_a_motion_that_is_stopped_before_it_is_accepted(spinning: Any, awake: Any, until: Any) -> None:

@@ -80,13 +80,16 @@ class ActionMotion:
         message = self._to_goal(trajectory)
 
         def send() -> None:
+            if goal.cancelled:
+                self._end(goal, End.FAILURE, "stopped before it was sent")
+                return
             future = self._client.send_goal_async(message)
             future.add_done_callback(lambda answer: self._on_accept(goal, answer))
 
         in_executor(self._node, send)
 
     def stop(self) -> None:
-        """Cancel the goal; one that is not accepted yet, as soon as it is."""
+        """Cancel the goal; one that is not accepted yet, as soon as it is; one that is not sent yet never is."""
         with self._lock:
             goal = self._goal
             if goal is None or goal.over:
