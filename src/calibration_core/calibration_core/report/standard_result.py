@@ -75,6 +75,7 @@ def standard_dict(found: StandardGeometry | None, cell: Cell) -> dict[str, Any] 
             "warnings": list(found.base.warnings),
         }
     if found.axes is not None:
+        answer["joint_axes"] = answer["joint_axes"] or {"parameters": []}  # without noise nothing counts as seen
         answer["joint_axes"]["axes"] = [
             {
                 "joint": name,

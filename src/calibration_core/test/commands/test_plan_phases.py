@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from program import result_of, run
 
 from calibration_core.cell import load_cell
@@ -12,7 +13,8 @@ from calibration_core.procedure.plan_file import read_plan
 PHASES = ["base_frame", "geometry", "wrist_centre", "points", "stiffness"]
 
 
-def test_from_the_plan_to_table_2(cell_path: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("noise", [(), ("--seed", 3)])
+def test_from_the_plan_to_table_2(cell_path: Path, tmp_path: Path, noise: tuple[object, ...]) -> None:
     common = ("--cell", cell_path, "--no-report")
     levels = ("--load-levels", 0, 0.5, 1)
     assert run("plan", *common, "--phases", "--configurations", 12, *levels, "--out", tmp_path / "plan") == 0
@@ -21,8 +23,8 @@ def test_from_the_plan_to_table_2(cell_path: Path, tmp_path: Path) -> None:
     assert list(counted) == PHASES[:-1]
     assert sum(counted.values()) == len(plan.preparation)
     where = tmp_path / "simulate"
-    assert run("simulate", *common, "--plan", tmp_path / "plan" / "plan.yaml", "--out", where) == 0
-    for recording in (where / "measurements.csv", where / "recording"):
+    assert run("simulate", *common, "--plan", tmp_path / "plan" / "plan.yaml", *noise, "--out", where) == 0
+    for recording in (where / "recording",) if noise else (where / "measurements.csv",):
         out = tmp_path / recording.name
         assert run("identify", recording, *common, "--out", out) == 0
         found = result_of(out)
