@@ -316,6 +316,7 @@ def test_a_motion_that_is_stopped_before_it_is_accepted(spinning: Any, awake: An
     backend = simulated(spinning.plain())
     assert backend.prepare(10.0) == ""
     backend.move(TRAJECTORY, ends)
+    until(lambda: driver.goals)  # which it is about to accept
     backend.stop()
     assert driver.cancelled.wait(5.0)
     until(lambda: ends.said)
