@@ -21,7 +21,7 @@ from calibration_core.diagnosis.absolute_design import (
 )
 from calibration_core.diagnosis.finding import Measurement
 from calibration_core.diagnosis.next_knowledge import Knowledge, expected_log_bayes_factor
-from calibration_core.diagnosis.next_measurements import PROPOSED, SEPARABLE, Proposals
+from calibration_core.diagnosis.next_measurements import PROPOSED, SEPARABLE, Proposals, measurement_of
 from calibration_core.diagnosis.next_offers import Offer
 from calibration_core.identification.absolute_problem import absolute_problem
 from calibration_core.identification.predict import predict_readings
@@ -143,7 +143,7 @@ class _Search:
             f"separates {names[0]} from {'; '.join(names[1:])}: the log Bayes factor between the two nearest of them "
             f"that it can separate is expected to grow by {gain[best]:.1f} (a posture taken at random: {usual:.1f})"
         )
-        return _measurement(self.offers[best], why, float(gain[best]), usual, "nats")
+        return measurement_of(self.offers[best], why, float(gain[best]), usual, "nats")
 
     def _sharpening(self) -> Measurement:
         """Return the posture that makes the finding that is known worst more certain."""
@@ -168,7 +168,7 @@ class _Search:
             f"{100 * doubt[worst]:.2f} % to {100 * after[best]:.2f} % (a posture taken at random: "
             f"{100 * doubt[worst] - usual:.2f} %)"
         )
-        return _measurement(self.offers[best], why, float(gain[best]), usual, "%")
+        return measurement_of(self.offers[best], why, float(gain[best]), usual, "%")
 
     def _blocks(self, chosen: Sequence[int]) -> dict[int, slice]:
         """Return where the columns of the chosen candidates stand behind those of the null model."""
@@ -224,19 +224,6 @@ def _offered(
             columns = weighted(problem, parameters, candidate.columns(state) * scale)
         found[index] = per_offer(columns)
     return per_offer(np.concatenate([null, *extra], axis=1)), found
-
-
-def _measurement(offer: Offer, why: str, gain: float, usual: float, unit: str) -> Measurement:
-    unloaded = (0.0,) * 6
-    return Measurement(
-        q=tuple(map(float, offer.q)),
-        wrench=unloaded,
-        why=why,
-        steps=(unloaded,),
-        gain=gain,
-        gain_at_random=usual,
-        gain_unit=unit,
-    )
 
 
 def _name(candidate: Candidate) -> str:

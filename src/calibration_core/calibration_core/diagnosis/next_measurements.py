@@ -211,7 +211,7 @@ class _Search:
             f"separates {names[0]} from {'; '.join(names[1:])}: the log Bayes factor between the two nearest of them "
             f"that it can separate is expected to grow by {gain:.1f} (a configuration taken at random: {usual:.1f})"
         )
-        return _measurement(offer, why, gain, usual, "nats")
+        return measurement_of(offer, why, gain, usual, "nats")
 
     def _sharpening(self) -> Measurement:
         """Return the offer that makes what is known worst more certain: a finding's parameters, else a stiffness."""
@@ -233,7 +233,7 @@ class _Search:
             f"makes {words[worst]} more certain: its standard deviation falls from {100 * now:.2f} % to "
             f"{100 * then:.2f} % (a configuration taken at random: {100 * usual:.2f} %)"
         )
-        return _measurement(offer, why, 100 * (now - then), 100 * (now - usual), "%")
+        return measurement_of(offer, why, 100 * (now - then), 100 * (now - usual), "%")
 
     def _uncertain(self, known: Knowledge) -> tuple[list[str], list[int], Float1D]:
         """Return names, places and sizes of the parameters in question: of the findings, else all stiffnesses."""
@@ -291,7 +291,8 @@ def _of_points(readings: Readings, recorded: Readings) -> Readings:
     return dataclasses.replace(some, points=recorded.points, point=index)
 
 
-def _measurement(offer: Offer, why: str, gain: float, usual: float, unit: str) -> Measurement:
+def measurement_of(offer: Offer, why: str, gain: float, usual: float, unit: str) -> Measurement:
+    """Return an offer as a proposal: why, its gain, that of a usual offer, and their unit."""
     full: Float1D = offer.full
     return Measurement(
         q=tuple(map(float, offer.q)),
