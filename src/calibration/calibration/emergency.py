@@ -1,7 +1,8 @@
 """The guard's own hand on the motion: it cancels every goal of the driver's action when nobody else may be able to.
 
 The sequencer stops its motions itself.  This is for the case that it cannot any more: it was killed, hangs, or does not
-hear.  Its sign of life tells whether a motion of its own is under way.
+hear.  Its sign of life tells whether a motion of its own is under way.  A robot that moves without any such sign is
+stopped, too: a guard that was started again may not hear the sequencer, and would not know when it falls silent.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from action_msgs.srv import CancelGoal
 from calibration.node import CalibrationNode
 from calibration.topics import MOTION_PULSE
 
+UNHEARD = "the robot moves and no sign of life of the sequencer is heard"
+MOVES = 0.02  # m/s of the fastest point: a robot at rest is never as fast, noise included
+AGAIN = 0.5  # s between cancellations of such a motion
 WATCHED = "the motion under way is permitted and watched"
 
 
@@ -35,15 +39,22 @@ class Emergency:
         self._client = node.create_client(CancelGoal, f"{action}/_action/cancel_goal") if action else None
         self._trace = Path(trace) if trace else None
         self._moving, self._heard, self._told = False, -math.inf, ""
+        self._unheard = -math.inf
         node.create_subscription(MOTION_PULSE.message, MOTION_PULSE.relative, self._on_pulse, MOTION_PULSE.qos)
 
     def _on_pulse(self, message: Any) -> None:
         self._moving = bool(message.data)
         self._heard = time.monotonic()
 
-    def look(self, now: float, *, permitted: bool) -> None:
-        """Cancel, and say so, if a motion is under way that is not permitted, or that nobody watches."""
-        fault = self._fault(now, permitted=permitted)
+    def look(self, now: float, *, permitted: bool, speed: float = math.nan) -> None:
+        """Cancel, and say so, if a motion is under way that is not permitted, or that nobody watches.
+
+        Args:
+            now: s of the steady clock.
+            permitted: Whether motion is.
+            speed: m/s, of the fastest point as measured; NaN: unknown.
+        """
+        fault = self._fault(now, permitted=permitted, speed=speed)
         if fault:
             self._moving = False  # until the sequencer says so again
             self._cancel(now, fault)
@@ -53,9 +64,13 @@ class Emergency:
             if fault:
                 self._node.get_logger().error(fault)
 
-    def _fault(self, now: float, *, permitted: bool) -> str:
+    def _fault(self, now: float, *, permitted: bool, speed: float) -> str:
         if not self._moving:
-            return ""
+            silent = now - self._heard > self._max_age and now - self._unheard > AGAIN
+            if self._client is None or not silent or not speed > MOVES:
+                return ""
+            self._unheard = now
+            return UNHEARD
         if now - self._heard > self._max_age:
             return "the sequencer is silent while its motion is under way"
         return "" if permitted else "a motion is under way that is not permitted"

@@ -246,7 +246,8 @@ class GuardNode(CalibrationNode):
         elif not self.adapter.sources and self._confirmation is not None:
             self.guard.on_status(report.status, now)
         self._decide(now)
-        self._emergency.look(now, permitted=self._last is not None and self._last.permitted)
+        if self._last is not None:
+            self._emergency.look(now, permitted=self._last.permitted, speed=self._last.speed)
 
     def _watch_clock(self) -> None:
         before, self._ros_time = self._ros_time, self.now_ns()

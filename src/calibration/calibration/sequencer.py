@@ -197,8 +197,7 @@ class SequencerNode(CalibrationNode):
     def _on_timer(self) -> None:
         self._on_silence()  # its event may come but once, and the runner may be waiting for a disk
         runner = self._runner
-        if runner is not None:
-            self._pulse.publish(MOTION_PULSE.message(data=runner.moving))
+        self._pulse.publish(MOTION_PULSE.message(data=runner is not None and runner.moving))
 
     # --- what the operator says --------------------------------------------------------------------------------------
 

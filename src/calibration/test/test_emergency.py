@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ pytest.importorskip("rclpy")
 
 from action_msgs.srv import CancelGoal
 
-from calibration.emergency import WATCHED, Emergency
+from calibration.emergency import MOVES, UNHEARD, WATCHED, Emergency
 from calibration.node import CalibrationNode
 from calibration.topics import MOTION_PULSE
 
@@ -81,3 +82,19 @@ def test_a_motion_that_nobody_watches(watch: Watch, until: Any) -> None:
     watch.emergency.look(time.monotonic() + 2.0 * AGE, permitted=True)
     until(lambda: watch.cancelled == 1)
     assert watch.told() == (2, "the sequencer is silent while its motion is under way")
+
+
+def test_a_robot_that_moves_without_any_sign_of_life_is_stopped_again_and_again(watch: Watch, until: Any) -> None:
+    now = time.monotonic()
+    watch.emergency.look(now, permitted=True, speed=0.5 * MOVES)
+    watch.emergency.look(now, permitted=True, speed=math.nan)
+    assert watch.told() is None
+    watch.emergency.look(now, permitted=True, speed=2.0 * MOVES)
+    watch.emergency.look(now + 0.1, permitted=True, speed=2.0 * MOVES)
+    until(lambda: watch.cancelled == 1)
+    watch.emergency.look(now + 1.0, permitted=True, speed=2.0 * MOVES)
+    until(lambda: watch.cancelled == 2)
+    assert watch.told() == (2, UNHEARD)
+    watch.says(until, moving=False)  # the guard hears it: who moves the robot then is the operator's affair
+    watch.emergency.look(time.monotonic(), permitted=True, speed=2.0 * MOVES)
+    assert watch.cancelled == 2
