@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,12 +23,11 @@ from calibration_core.identification.end_effector import relative_stiffness
 from calibration_core.procedure import messages as m
 from calibration_core.procedure.plan import Plan
 from calibration_core.procedure.robot_status import Drives, OperatingMode
+from calibration_core.procedure.thermometer import Thermometer
 from calibration_core.timeseries import NANOSECONDS
 
 LOOK = 1.0  # s of wall time between two looks
 TOLD = 30.0  # s of wall time, after which values are told again although no verdict has changed
-KEPT = 4000  # temperatures
-SPACING = 5.0  # s of the cell's time between two temperatures that are kept
 HEARD = 3.0  # s of wall time, a thermometer may take to be heard before a run
 
 
@@ -37,15 +35,14 @@ class ConditionsWatch:
     """Judges the conditions of the run that is under way.
 
     Attributes:
-        temperature: degrees Celsius, as last heard; NaN where nothing was.
         scaling: Share of the programmed speed at which the controller moves, 0 to 1; NaN: not known.
     """
 
     def __init__(self, node: Any) -> None:
         """Listen to thermometer and robot state."""
         self._node = node
-        self.temperature = self.scaling = math.nan
-        self._temperatures: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self.scaling = math.nan
+        self._thermometer = Thermometer()
         self._mode, self._drives = "", Drives.UNKNOWN
         self._fixed: dict[str, float] = {}
         self._overrides: list[core.Override] = []
@@ -59,11 +56,12 @@ class ConditionsWatch:
         node.create_subscription(RobotState, ROBOT_STATE.relative, self._on_state, kept)
 
     def _on_temperature(self, message: Temperature) -> None:
-        self.temperature = float(message.temperature)
-        now = self._node.now_ns() / NANOSECONDS
-        old = self._temperatures[-1][0] if self._temperatures else -math.inf
-        if math.isfinite(self.temperature) and not 0.0 <= now - old < SPACING:
-            self._temperatures.append((now, self.temperature))
+        self._thermometer.hear(self._node.now_ns() / NANOSECONDS, float(message.temperature))
+
+    @property
+    def temperature(self) -> float:
+        """Degrees Celsius, as last heard; NaN where nothing was."""
+        return self._thermometer.value
 
     def _on_state(self, message: RobotState) -> None:
         self.scaling = float(message.speed_scaling)
@@ -88,11 +86,10 @@ class ConditionsWatch:
             overrides: `ConditionOverride` messages of the goal.
         """
         wrong = [text for text in map(fault, overrides) if text]
-        loads = [np.linalg.norm(one.steps[:, :3], axis=1).max() for one in plan.configurations]
         cell = self._node.cell
         self._fixed = {
             "warm_up_period": warm_up_period,
-            "largest_force": float(max(loads)),
+            "largest_force": plan.largest_force,
             "uncertainty_ratio": expected_ratio(plan.primary, cell),
             "tool_stiffness": relative_stiffness(cell, np.array([one.q for one in plan.primary])),
             "speed": speed,
@@ -103,10 +100,8 @@ class ConditionsWatch:
 
     def judged(self, warm_up_age: float = math.nan) -> tuple[core.Condition, ...]:
         """Return how the conditions stand now."""
-        kept = np.array(self._temperatures).reshape(-1, 2)
-        latest = [] if math.isnan(self.temperature) else [[self._node.now_ns() / NANOSECONDS, self.temperature]]
         state = CellState(
-            temperature=np.vstack([kept, *latest]) if latest else kept,
+            temperature=self._thermometer.history(self._node.now_ns() / NANOSECONDS),
             mode=self._mode,
             drives={Drives.ON: True, Drives.OFF: False}.get(self._drives),
             warm_up_age=warm_up_age,

@@ -5,18 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.arc import arc_for, centre_std
 from calibration_core.identification.sweeps import single_joint_sweeps
 from calibration_core.model.instruments import tracker_covariance
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.plan import Plan
-from calibration_core.report.rounding import significant
+from calibration_core.report.arcs import arc_told
 from calibration_core.timeseries import Float2D
-
-WANTED = 1e-4  # m, accuracy of a circle's centre for which the arc is stated
-FULL = 2 * np.pi
 
 
 def arcs_told(plan: Plan, cell: Cell) -> tuple[str, ...]:
@@ -27,15 +23,8 @@ def arcs_told(plan: Plan, cell: Cell) -> tuple[str, ...]:
     told = []
     for sweep in single_joint_sweeps(q, np.zeros(len(q), dtype=np.int64)):
         joint, rows = sweep.joints[0], q[sweep.rows]
-        arc, sigma = min(float(np.ptp(rows[:, joint])), FULL), _sigma(rows, cell)
-        worth, needed = centre_std(arc, sigma, len(rows)), arc_for(WANTED, sigma, len(rows))
-        text = (
-            f"{plan.joints[joint]}: {np.degrees(arc):.0f} degrees in {len(rows)} standstills fix a circle's centre to "
-            f"{significant(1e6 * worth)} µm along the middle of the arc"
-        )
-        if needed is not None:
-            text += f" (for {1e6 * WANTED:.0f} µm {np.degrees(needed):.0f} degrees are enough)"
-        told.append(text)
+        arc = float(np.ptp(rows[:, joint]))
+        told.append(f"{plan.joints[joint]}: {arc_told(arc, _sigma(rows, cell), len(rows), 'standstills')}")
     return tuple(told)
 
 

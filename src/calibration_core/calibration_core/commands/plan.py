@@ -12,6 +12,7 @@ import numpy as np
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.arcs import arcs_told
+from calibration_core.commands.clearance import clearance
 from calibration_core.commands.common import digest_of, report_line, scheduled_space
 from calibration_core.commands.plan_geometry import (
     GeometryPromise,
@@ -30,7 +31,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulate import Schedule
 from calibration_core.procedure.loads import NINE_STEPS, LoadRules
 from calibration_core.procedure.operating_space import iso_cube, read_task
-from calibration_core.procedure.phases import PhaseRules, plan_phases
+from calibration_core.procedure.phases import PhaseRules, with_phases
 from calibration_core.procedure.plan import Expected, Plan
 from calibration_core.procedure.plan_file import plan_dict, plan_text
 from calibration_core.procedure.planning import PlanningRules, ground_of, make_plan
@@ -67,9 +68,9 @@ def run(arguments: argparse.Namespace) -> str:
     else:
         plan = make_plan(cell, rules=rules, parameters=parameters, task=task, **sized)
     if arguments.phases:
-        home = plan.primary[0].q if plan.reference is None else plan.reference.q
-        phases = plan_phases(cell, PhaseRules(space=rules.space), seed=arguments.seed, parameters=parameters, home=home)
-        plan = dataclasses.replace(plan, preparation=phases)
+        phase_rules = PhaseRules(space=rules.space)
+        plan, duration, unclear = with_phases(plan, cell, phase_rules, seed=arguments.seed, parameters=parameters)
+        geometry = None if geometry is None else geometry.taking(duration, unclear)
     protocols = judged_protocols(plan, cell, parameters)
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
     content = plan_result(plan, cell, space, inputs, seed=arguments.seed, protocols=protocols)
@@ -200,7 +201,7 @@ def plan_result(
         expected=content["expected"],
         joints=content["joints"],
         preparation=dict(Counter(c.phase for c in plan.preparation)),
-        largest_force=largest_force(plan),
+        largest_force=plan.largest_force,
         reference=content["reference"],
         startup_cycle=content["startup_cycle"],
         singularity=float(np.min(space.singularity)),
@@ -208,11 +209,6 @@ def plan_result(
         protocols=protocols_result(protocols),
         input=input_record(cell, None, inputs),
     )
-
-
-def largest_force(plan: Plan) -> float:
-    """Return the size of the largest force of any step, N."""
-    return float(max(np.linalg.norm(c.steps[:, :3], axis=1).max() for c in plan.configurations))
 
 
 def certificate(expected: Expected) -> str:
@@ -228,7 +224,7 @@ def plan_summary(plan: Plan) -> str:
     lines = [
         (
             f"{counted(len(plan.primary), 'configuration')} and {counted(len(plan.spares), 'spare')}, "
-            f"{counted(len(plan.primary[0].steps), 'load step')}, largest force {largest_force(plan):,.0f} N"
+            f"{counted(len(plan.primary[0].steps), 'load step')}, largest force {plan.largest_force:,.0f} N"
         )
     ]
     if plan.preparation:
@@ -249,7 +245,5 @@ def plan_summary(plan: Plan) -> str:
         lines.append(f"not identifiable from here: {', '.join(plan.joints[i] for i in expected.unidentifiable)}")
     if expected.duration:
         lines.append(f"takes about {expected.duration['total'] / 60:.0f} minutes without spares")
-    if expected.unclear_moves:
-        moves = counted(expected.unclear_moves, "motion comes", "motions come")
-        lines.append(f"{moves} too near to robot, floor or boxes on the straight path in joint space: lead it by hand")
+    lines.append(clearance(expected.unclear_moves, expected.unjudged))
     return "\n".join(lines)

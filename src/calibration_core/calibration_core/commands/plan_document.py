@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.commands.arcs import arcs_told
+from calibration_core.commands.clearance import clearance
 from calibration_core.commands.plan_requirements import full_pulls, plan_requirements
 from calibration_core.identification.estimate import OperatingSpace, Precondition
 from calibration_core.procedure.criteria import CRITERIA
@@ -174,10 +175,7 @@ def _motion(plan: Plan) -> str:
             f"less, {spent['startup'] / 60:.0f} start-up cycle, {spent['loading'] / 60:.0f} loading, "
             f"{spent['reading'] / 60:.0f} reading"
         )
-    unclear = plan.expected.unclear_moves
-    if not unclear:
-        return text + "; every motion is clear of robot, floor and boxes all the way"
-    return f"{text}; {counted(unclear, 'motion comes', 'motions come')} too near to them and must be led around"
+    return f"{text}; {clearance(plan.expected.unclear_moves, plan.expected.unjudged)}"
 
 
 def _expected_table(plan: Plan, cell: Cell) -> tuple[Block, ...]:

@@ -6,12 +6,14 @@ import dataclasses
 from typing import Any
 
 from calibration_core.cell import Cell
+from calibration_core.commands.clearance import clearance
 from calibration_core.identification.estimate import Unidentified
 from calibration_core.identification.pose_information import geometry_terms, pose_information
 from calibration_core.identification.terms import names_of
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.criteria import CRITERIA
+from calibration_core.procedure.itinerary import Duration
 from calibration_core.procedure.plan import Plan
 from calibration_core.procedure.planning import PlanningRules
 from calibration_core.procedure.pose_planning import PosePromise, Tell, make_pose_plan
@@ -31,6 +33,11 @@ class GeometryPromise:
 
     promise: PosePromise
     hidden: tuple[Unidentified, ...]
+
+    def taking(self, duration: Duration, unclear_moves: int) -> GeometryPromise:
+        """Return the promise of a plan to which other phases were added."""
+        promise = dataclasses.replace(self.promise, duration=duration, unclear_moves=unclear_moves)
+        return dataclasses.replace(self, promise=promise)
 
 
 def plan_geometry(
@@ -74,8 +81,9 @@ def geometry_result(found: GeometryPromise) -> dict[str, Any]:
         "criterion": promise.criterion,
         "efficiency": promise.efficiency,
         "observability": dataclasses.asdict(promise.observability),
-        "duration": {**dataclasses.asdict(promise.duration), "total": promise.duration.total},
+        "duration": promise.duration.named,
         "unclear_moves": promise.unclear_moves,
+        "unjudged": list(promise.unjudged),
         "std": dict(zip(promise.names, promise.std.tolist(), strict=True)),
         "not_identifiable": [_name(one) for one in found.hidden],
     }
@@ -99,6 +107,7 @@ def geometry_section(found: GeometryPromise) -> Section:
             ("Condition number", f"{promise.observability.condition:.1f} (5.4, 1)"),
             ("Observability index (5.4, 2)", f"{promise.observability.index:.3g}, per posture"),
             ("Duration", f"about {promise.duration.total / 60:.0f} minutes without spares"),
+            ("Clearance", clearance(promise.unclear_moves, promise.unjudged)),
             ("Stay nominal", ", ".join(map(_name, found.hidden)) or "none"),
         )
     )
@@ -110,11 +119,12 @@ def geometry_section(found: GeometryPromise) -> Section:
 
 
 def geometry_summary(found: GeometryPromise) -> str:
-    """Return what came out, in two lines."""
+    """Return what came out, in a few lines."""
     promise = found.promise
     share = "" if promise.efficiency is None else f", certainly at least {100 * promise.efficiency:.1f} % attainable"
     hidden = ", ".join(map(_name, found.hidden)) or "none"
     return (
         f"{len(promise.names)} parameters of frames and geometry{share}; condition number "
-        f"{promise.observability.condition:.1f}\nstay nominal: {hidden}"
+        f"{promise.observability.condition:.1f}\nstay nominal: {hidden}\n"
+        f"{clearance(promise.unclear_moves, promise.unjudged)}"
     )

@@ -21,6 +21,8 @@ from calibration_core.timeseries import Condition, Float2D, Override
 
 STABLE = 1.0  # K: largest change of temperature over STABLE_TIME (the standard gives no figure)
 STABLE_TIME = 3600.0  # s
+OVERDUE = 1.5  # periods without a start-up cycle that are overdue: one may run out within a configuration
+ROUNDING = 1.001  # a planned load may exceed the rated one by the rounding of the plan file
 MUCH_STIFFER = 10.0  # times as stiff as the robot is "considerably stiffer" (the standard gives no figure)
 NAMES = (
     "temperature", "temperature_stable", "start_up", "rated_load", "uncertainty_ratio", "end_effector", "servo",
@@ -105,14 +107,14 @@ def _start_up(state: CellState) -> Condition:
     limit = "before the first reading" if never else f"repeated after {state.warm_up_period / 60:.0f} min"
     if math.isnan(state.warm_up_age):
         return Condition("start_up", "5.2", what, limit, "none has been driven through here", None, shall=True)
-    value, met = f"{state.warm_up_age / 60:.0f} min ago", state.warm_up_age <= 1.5 * state.warm_up_period
+    value, met = f"{state.warm_up_age / 60:.0f} min ago", state.warm_up_age <= OVERDUE * state.warm_up_period
     return Condition("start_up", "5.2", what, limit, value, met, shall=True)
 
 
 def _rated_load(state: CellState, cell: Cell) -> Condition:
     rated = cell.robot.rated_load * float(np.linalg.norm(cell.gravity))
     value = f"{state.largest_force:.0f} N at most"
-    met = state.largest_force <= 1.001 * rated
+    met = state.largest_force <= ROUNDING * rated
     return Condition("rated_load", "5.1", "load within the rated load", f"{rated:.0f} N", value, met, shall=True)
 
 

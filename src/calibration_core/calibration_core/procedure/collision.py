@@ -143,12 +143,10 @@ def _rod(start: Float1D, end: Float1D, radius: float, short: float = 0.0) -> tup
 
 
 def _along(unit: Float1D) -> Float2D:
-    """Return a rotation, (3, 3), whose z column is a unit vector (Duff and others, 2017)."""
-    x, y, z = (float(value) for value in unit)
-    sign = math.copysign(1.0, z)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return np.array([[1.0 + sign * x * x * a, b, x], [sign * b, sign + y * y * a, y], [-sign * x, -y, z]])
+    """Return a rotation, (3, 3), whose z column is a unit vector."""
+    import pinocchio as pin
+
+    return np.asarray(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), unit).matrix(), dtype=np.float64)
 
 
 class _Builder:

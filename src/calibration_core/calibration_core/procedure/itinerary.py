@@ -41,6 +41,11 @@ class Duration:
         return self.moving + self.startup + self.loading + self.reading
 
     @property
+    def named(self) -> dict[str, float]:
+        """Every part and the `total`, s, by name."""
+        return {**dataclasses.asdict(self), "total": self.total}
+
+    @property
     def days(self) -> int:
         """Working days begun."""
         return int(np.ceil(self.total / WORKING_DAY))

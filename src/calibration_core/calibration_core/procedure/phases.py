@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -19,10 +18,15 @@ from calibration_core.errors import PlanError
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.robot import chain_of
+from calibration_core.procedure.agenda import SequenceRules
+from calibration_core.procedure.candidates import Ground
 from calibration_core.procedure.collision import CollisionModel
-from calibration_core.procedure.plan import PREPARATION, PhaseName, PlannedConfiguration
+from calibration_core.procedure.itinerary import Duration, way_through
+from calibration_core.procedure.plan import PREPARATION, PhaseName, Plan, PlannedConfiguration
+from calibration_core.procedure.planning import ground_of
 from calibration_core.procedure.space import WRIST, Site, SpaceRules, fitness, joint_range, positions
+from calibration_core.procedure.speed import Monitored
+from calibration_core.procedure.trajectory import MotionLimits
 from calibration_core.timeseries import Bool1D, Float1D, Float2D
 
 NUMBERS = 1000  # configurations of the k-th phase are numbered from k times this
@@ -108,9 +112,8 @@ def plan_phases(
     """
     rules = rules or PhaseRules()
     parameters = parameters or nominal_parameters(cell)
-    chain = chain_of(cell).corrected(parameters.geometry)
-    site = Site.of(chain, parameters, cell)
-    bodies = CollisionModel.of(cell, site, rules.space)
+    ground = ground_of(cell, parameters, rules.space, None)
+    bodies, chain = ground.bodies, ground.site.chain
     rng = np.random.default_rng([seed, 4])
     here = home
     planned: list[PlannedConfiguration] = []
@@ -129,9 +132,35 @@ def plan_phases(
             found = f"no arc of {math.degrees(rules.least_arc):.0f}° that is free and seen"
             raise PlanError(cell.path, chain.joints[joint], found, "a joint that can be swept (CWA 17384, 7.1)")
     if chain.n > WRIST:
-        here = add("wrist_centre", _wrist(cell, bodies, rules, rng, here))
-    add("points", _everywhere(cell, bodies, rules, rng, here, home))
+        here = add("wrist_centre", _wrist(ground, rules, rng, here))
+    add("points", _everywhere(ground, rules, rng, here, home))
     return tuple(planned)
+
+
+def with_phases(
+    plan: Plan,
+    cell: Cell,
+    rules: PhaseRules | None = None,
+    *,
+    seed: int = 0,
+    parameters: ModelParameters | None = None,
+) -> tuple[Plan, Duration, int]:
+    """Return a plan with the phases before it, how long all of it takes, and its motions that cannot be proven clear.
+
+    What the plan promises then holds for all of it, too.  Arguments and errors are those of `plan_phases`.
+    """
+    rules = rules or PhaseRules()
+    parameters = parameters or nominal_parameters(cell)
+    home = plan.primary[0].q if plan.reference is None else plan.reference.q
+    phases = plan_phases(cell, rules, seed=seed, parameters=parameters, home=home)
+    plan = dataclasses.replace(plan, preparation=phases)
+    ground = ground_of(cell, parameters, rules.space, None)
+    monitored = Monitored.of(ground.site.chain, parameters)
+    duration, unclear = way_through(plan, ground.bodies, monitored, MotionLimits(), SequenceRules())
+    if plan.expected is not None:
+        expected = dataclasses.replace(plan.expected, duration=duration.named, unclear_moves=unclear)
+        plan = dataclasses.replace(plan, expected=expected)
+    return plan, duration, unclear
 
 
 def best_sweep(
@@ -202,11 +231,9 @@ def _radius(site: Site, q: Float2D, joint: int) -> Float1D:
     return np.asarray(np.linalg.norm(across, axis=1).min(axis=0))
 
 
-def _wrist(
-    cell: Cell, bodies: CollisionModel, rules: PhaseRules, rng: np.random.Generator, here: Float1D | None
-) -> Float2D:
+def _wrist(ground: Ground, rules: PhaseRules, rng: np.random.Generator, here: Float1D | None) -> Float2D:
     """Return postures in which only the last three joints differ, (w, n) rad, in a short order."""
-    site, wanted = bodies.site, rules.wrist_postures
+    site, bodies, wanted = ground.site, ground.bodies, rules.wrist_postures
     low, high = joint_range(site.chain, rules.space)
     middle, half = 0.5 * (low + high)[-WRIST:], np.minimum(0.5 * (high - low)[-WRIST:], rules.wrist_turn)
     arms = rng.uniform(low, high, (TRIED // 2, site.chain.n))
@@ -218,35 +245,29 @@ def _wrist(
     for arm in np.argsort(-free.sum(axis=1), kind="stable")[:ARMS]:
         postures = np.tile(arms[arm], (int(free[arm].sum()), 1))
         postures[:, -WRIST:] = turns[free[arm]]
-        postures = postures[bodies.clear(postures)] if len(postures) else postures
-        postures = postures[bodies.seen(postures)] if len(postures) else postures
+        postures = postures[bodies.clear(postures)]
+        postures = postures[bodies.seen(postures)]
         if len(postures) >= wanted:
             route = _route(bodies, _spread(postures, len(postures)), wanted, here)
             if len(route) == wanted:
                 return route
         most = max(most, len(postures))
-    raise PlanError(cell.path, "wrist", f"{most} postures free and seen while the arm stands", f"{wanted}")
+    raise PlanError(ground.cell.path, "wrist", f"{most} postures free and seen while the arm stands", f"{wanted}")
 
 
 def _everywhere(
-    cell: Cell,
-    bodies: CollisionModel,
-    rules: PhaseRules,
-    rng: np.random.Generator,
-    here: Float1D | None,
-    home: Float1D | None,
+    ground: Ground, rules: PhaseRules, rng: np.random.Generator, here: Float1D | None, home: Float1D | None
 ) -> Float2D:
     """Return postures all over the joints' ranges, away from singularities, (p, n) rad, in a short order."""
-    low, high = joint_range(bodies.site.chain, rules.space)
-    drawn = rng.uniform(low, high, (80 * rules.postures, bodies.site.chain.n))
-    found = drawn[np.logical_and.reduce(list(fitness(bodies.site, drawn, rules.space).values()))]
-    found = found[bodies.clear(found)] if len(found) else found
-    found = found[bodies.seen(found)] if len(found) else found
+    bodies = ground.bodies
+    low, high = joint_range(ground.site.chain, rules.space)
+    drawn = rng.uniform(low, high, (80 * rules.postures, ground.site.chain.n))
+    found = drawn[ground.fit(drawn)]
     offered = _spread(found / (high - low), min(2 * (rules.postures + MORE), len(found))) * (high - low)
     route = _route(bodies, offered, rules.postures + MORE, here)
     if len(route) < rules.postures:
         expected = f"at least {rules.postures} for the points (CWA 17384, 7.5)"
-        raise PlanError(cell.path, "robot", f"{len(route)} postures that can be measured", expected)
+        raise PlanError(ground.cell.path, "robot", f"{len(route)} postures that can be measured", expected)
     ends = range(len(route), rules.postures - 1, -1) if home is not None else [rules.postures]
     return route[: next((k for k in ends if home is None or bodies.clear_way(route[k - 1], home)), rules.postures)]
 
@@ -271,15 +292,10 @@ def _route(bodies: CollisionModel, q: Float2D, wanted: int, here: Float1D | None
 
 def _spread(values: Float2D, count: int) -> Float2D:
     """Return `count` of the rows, (m, k), each as far as can be from those before it."""
-    if not count:
-        return values[:0]
-    order = list(_farthest(values, count))
-    return np.asarray(values[order])
-
-
-def _farthest(values: Float2D, count: int) -> Iterator[int]:
-    gap = np.linalg.norm(values - values.mean(axis=0), axis=1)
+    order: list[int] = []
+    gap = np.linalg.norm(values - values.mean(axis=0), axis=1) if count else np.empty(0)
     for _ in range(count):
-        pick = int(np.argmax(gap))
-        yield pick
-        gap = np.minimum(gap if _ else np.inf, np.linalg.norm(values - values[pick], axis=1))
+        order.append(int(np.argmax(gap)))
+        away = np.linalg.norm(values - values[order[-1]], axis=1)
+        gap = np.minimum(gap, away) if len(order) > 1 else away
+    return np.asarray(values[order])

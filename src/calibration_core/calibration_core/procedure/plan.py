@@ -80,6 +80,7 @@ class Expected:
             sensitivity matrix (see `criteria.Observability`), by name.
         duration: s, of `moving`, `startup`, `loading` and `reading`, and the `total` of it, spares left out.
         k_csm: m, largest movement of a measurement point by the complementary stiffness K_CSM; None where not stated.
+        unjudged: Pairs of bodies that were not held against each other, see `collision.CollisionModel`.
     """
 
     efficiency: float | None
@@ -95,6 +96,7 @@ class Expected:
     observability: Mapping[str, float] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
     duration: Mapping[str, float] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
     k_csm: float | None = None
+    unjudged: tuple[str, ...] = ()
 
     @property
     def unidentifiable(self) -> tuple[int, ...]:
@@ -148,6 +150,11 @@ class Plan:
     def spares(self) -> tuple[PlannedConfiguration, ...]:
         """The spares alone."""
         return tuple(configuration for configuration in self.configurations if configuration.spare)
+
+    @property
+    def largest_force(self) -> float:
+        """The size of the largest force of any step, N."""
+        return float(max(np.linalg.norm(one.steps[:, :3], axis=1).max() for one in self.configurations))
 
     def table1(self) -> tuple[list[int], Float2D]:
         """Return numbers and (k, n) rad of all configurations, for Table 1 of the standard."""

@@ -231,6 +231,10 @@ def _expected(value: object, n: int) -> Expected | None:
             values[name] = np.array([np.inf if x is None else x for x in entry], dtype=np.float64)
         elif name == "criterion":
             values[name] = str(entry)
+        elif name == "unjudged":
+            if not isinstance(entry, list) or not all(isinstance(pair, str) for pair in entry):
+                return None
+            values[name] = tuple(entry)
         elif name in EXPECTED_MAPPINGS:
             if not isinstance(entry, dict) or not all(x is None or _finite(x) for x in entry.values()):
                 return None

@@ -152,6 +152,7 @@ def make_plan(
         unclear=unclear,
         duration=duration,
         k_csm=float(offered.k_csm[chosen].max()),
+        unjudged=ground.bodies.unjudged,
     )
     return dataclasses.replace(plan, expected=expected)
 
@@ -198,14 +199,32 @@ def _choose(
         added = extend(content, chosen, more, group=group, criterion=criterion)
         if len(added) < more:
             break
-        taken = np.concatenate([chosen, added])
-        reference = reference_of(offered.q, offered.q[chosen], np.full(ground.site.chain.n, rules.joint_speed))
-        apart = [row for row in taken if not ground.bodies.clear_way(reference, offered.q[row])]
+        reference, apart = reached(ground, offered.q, chosen, added, rules)
         if not apart:
             return _Chosen(offered, content, rated(content, chosen, best), added, reference)
         offered = offered.of(~np.isin(group, group[apart]))
-    text = f"no {count + more} postures that a straight motion reaches from one reference without collision"
-    raise PlanError(path, "boxes", text, "a cell with more free space, or a smaller operating space")
+    raise not_reached(ground, count + more)
+
+
+def reached(ground: Ground, q: Float2D, chosen: Int1D, added: Int1D, rules: PlanningRules) -> tuple[Float1D, list[int]]:
+    """Return the reference for chosen postures, (n,) rad, and the rows that no clear straight motion leads to from it.
+
+    Args:
+        ground: The robot in its cell.
+        q: (m, n) rad, all postures.
+        chosen: Rows to be measured.
+        added: Rows of the spares.
+        rules: Joint speed, for what is near.
+    """
+    reference = reference_of(q, q[chosen], np.full(ground.site.chain.n, rules.joint_speed))
+    taken = np.concatenate([chosen, added])
+    return reference, [int(row) for row in taken if not ground.bodies.clear_way(reference, q[row])]
+
+
+def not_reached(ground: Ground, wanted: int) -> PlanError:
+    """Return the error that so many postures cannot be reached from one reference."""
+    text = f"no {wanted} postures that a straight motion reaches from one reference without collision"
+    return PlanError(ground.cell.path, "boxes", text, "a cell with more free space, or a smaller operating space")
 
 
 def reference_of(q: Float2D, chosen: Float2D, joint_speed: Float1D) -> Float1D:

@@ -20,7 +20,7 @@ from calibration_core.procedure.itinerary import Duration, clear_order, way_thro
 from calibration_core.procedure.optimum import Candidates
 from calibration_core.procedure.order import startup_cycle
 from calibration_core.procedure.plan import Plan, PlannedConfiguration, Reference
-from calibration_core.procedure.planning import ROUNDS, PlanningRules, check_counts, ground_of, reference_of
+from calibration_core.procedure.planning import ROUNDS, PlanningRules, check_counts, ground_of, not_reached, reached
 from calibration_core.procedure.speed import Monitored
 from calibration_core.procedure.trajectory import MotionLimits
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, read_only
@@ -41,6 +41,7 @@ class PosePromise:
         observability: The standard's figures, columns scaled to equal mean information.
         duration: How long it takes.
         unclear_moves: Motions that cannot be proven clear.
+        unjudged: Pairs of bodies that were not held against each other.
     """
 
     names: tuple[str, ...]
@@ -50,6 +51,7 @@ class PosePromise:
     observability: Observability
     duration: Duration
     unclear_moves: int
+    unjudged: tuple[str, ...]
 
     def __post_init__(self) -> None:
         """Copy to a read-only array."""
@@ -110,7 +112,8 @@ def make_pose_plan(
     monitored = Monitored.of(ground.site.chain, parameters)
     duration, unclear = way_through(plan, ground.bodies, monitored, MotionLimits(), SequenceRules())
     figures = Observability.of(total / configurations)
-    return plan, PosePromise(names, std, rules.criterion, best.efficiency, figures, duration, unclear)
+    unjudged = ground.bodies.unjudged
+    return plan, PosePromise(names, std, rules.criterion, best.efficiency, figures, duration, unclear, unjudged)
 
 
 def _choose(
@@ -122,7 +125,6 @@ def _choose(
         The postures offered, what they tell, the choice, the spares' rows, and the reference.
     """
     criterion, path = CRITERIA[rules.criterion], ground.cell.path
-    joint_speed = np.full(ground.site.chain.n, rules.joint_speed)
     for _ in range(ROUNDS):
         content = Candidates(tell(q))
         try:
@@ -132,11 +134,8 @@ def _choose(
         added = extend(content, best.chosen, more, group=np.arange(len(q)), criterion=criterion)
         if len(added) < more:
             break
-        reference = reference_of(q, q[best.chosen], joint_speed)
-        taken = np.concatenate([best.chosen, added])
-        apart = [row for row in taken if not ground.bodies.clear_way(reference, q[row])]
+        reference, apart = reached(ground, q, best.chosen, added, rules)
         if not apart:
             return q, content, best, added, reference
         q = np.delete(q, apart, axis=0)
-    text = f"no {count + more} postures that a straight motion reaches from one reference without collision"
-    raise PlanError(path, "boxes", text, "a cell with more free space, or a smaller operating space")
+    raise not_reached(ground, count + more)

@@ -51,6 +51,7 @@ def promised(
     unclear: int,
     duration: Duration,
     k_csm: float,
+    unjudged: tuple[str, ...],
 ) -> Expected:
     """Return what a choice promises.
 
@@ -64,6 +65,7 @@ def promised(
         unclear: Motions whose straight path is not clear.
         duration: How long it takes.
         k_csm: m, largest movement by the complementary stiffness.
+        unjudged: Pairs of bodies that were not held against each other.
     """
     total = candidates.total(choice.chosen)
     covariance = np.linalg.inv(total) * candidates.scale[:, None] * candidates.scale
@@ -90,6 +92,7 @@ def promised(
         unclear_moves=unclear,
         criterion=choice.criterion.name,
         observability={k: v for k, v in dataclasses.asdict(figures).items() if k != "condition"},
-        duration={**dataclasses.asdict(duration), "total": duration.total},
+        duration=duration.named,
         k_csm=k_csm,
+        unjudged=unjudged,
     )

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from program import names, result_of, run
+from program import CELL, names, result_of, run
 
 from calibration_core.cell import load_cell
 from calibration_core.procedure.plan_file import read_plan
+
+DEMO = CELL.with_name("demo.cell.yaml")
 
 
 def test_the_set_is_complete(planned: Path) -> None:
@@ -32,6 +34,15 @@ def test_the_result_tells_what_was_planned(planned: Path, cell_path: Path) -> No
     assert content["expected"]["efficiency"] > 0.9
     assert content["largest_force"] == pytest.approx(10 * 9.80665)
     assert {item["role"] for item in content["input"]["sha256"]} == {"cell"}
+
+
+def test_what_was_not_judged_is_told_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("plan", "--cell", DEMO, "--configurations", 12, "--out", tmp_path / "plan") == 0
+    pairs = result_of(tmp_path / "plan")["expected"]["unjudged"]
+    assert pairs == ["link 0 and link 2", "link 3 and link 6"]
+    assert list(read_plan(tmp_path / "plan" / "plan.yaml", load_cell(DEMO)).expected.unjudged) == pairs
+    for text in (capsys.readouterr().out, (tmp_path / "plan" / "report.html").read_text(encoding="utf-8")):
+        assert f"not judged, for they touch by their shape alone: {', '.join(pairs)}" in text
 
 
 def test_plan_and_table_1_agree(planned: Path, cell_path: Path) -> None:

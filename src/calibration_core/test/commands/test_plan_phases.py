@@ -33,3 +33,19 @@ def test_from_the_plan_to_table_2(cell_path: Path, tmp_path: Path, noise: tuple[
         assert believed is not None
         for row, value in zip(found["stiffness"], believed, strict=True):
             assert abs(1.0 / row["value"] - 1.0 / value) < 5.0 * row["std"] / row["value"] ** 2, row
+
+
+@pytest.mark.parametrize("purpose", ["stiffness", "geometry"])
+def test_what_is_promised_holds_with_the_phases(cell_path: Path, tmp_path: Path, purpose: str) -> None:
+    common = ("--cell", cell_path, "--no-report", "--configurations", 12, "--for", purpose, "--load-levels", 0, 1)
+    promised = {}
+    for name, phases in (("alone", ()), ("after_phases", ("--phases",))):
+        assert run("plan", *common, *phases, "--out", tmp_path / name) == 0
+        content = result_of(tmp_path / name)
+        promised[name] = content["geometry" if purpose == "geometry" else "expected"]
+    alone, both = (promised[name]["duration"] for name in ("alone", "after_phases"))
+    standstills = len(read_plan(tmp_path / "after_phases" / "plan.yaml", load_cell(cell_path)).preparation)
+    assert both["reading"] > alone["reading"] + standstills  # more than a second each
+    assert both["moving"] > alone["moving"]
+    assert both["total"] == pytest.approx(sum(both[part] for part in ("moving", "startup", "loading", "reading")))
+    assert promised["after_phases"]["unclear_moves"] >= promised["alone"]["unclear_moves"]

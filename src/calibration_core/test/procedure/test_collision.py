@@ -145,6 +145,7 @@ def test_a_plan_keeps_clear_of_the_cell_all_the_way(demo_cell: Cell) -> None:
     bodies = bodies_of(cell)
     assert plan.expected is not None
     assert plan.expected.unclear_moves == 0
+    assert plan.expected.unjudged == bodies.unjudged
     assert bodies.clear(plan.table1()[1]).all()
     assert plan.reference is not None
     for one in plan.configurations:  # spares, too, can be driven to from the reference

@@ -19,6 +19,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure import messages as m
 from calibration_core.procedure import phases
+from calibration_core.procedure.candidates import Ground
 from calibration_core.procedure.collision import CollisionModel
 from calibration_core.procedure.messages import Kind, Outcome
 from calibration_core.procedure.phases import PhaseRules, Sweep, best_sweep, plan_phases
@@ -141,7 +142,7 @@ def test_a_joint_that_cannot_turn_is_named(demo_cell: Cell) -> None:
     far = dataclasses.replace(site, tracker=np.array([1e3, 0.0, 0.0]))
     blind = CollisionModel.of(demo_cell, far, RULES.space)
     with pytest.raises(PlanError, match="while the arm stands"):
-        phases._wrist(demo_cell, blind, RULES, np.random.default_rng(1), None)
+        phases._wrist(Ground(demo_cell, far, blind, RULES.space), RULES, np.random.default_rng(1), None)
     with pytest.raises(PlanError, match=r"7\.5"):
         plan_phases(demo_cell, PhaseRules(space=dataclasses.replace(RULES.space, dexterity=0.9)))
 
@@ -198,7 +199,7 @@ def test_a_standstill_that_is_not_seen_is_left_out(started: Started, plan_of: Pl
         in_the_way = getattr(world.asked, "configuration", 0) == 1002
         world.act("fail" if in_the_way else "answer" if world.asked is not None else "tick")
     assert world.completed == [1001, 4001, 1, 2, 3, 4]  # and no spare of the compliance took its place
-    assert world.sequence.given_up == {1002}
+    assert world.sequence.agenda.given_up == {1002}
     assert (world.finish.outcome, world.finish.text) == (Outcome.INCOMPLETE, "6 of 7 configurations are measured")
 
 

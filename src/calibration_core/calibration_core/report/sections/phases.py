@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.identification.arc import arc_for, centre_std
 from calibration_core.identification.circle_point import BaseFrame
 from calibration_core.identification.estimate import Identification
 from calibration_core.identification.phase import (
@@ -17,6 +16,7 @@ from calibration_core.identification.phase import (
     PhaseEstimate,
 )
 from calibration_core.identification.point_frame import frame_of
+from calibration_core.report.arcs import arc_told
 from calibration_core.report.document import Block, Column, Items, Paragraph, Section, Table
 from calibration_core.report.rounding import STIFFNESS as UNIT
 from calibration_core.report.rounding import counted, decimals, fixed, padded, significant
@@ -38,7 +38,6 @@ WHAT = {
     POINTS: "Points in the flange frame, with the actual kinematics and its uncertainty.",
     STIFFNESS: "Compliances of the joints; what the phases before left uncertain is in their uncertainty.",
 }
-WANTED = 1e-4  # m, accuracy of a circle's centre for which the arc is stated
 MICRO = 1e6
 
 
@@ -138,15 +137,7 @@ def _clause(base: BaseFrame, sigma: float) -> list[Block]:
     texts = []
     for joint, swept in enumerate(base.axes, start=1):
         circle = max(swept.circles, key=lambda one: one.arc)
-        expected = centre_std(min(circle.arc, 2 * np.pi), sigma, circle.points)
-        enough = arc_for(WANTED, sigma, circle.points)
-        text = (
-            f"joint {joint}: arc of {np.degrees(circle.arc):.0f} degrees, {circle.points} readings per circle; "
-            f"a centre is worth {significant(MICRO * expected)} µm along the middle of the arc"
-        )
-        if enough is not None:
-            text += f"; for {MICRO * WANTED:.0f} µm {np.degrees(enough):.0f} degrees are enough"
-        texts.append(text)
+        texts.append(f"joint {joint}: {arc_told(circle.arc, sigma, circle.points, 'readings')}")
     return [*blocks, Items(tuple(texts))]
 
 

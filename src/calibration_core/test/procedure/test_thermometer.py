@@ -1,0 +1,46 @@
+"""The history of a thermometer: thinned, complete enough, and unharmed by a clock that was set back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from calibration_core.procedure.thermometer import KEPT, SPACING, Thermometer
+
+
+def test_nothing_heard_is_no_temperature() -> None:
+    thermometer = Thermometer()
+    assert math.isnan(thermometer.value)
+    assert thermometer.history(7.0).shape == (0, 2)
+
+
+def test_the_history_is_thinned_and_ends_with_the_newest() -> None:
+    thermometer = Thermometer()
+    for second in range(21):
+        thermometer.hear(float(second), 20.0 + 0.1 * second)
+    history = thermometer.history(20.5)
+    assert np.array_equal(history[:, 0], [0.0, 5.0, 10.0, 15.0, 20.0, 20.5])
+    assert history[-1, 1] == thermometer.value == 22.0
+
+
+def test_what_is_not_finite_is_heard_but_not_kept() -> None:
+    thermometer = Thermometer()
+    thermometer.hear(0.0, 20.0)
+    thermometer.hear(60.0, math.nan)
+    assert math.isnan(thermometer.value)
+    assert np.array_equal(thermometer.history(60.0), [[0.0, 20.0]])
+
+
+def test_a_clock_set_back_does_not_stop_the_history() -> None:
+    thermometer = Thermometer()
+    thermometer.hear(1000.0, 20.0)
+    thermometer.hear(3.0, 21.0)
+    assert len(thermometer.history(3.0)) == 3
+
+
+def test_the_history_is_bounded() -> None:
+    thermometer = Thermometer()
+    for k in range(KEPT + 10):
+        thermometer.hear(k * SPACING, 20.0)
+    assert len(thermometer.history(0.0)) == KEPT + 1
