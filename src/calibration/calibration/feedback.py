@@ -73,7 +73,7 @@ class Feedback:
                 configuration=configuration,
                 step=step,
                 phase=int(phase),
-                share_done=float(sequence.share_done),
+                share_done=float(sequence.agenda.share_done),
                 seconds_left=float(sequence.seconds_left),
                 text=f"waits for {sequence.state.value}",
                 progress=self._progress,

@@ -1,7 +1,8 @@
 """Node `recorder`: every topic of the table to a bag, as raw bytes, on the disk within a fraction of a second.
 
 Callbacks only append; a thread of its own writes and syncs.  `~/close` ends the bag's file, so that it can be evaluated
-while the node lives on; `~/open` continues the bag with a further file.
+while the node lives on; `~/open` continues the bag with a further file.  `~/hears` tells whether every instrument that
+publishes has been heard: what is measured before that would be missing in the bag.
 """
 
 from __future__ import annotations
@@ -20,7 +21,15 @@ from std_srvs.srv import Trigger
 
 from calibration.definitions import definition
 from calibration.node import CalibrationNode, Declared, run
-from calibration.topics import Quality, Topic, incompatible, offered_qos, recorded_topics, subscription_profile
+from calibration.topics import (
+    Quality,
+    Topic,
+    contract_topics,
+    incompatible,
+    offered_qos,
+    recorded_topics,
+    subscription_profile,
+)
 from calibration_core.cell import load_cell
 from calibration_core.errors import OutputError
 from calibration_core.recording.live_writer import LiveBag, LiveTopic
@@ -44,7 +53,9 @@ class RecorderNode(CalibrationNode):
     def __init__(self, **kwargs: Any) -> None:
         """Open the bag and wait for publishers."""
         super().__init__("recorder", PARAMETERS, **kwargs)
-        self._topics = recorded_topics(load_cell(self.value("cell")))
+        cell = load_cell(self.value("cell"))
+        self._topics = recorded_topics(cell)
+        self._instruments = [topic for topic in contract_topics(cell) if topic.quality is Quality.SAMPLES]
         self._heard: dict[str, tuple[Any, Any]] = {}
         self._counted: dict[str, int] = {}
         self._looked = -math.inf  # s of the monotonic clock
@@ -58,6 +69,7 @@ class RecorderNode(CalibrationNode):
         self._writer.start()
         self.create_service(Trigger, "~/close", self._on_close)
         self.create_service(Trigger, "~/open", self._on_open)
+        self.create_service(Trigger, "~/hears", self._on_hears)
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(1.0, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._look()
@@ -178,6 +190,16 @@ class RecorderNode(CalibrationNode):
                 return response
             response.success, response.message = True, str(self._bag.file)
         self._tell()
+        return response
+
+    def _on_hears(self, _request: Any, response: Any) -> Any:
+        silent = [
+            topic.name
+            for topic in self._instruments
+            if topic.name not in self._infos and self.count_publishers(topic.relative)
+        ]
+        response.success = not silent
+        response.message = f"nothing is heard yet of {', '.join(silent)}" if silent else ""
         return response
 
     def _tell(self) -> None:

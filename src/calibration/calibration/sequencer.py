@@ -27,7 +27,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from calibration.background import Background
-from calibration.cell_port import CellPort, call_and_wait
+from calibration.cell_port import CellPort
 from calibration.clients import Instruments, LoadDevice
 from calibration.conditions_watch import ConditionsWatch, refused
 from calibration.conversions import joint_positions, stamp_ns, to_outcome
@@ -41,6 +41,7 @@ from calibration.permission import PermissionWatch
 from calibration.plan_markers import plan_markers
 from calibration.preflight import joints_heard, missing, prepared, served
 from calibration.provenance import provenance
+from calibration.recorder_client import Recorder
 from calibration.robot_state.catalogue import load_type
 from calibration.runner import Call, Runner
 from calibration.sequencer_parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
@@ -61,7 +62,6 @@ from calibration_core.timeseries import NANOSECONDS
 
 PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way
 END_TIME = 1.6  # s of wall time, a run has to end when the process does
-CALL_TIME = 5.0  # s of wall time, services have to answer
 OUTCOMES = {
     m.Outcome.COMPLETED: Outcome.OK,
     m.Outcome.INCOMPLETE: Outcome.BLOCKED,
@@ -145,10 +145,7 @@ class SequencerNode(CalibrationNode):
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / PULSE, self._on_timer, clock=steady)
-        recorder = self.value("recorder")
-        self._recorder = {}
-        if recorder:
-            self._recorder = {what: self.create_client(Trigger, f"{recorder}/{what}") for what in ("open", "close")}
+        self._recorder = Recorder(self, self.value("recorder"))
 
     def _listen(self) -> None:
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -297,13 +294,13 @@ class SequencerNode(CalibrationNode):
             if violated:
                 return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
             session.begin_run(self.now_ns(), provenance(self.cell, text, parameters))
-            self._record("open")
+            self._recorder.open()
             runner = self._start(plan, session)
             self.feedback.begin(goal, runner)
             finish = runner.run()
-            done, skipped = len(runner.sequence.completed), len(runner.sequence.given_up)
+            done, skipped = len(runner.sequence.agenda.completed), len(runner.sequence.agenda.given_up)
             readings = self._port.confirmed if self._port is not None else 0
-        self._record("close")
+        self._recorder.close()
         recording = Path(self.value("recording") or directory / "bag")
         return RunPlan.Result(
             outcome=to_outcome(OUTCOMES[finish.outcome], finish.text),
@@ -358,14 +355,6 @@ class SequencerNode(CalibrationNode):
             self._conditions.thermometer_heard,
         ]
         return missing(checks, self.value("server_wait"))
-
-    def _record(self, what: str) -> None:
-        client = self._recorder.get(what)
-        if client is None or not client.service_is_ready():
-            return
-        answer = call_and_wait(self, client, Trigger.Request(), CALL_TIME)
-        if answer is None:
-            self.get_logger().error(f"the recorder does not answer to {what}")
 
     def _progress(self) -> None:
         runner, port = self._runner, self._port

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -29,6 +30,7 @@ from calibration.conversions import to_header, to_step, to_wrench
 from calibration.definitions import definition
 from calibration.node import ParameterError
 from calibration.recorder import RecorderNode
+from calibration.recorder_client import Recorder
 from calibration.topics import OWN, contract_topics, recorded_topics
 from calibration_core.cell import load_cell
 from calibration_core.recording.bag import read_bag
@@ -176,6 +178,44 @@ def test_close_and_open(spinning: Any, until: Callable[..., None], tmp_path: Pat
     assert close.call(Trigger.Request()).success
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 2
+
+
+def test_an_instrument_that_publishes_and_is_not_heard_is_named(
+    spinning: Any, until: Callable[..., None], tmp_path: Path
+) -> None:
+    spinning.add(recorder(spinning.context, tmp_path / "bag"))
+    client = spinning.plain()
+    hears = client.create_client(Trigger, "recorder/hears")
+    assert hears.wait_for_service(15.0)
+    assert hears.call(Trigger.Request()).success, "nobody publishes anything"
+    publisher = client.create_publisher(JointState, "joint_states", 100)
+    until(publisher.get_subscription_count)
+    answer = hears.call(Trigger.Request())
+    assert not answer.success
+    assert answer.message == "nothing is heard yet of /joint_states"
+    publisher.publish(joint_state(0))
+    until(lambda: hears.call(Trigger.Request()).success)
+
+
+def test_the_sequencer_waits_until_the_recorder_hears(
+    spinning: Any, until: Callable[..., None], tmp_path: Path
+) -> None:
+    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
+    client = spinning.plain()
+    publisher = client.create_publisher(JointState, "joint_states", 100)
+    until(publisher.get_subscription_count)
+    user = Recorder(client, "recorder")
+    until(lambda: all(one.service_is_ready() for one in user._clients.values()))
+    opening = threading.Thread(target=user.open)
+    opening.start()
+    opening.join(0.5)
+    assert opening.is_alive(), "nothing has been heard"
+    publisher.publish(joint_state(0))
+    opening.join(4.0)
+    assert not opening.is_alive()
+    user.close()
+    until(lambda: node._bag is None)
+    Recorder(client, "").open()  # without a recorder nothing is waited for
 
 
 def test_what_came_before_the_bag_was_closed_is_in_it(
