@@ -46,6 +46,10 @@ class Emergency:
         self._moving = bool(message.data)
         self._heard = time.monotonic()
 
+    def hears(self, now: float) -> bool:
+        """Tell whether the sequencer gives a sign of life at `now`, s of the steady clock."""
+        return now - self._heard <= self._max_age
+
     def look(self, now: float, *, permitted: bool, speed: float = math.nan) -> None:
         """Cancel, and say so, if a motion is under way that is not permitted, or that nobody watches.
 
@@ -66,12 +70,12 @@ class Emergency:
 
     def _fault(self, now: float, *, permitted: bool, speed: float) -> str:
         if not self._moving:
-            silent = now - self._heard > self._max_age and now - self._unheard > AGAIN
+            silent = not self.hears(now) and now - self._unheard > AGAIN
             if self._client is None or not silent or not speed > MOVES:
                 return ""
             self._unheard = now
             return UNHEARD
-        if now - self._heard > self._max_age:
+        if not self.hears(now):
             return "the sequencer is silent while its motion is under way"
         return "" if permitted else "a motion is under way that is not permitted"
 

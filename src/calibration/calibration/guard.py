@@ -261,7 +261,7 @@ class GuardNode(CalibrationNode):
 
     def _publish(self, decision: Decision, now: float) -> None:
         stamp = self.now_ns()
-        message = to_permission(decision, self.rules, stamp)
+        message = to_permission(decision, self.rules, stamp, hears=self._emergency.hears(now))
         self._permission.publish(message)
         before, self._last = self._last, decision
         changed = before is None or (before.permitted, before.reasons, before.latched) != (
@@ -282,7 +282,7 @@ class GuardNode(CalibrationNode):
         now = time.monotonic()
         decision = self.guard.decide(now) if not request.operator_name.strip() else self.guard.reset(now)
         self._publish(decision, now)
-        response.permission = to_permission(decision, self.rules, self.now_ns())
+        response.permission = to_permission(decision, self.rules, self.now_ns(), hears=self._emergency.hears(now))
         if not request.operator_name.strip():
             response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, "the name of who answers for it is missing")
         elif decision.latched:

@@ -51,8 +51,8 @@ def to_robot_state(report: Report, time: int, *, steady_to_ros: int) -> RobotSta
     )
 
 
-def to_permission(decision: Decision, rules: GuardRules, time: int) -> Permission:
-    """Return a decision as a message."""
+def to_permission(decision: Decision, rules: GuardRules, time: int, *, hears: bool) -> Permission:
+    """Return a decision as a message; `hears`: whether the sequencer gives a sign of life."""
     return Permission(
         header=to_header(time),
         permitted=decision.permitted,
@@ -62,6 +62,7 @@ def to_permission(decision: Decision, rules: GuardRules, time: int) -> Permissio
         speed=decision.speed,
         speed_point=decision.speed_point,
         speed_limit=rules.speed_limit,
+        hears_sequencer=hears,
     )
 
 

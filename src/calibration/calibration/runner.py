@@ -269,7 +269,8 @@ class Runner:
     def _look(self) -> None:
         steady, now = time.monotonic(), self._cell.seconds()
         permitted, text = self._watch.at(steady)
-        self._handle(m.PermissionChanged(now, permitted, text))  # passed over where nothing has changed
+        self._handle(m.PermissionChanged(now, permitted, text))  # both are passed over where nothing has changed
+        self._handle(m.GuardHearing(now, self._watch.hears(steady)))
         self._backend.tick(steady)
         self._cell.look(steady)
         self._climb(steady)

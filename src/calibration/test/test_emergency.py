@@ -95,6 +95,9 @@ def test_a_robot_that_moves_without_any_sign_of_life_is_stopped_again_and_again(
     watch.emergency.look(now + 1.0, permitted=True, speed=2.0 * MOVES)
     until(lambda: watch.cancelled == 2)
     assert watch.told() == (2, UNHEARD)
+    assert not watch.emergency.hears(time.monotonic())
     watch.says(until, moving=False)  # the guard hears it: who moves the robot then is the operator's affair
     watch.emergency.look(time.monotonic(), permitted=True, speed=2.0 * MOVES)
     assert watch.cancelled == 2
+    assert watch.emergency.hears(time.monotonic())
+    assert not watch.emergency.hears(time.monotonic() + 2.0 * AGE)

@@ -322,9 +322,12 @@ def test_a_motion_that_nobody_watches_is_cancelled(spinning: Any, until: Any) ->
     sequencer = Sequencer(spinning)
     cell = Cell(spinning, stop_action="driver/move_to", sequencer_age=0.4)
     until(cell.permitted)
+    until(lambda: cell.now.hears_sequencer)
     sequencer.timer.cancel()
-    time.sleep(0.8)
+    until(lambda: not cell.now.hears_sequencer)
+    time.sleep(0.4)
     assert sequencer.cancelled == []  # it was not moving
+    assert cell.now.permitted  # who moves the robot otherwise is the operator's affair
     sequencer.moving = True
     sequencer.timer.reset()
     time.sleep(0.8)

@@ -147,7 +147,7 @@ class Bench:
         self.cell = Cell(self.robot)
         self.watch = PermissionWatch(0.5)
         self.permitted, self.text = True, "yes"
-        self.told_by_guard = True
+        self.told_by_guard = self.hears = True
         cell = load_cell(CELL)
         self.monitored = Monitored.of(chain_of(cell), nominal_parameters(cell))
         steps = np.array([[0.0] * 6, [0.0, 0.0, -500.0, 0.0, 0.0, 0.0]])
@@ -163,7 +163,7 @@ class Bench:
     def _pulse(self) -> None:
         while self._guarding:
             if self.told_by_guard:
-                message = SimpleNamespace(permitted=self.permitted, text=self.text)
+                message = SimpleNamespace(permitted=self.permitted, text=self.text, hears_sequencer=self.hears)
                 self.watch.hear(message, time.monotonic())
             time.sleep(0.01)
 
@@ -231,6 +231,18 @@ def test_a_clock_that_leaps_makes_no_motion_late(bench: Bench, until: Any) -> No
     assert runner.finish is not None
     assert runner.finish.outcome is m.Outcome.COMPLETED
     assert m.Kind.CONFIGURATION_RETRIED not in bench.cell.kinds()
+
+
+def test_nothing_moves_before_the_guard_hears_the_sequencer(bench: Bench, until: Any) -> None:
+    bench.hears = False
+    runner, thread = bench.start()
+    until(lambda: m.Kind.OPERATOR_ASKED in bench.cell.kinds())
+    time.sleep(0.3)
+    assert bench.robot.moves == []
+    bench.hears = True
+    thread.join(30.0)
+    assert runner.finish is not None
+    assert runner.finish.outcome is m.Outcome.COMPLETED
 
 
 def test_a_driver_that_refuses(bench: Bench) -> None:

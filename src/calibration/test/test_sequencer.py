@@ -79,12 +79,13 @@ class World:
         self.joints = self.node.create_publisher(JointState, "joint_states", 10)
         self.temperatures = self.node.create_publisher(Temperature, "cell/temperature", 10)
         self.q = np.zeros(6)
-        self.permitted, self.temperature = True, 21.5
+        self.permitted, self.hears, self.temperature = True, True, 21.5
         self.tracker = ActionServer(self.node, Measure, "tracker/measure", self._measure)
         self.timer = self.node.create_timer(0.02, self._live)
 
     def _live(self) -> None:
-        self.permissions.publish(Permission(permitted=self.permitted, text="" if self.permitted else "not now"))
+        text = "" if self.permitted else "not now"
+        self.permissions.publish(Permission(permitted=self.permitted, text=text, hears_sequencer=self.hears))
         self.joints.publish(JointState(header=now(), name=JOINTS, position=self.q.tolist()))
         self.temperatures.publish(Temperature(temperature=self.temperature))
 

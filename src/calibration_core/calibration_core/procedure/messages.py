@@ -36,6 +36,17 @@ class PermissionChanged:
 
 
 @dataclasses.dataclass(frozen=True)
+class GuardHearing:
+    """The guard hears our sign of life, or does not (any more).
+
+    One that does not hear it could not stop a motion that nobody watches any more: none begins.
+    """
+
+    now: float
+    hears: bool
+
+
+@dataclasses.dataclass(frozen=True)
 class Arrived:
     """The robot stands where `Move` sent it, checked against its joint states."""
 
@@ -133,8 +144,8 @@ class Enough:
 
 Answer = Arrived | Blocked | LoadReached | LoadFailed | Settled | ReadingConfirmed | ReadingFailed
 Event = (
-    Start | Tick | PermissionChanged | Arrived | Blocked | LoadReached | LoadFailed | Settled | ReadingConfirmed
-    | ReadingFailed | Pause | Resume | Stop | Fault | Enough
+    Start | Tick | PermissionChanged | GuardHearing | Arrived | Blocked | LoadReached | LoadFailed | Settled
+    | ReadingConfirmed | ReadingFailed | Pause | Resume | Stop | Fault | Enough
 )  # fmt: skip
 
 

@@ -2,9 +2,9 @@
 
     move unloaded -> settle -> read -> (load -> settle -> read) for every step -> unload -> next
 
-It moves only while it has the permission, and only without load.  A motion that lost its permission is stopped, and
-nothing moves again before the operator says so.  What cannot be reached or read is tried again a few times, then left
-out, and a spare takes its place.
+It moves only while it has the permission and the guard hears that it lives, and only without load.  A motion that lost
+its permission is stopped, and nothing moves again before the operator says so.  What cannot be reached or read is tried
+again a few times, then left out, and a spare takes its place.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Sequence:
         self.agenda = Agenda(plan, self._rules, completed, given_up, visits)
         self._resumed = bool(completed or given_up or visits)
         self._state = State.IDLE
-        self._permitted = self._paused = self._held = self._asked = False
+        self._permitted = self._heard = self._paused = self._held = self._asked = False
         self._item: Item | None = None
         self._at_item = False  # the robot stands at the present item
         self._step = self._attempt = self._tries = 0  # of the item, of its attempt, of its reading
@@ -83,21 +83,6 @@ class Sequence:
         return self._phase
 
     @property
-    def completed(self) -> frozenset[int]:
-        """Numbers of the configurations measured."""
-        return frozenset(self.agenda.completed)
-
-    @property
-    def given_up(self) -> frozenset[int]:
-        """Numbers of the configurations given up."""
-        return frozenset(self.agenda.given_up)
-
-    @property
-    def share_done(self) -> float:
-        """Share of the work done, 0 ... 1."""
-        return self.agenda.share_done
-
-    @property
     def seconds_left(self) -> float:
         """Estimate of the time left, s; NaN where nothing is known yet."""
         return self.agenda.seconds_left(self._now - self._begun)
@@ -120,6 +105,8 @@ class Sequence:
                 self._tick()
             case m.PermissionChanged() if event.permitted != self._permitted:
                 self._permission(event)
+            case m.GuardHearing() if event.hears != self._heard:
+                self._hearing(event)
             case m.Pause() if not self._paused and self._state is not State.IDLE:
                 self._pause()
             case m.Resume() if self.paused:
@@ -187,6 +174,13 @@ class Sequence:
             self._held = True
             self._interrupt(f"permission lost: {event.reason}")
 
+    def _hearing(self, event: m.GuardHearing) -> None:
+        """A motion under way goes on: the guard cancels it itself where it must."""
+        self._heard = event.hears
+        if event.hears and self._state is not State.IDLE:
+            self._asked = False
+            self._go_on()
+
     def _pause(self) -> None:
         self._paused, self._asked = True, False
         self._say(Kind.PAUSED, "")
@@ -234,6 +228,8 @@ class Sequence:
             self._ask("resume when it is safe to go on" if self._permitted else "reset the guard, then resume")
         elif moving and not self._permitted:
             self._ask("motion is not permitted yet")
+        elif moving and not self._heard:
+            self._ask("the guard does not hear the sequencer yet")
         else:
             return True
         return False

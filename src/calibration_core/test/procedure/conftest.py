@@ -82,7 +82,7 @@ class World:
         self.everything = (*plan.preparation, *plan.configurations)
         self.sequence = Sequence(plan, rules, **resumed)  # type: ignore[arg-type]
         self.now = 0.0
-        self.permitted = self.paused = self.lost = False
+        self.permitted = self.heard = self.paused = self.lost = False
         self.asked: m.Command | None = None  # the command that waits for an answer
         self.readings_asked: list[m.TakeReading] = []
         self.place: np.ndarray | None = None
@@ -113,6 +113,8 @@ class World:
         if isinstance(event, m.PermissionChanged):
             self.lost |= self.permitted and not event.permitted and self.sequence.state is not State.IDLE
             self.permitted = event.permitted
+        if isinstance(event, m.GuardHearing):
+            self.heard = event.hears
         for command in commands:
             self._do(command)
 
@@ -141,6 +143,7 @@ class World:
         match command:
             case m.Move():
                 assert self.permitted, "moves without permission"
+                assert self.heard, "moves while the guard does not hear that it lives"
                 assert not self.paused, "moves in a pause"
                 assert not self.lost, "moves by itself after a loss of permission"
                 assert self.load_known, "moves with a load under way"
@@ -261,6 +264,8 @@ class World:
         events = {
             "gain": m.PermissionChanged(self.now, True),
             "loss": m.PermissionChanged(self.now, False, "mode"),
+            "heard": m.GuardHearing(self.now, True),
+            "unheard": m.GuardHearing(self.now, False),
             "pause": m.Pause(self.now),
             "resume": m.Resume(self.now),
             "tick": m.Tick(self.now),
@@ -272,7 +277,7 @@ class World:
 
     def run(self, limit: int = 2000) -> m.Finish:
         """Let everything go well until the end."""
-        for action in ("resume", "gain", "resume"):
+        for action in ("resume", "gain", "heard", "resume"):
             self.act(action)
         for _ in range(limit):
             if self.finish is not None:
@@ -300,6 +305,7 @@ def started() -> Callable[..., World]:
     def make(plan: Plan | None = None, **changes: object) -> World:
         world = World(plan or small_plan(), **changes)  # type: ignore[arg-type]
         world.tell(m.Start(0.0))
+        world.tell(m.GuardHearing(0.0, hears=True))
         return world
 
     return make

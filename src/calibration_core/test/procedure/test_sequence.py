@@ -29,7 +29,7 @@ RULES = SequenceRules(startup_period=500.0)
 ACTIONS = st.sampled_from(
     ["answer"] * 12
     + ["fail"] * 2
-    + ["loss", "gain", "gain", "pause", "resume", "resume", "tick", "wait", "stale", "late"]
+    + ["loss", "gain", "gain", "pause", "resume", "resume", "tick", "wait", "stale", "late", "heard", "unheard"]
 )
 
 
@@ -48,7 +48,7 @@ def test_rules_hold_and_it_ends(
     world = started(plan_of(LEVELS[:3] if final_load else LEVELS), rules=rules)
     for action in actions:
         world.act(action)
-        share = world.sequence.share_done
+        share = world.sequence.agenda.share_done
         assert 0.0 <= share <= 1.0
     if end == "run":
         finish = world.run()
@@ -56,11 +56,11 @@ def test_rules_hold_and_it_ends(
             assert len(world.completed) == 4
         elif finish.outcome is Outcome.INCOMPLETE:
             assert len(world.completed) < 4
-            assert len(world.sequence.given_up) == 6 - len(world.completed)
+            assert len(world.sequence.agenda.given_up) == 6 - len(world.completed)
     else:
         world.act(end)
     assert world.finish is not None
-    assert sorted(world.completed) == sorted(world.sequence.completed)
+    assert sorted(world.completed) == sorted(world.sequence.agenda.completed)
     assert len(set(world.completed)) == len(world.completed)
     assert world.visits == list(range(len(world.visits)))  # every visit of the reference has its own step
     for steps in world.confirmed.values():
@@ -82,7 +82,7 @@ def test_a_good_day(started: Started) -> None:
         (2, Phase.LOADING), (2, Phase.SETTLING), (2, Phase.MEASURING),
         (3, Phase.UNLOADING), (3, Phase.SETTLING), (3, Phase.MEASURING), (3, Phase.DONE),
     ]  # fmt: skip
-    assert world.sequence.share_done == 1.0
+    assert world.sequence.agenda.share_done == 1.0
     assert world.sequence.seconds_left == 0.0
 
 
@@ -94,7 +94,7 @@ def test_blocked_configurations_are_retried_and_replaced_by_spares(started: Star
         world.act("fail" if blocked else "answer" if world.asked else "tick")
     assert world.attempts[2] == RULES.attempts - 1
     assert world.completed == [1, 3, 4, 5]
-    assert world.sequence.given_up == {2}
+    assert world.sequence.agenda.given_up == {2}
     assert any(record.kind is Kind.SPARE_USED and "in place of 2" in record.text for record in world.records)
     assert world.finish.outcome is Outcome.COMPLETED
 
@@ -105,7 +105,7 @@ def test_when_the_spares_are_used_up(started: Started) -> None:
     while world.finish is None:
         world.act("fail" if isinstance(world.asked, m.Move) and world.attempt is not None else "answer")
     assert world.finish.outcome is Outcome.INCOMPLETE
-    assert world.sequence.given_up == {1, 2, 3, 4, 5, 6}
+    assert world.sequence.agenda.given_up == {1, 2, 3, 4, 5, 6}
 
 
 def test_loss_of_permission_while_moving_needs_the_operator(started: Started) -> None:
@@ -120,6 +120,28 @@ def test_loss_of_permission_while_moving_needs_the_operator(started: Started) ->
     assert not any(isinstance(c, m.Move) for c in world.sequence.handle(m.Tick(7.0)))
     again = world.sequence.handle(m.Resume(8.0))
     assert np.array_equal(next(c for c in again if isinstance(c, m.Move)).q, target)
+
+
+def test_no_motion_begins_before_the_guard_hears(started: Started) -> None:
+    world = started()
+    world.act("unheard")
+    world.act("gain")
+    assert world.asked is None
+    assert world.records[-1].text == "the guard does not hear the sequencer yet"
+    world.act("heard")
+    assert isinstance(world.asked, m.Move)
+    target = world.asked
+    world.act("unheard")
+    assert world.asked is target, "a motion under way is the guard's to stop"
+    world.act("answer")
+    while not (world.asked is None or isinstance(world.asked, m.Move)):
+        world.act("answer")
+    assert world.asked is None
+    for action in ("tick", "resume"):
+        world.act(action)
+        assert world.asked is None
+    world.act("heard")
+    assert isinstance(world.asked, m.Move)
 
 
 def test_reading_under_way_survives_a_pause_and_a_loss(started: Started) -> None:
@@ -194,7 +216,7 @@ def test_resume_continues_at_the_next_configuration(started: Started) -> None:
     world.run()
     assert world.completed == [4, 5]
     assert world.visits == [2, 3]
-    assert world.sequence.completed == {1, 2, 4, 5}
+    assert world.sequence.agenda.completed == {1, 2, 4, 5}
 
 
 def test_resume_of_what_is_complete(started: Started) -> None:
