@@ -132,10 +132,13 @@ def test_the_ladder_is_climbed_until_the_robot_stands() -> None:
 def test_the_guards_silence_is_no() -> None:
     watch = PermissionWatch(0.1)
     assert watch.at(0.0) == (False, SILENT)
-    watch.hear(SimpleNamespace(permitted=True, text="yes"), 1.0)
+    assert not watch.hears(0.0)
+    watch.hear(SimpleNamespace(permitted=True, text="yes", hears_sequencer=True), 1.0)
     assert watch.at(1.09) == (True, "yes")
     assert watch.at(1.11) == (False, SILENT)
-    watch.hear(SimpleNamespace(permitted=False, text="drives off"), 2.0)
+    assert (watch.hears(1.09), watch.hears(1.11)) == (True, False)
+    watch.hear(SimpleNamespace(permitted=False, text="drives off", hears_sequencer=False), 2.0)
+    assert not watch.hears(2.0)
     assert watch.at(2.0) == (False, "drives off")
 
 
