@@ -71,6 +71,21 @@ class Law:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Rival:
+    """The term that describes best what accepted candidates stand for.
+
+    Attributes:
+        term: Entry of the dictionary.
+        log_bayes_factor: Of the term in place of the candidates, nats.
+        own: Of the candidates by the same measure, nats.
+    """
+
+    term: Term
+    log_bayes_factor: float
+    own: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class _Rest:
     """The recording as the search sees it, r whitened rows in c configurations.
 
@@ -140,6 +155,46 @@ def empirical_law(extended: Extended) -> Law | None:
     return None
 
 
+def rival(extended: Extended, candidates: Sequence[int]) -> Rival | None:
+    """Search for the term that does best in place of accepted candidates; None where nothing can be searched.
+
+    Args:
+        extended: The extended model.
+        candidates: Indices of those that the term replaces; all others stay in the model.
+    """
+    others = tuple(index for index in extended.accepted if index not in candidates)
+    rest = _rest(dataclasses.replace(extended, accepted=others))
+    if rest is None:
+        return None
+    everywhere = np.ones(len(rest.value), dtype=bool)
+    scores, _ = _scores(rest, (), everywhere)
+    best = int(np.argmax(scores))
+    design = extended.design
+    columns = np.column_stack([design.columns[:, design.blocks[index]] for index in candidates])
+    return Rival(rest.terms[best], float(scores[best]), _score_of(rest, columns))
+
+
+def _score_of(rest: _Rest, columns: Float2D) -> float:
+    """Return the log Bayes factor of any whitened columns, (r, k), by the measure of the terms."""
+    model, precision = rest.model(())
+    inverse = np.linalg.inv(model.T @ model + np.diag(precision))
+    left = rest.value - model @ (inverse @ (model.T @ rest.value))
+    model_left = model.T @ left
+    columns = columns / np.linalg.norm(columns, axis=0)
+    cross = columns.T @ model
+    projected = columns.T @ columns - cross @ inverse @ cross.T
+    right = columns.T @ left - cross @ inverse @ model_left
+    gain = float(right @ np.linalg.pinv(projected, rcond=ALIASED, hermitian=True) @ right)
+    total = float(left @ left - model_left @ inverse @ model_left)
+    share = np.clip(np.array([gain / total]), 0.0, 1.0 - 1e-12)
+    return float(_log_bayes_factor(share, columns.shape[1], max(len(left) - model.shape[1], 1))[0])
+
+
+def _log_bayes_factor(share: Float2D | Float1D, count: Int1D | int, freedom: int) -> Float2D:
+    """Return log Bayes factors, by the g-prior of unit information, of what explains a share of the rest."""
+    return np.asarray(0.5 * ((freedom - count) * np.log1p(freedom) - freedom * np.log1p(freedom * (1.0 - share))))
+
+
 def _rest(extended: Extended) -> _Rest | None:
     design, state = extended.design, extended.state
     withins, terms = dictionary(state)
@@ -207,7 +262,7 @@ def _scores(rest: _Rest, accepted: tuple[int, ...], used: Bool1D, *, bootstrap: 
     total = float(left @ left) - (model_left * (inverse @ model_left)).sum(axis=0)
     freedom = max(len(value) - model.shape[1], 1)
     share = np.clip(gain / total, 0.0, 1.0 - 1e-12)
-    scores = 0.5 * ((freedom - rest.count[:, None]) * np.log1p(freedom) - freedom * np.log1p(freedom * (1.0 - share)))
+    scores = _log_bayes_factor(share, rest.count[:, None], freedom)
     scores[~usable] = -np.inf
     places = {rest.terms[t].words + str(rest.terms[t].joint) for t in accepted}
     scores[[term.words + str(term.joint) in places for term in rest.terms]] = -np.inf

@@ -25,6 +25,7 @@ from calibration_core.diagnosis.rest import held_out_error, weighted_rest, what_
 from calibration_core.diagnosis.screening import readings_to_use
 from calibration_core.diagnosis.selection import NOTHING, Selection, select
 from calibration_core.diagnosis.tested import tested_on
+from calibration_core.diagnosis.withheld import Withheld, withheld, withheld_sentence
 from calibration_core.identification.estimate import Anomaly, Identification
 from calibration_core.identification.loaded import (
     SET_ASIDE,
@@ -55,12 +56,13 @@ FITTED_WITH_FRAMES = ("tracker_frame_misalignment", "measurement_point_offset")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Attempt:
-    """One pass: noise, what was selected at that noise, the model extended by it, and the null model's rms, m."""
+    """One pass: noise, what was selected, the model extended by it, what was withheld, the null model's rms, m."""
 
     seen: Scatter
     design: Design
     selection: Selection
     extended: Extended
+    withheld: tuple[Withheld, ...]
     rms_before: float
 
 
@@ -90,6 +92,10 @@ def diagnose_loaded(
     attempt = _search(prepared, cell, options, checked)
     extended, selection, seen = attempt.extended, attempt.selection, attempt.seen
     rest = what_remains(extended, seen, identification.noise.claimed, prepared.problem.readings)
+    if attempt.withheld:
+        joints, kept = prepared.problem.chain.joints, prepared.problem.readings
+        said = " ".join(withheld_sentence(one, joints, kept) for one in attempt.withheld)
+        rest = dataclasses.replace(rest, significant=True, text=f"{rest.text} {said}")
     anomalies = _anomalies(checked, attempt, identification)
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
@@ -229,7 +235,11 @@ def _attempt(
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
     selection = select(design, LEVELS if seen.freedom else NOISE_ALONE, seen.freedom) if usable else NOTHING
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
-    return Attempt(seen, design, selection, extended, _rms(used, prepared))
+    outdone = withheld(extended, selection)
+    if outdone:
+        selection = selection.without([one.choice for one in outdone])
+        extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
+    return Attempt(seen, design, selection, extended, outdone, _rms(used, prepared))
 
 
 def _seen(rows: Rows, residual: Float2D, problem: LoadedProblem, axes: Float3D, used: Int1D) -> Scatter:

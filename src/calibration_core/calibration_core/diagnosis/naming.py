@@ -63,7 +63,7 @@ def findings_of(
                 stiffness_change=changes,
                 explanation=_explanation(candidate, location, choice, magnitude, changes, alternatives),
                 separate_by=_separate(candidate, choice, design.candidates),
-                refinements=tuple(_said(design.candidates[i], readings) for i in choice.refinements),
+                refinements=tuple(said(design.candidates[i], readings) for i in choice.refinements),
             )
         )
     return tuple(sorted(found, key=lambda finding: -finding.magnitude))
@@ -106,7 +106,8 @@ def _size(shift: Float2D) -> float:
     return float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
 
 
-def _said(candidate: Candidate, readings: Readings) -> str:
+def said(candidate: Candidate, readings: Readings) -> str:
+    """Return a candidate in words: effect, place and variant."""
     place = ", ".join(
         value if isinstance(value, str) else " and ".join(value)
         for value in _location(candidate.location, readings).values()

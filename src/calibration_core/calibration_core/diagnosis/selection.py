@@ -8,6 +8,7 @@ as an equivalence set.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -76,6 +77,13 @@ class Selection:
     level: float
     limit: float
     best_rejected: str
+
+    def without(self, left_out: Sequence[Choice]) -> Selection:
+        """Return the selection without some of its choices."""
+        gone = {index for choice in left_out for index in (choice.candidate, *choice.refinements)}
+        choices = tuple(choice for choice in self.choices if choice.candidate not in gone)
+        accepted = tuple(index for index in self.accepted if index not in gone)
+        return dataclasses.replace(self, choices=choices, accepted=accepted)
 
 
 NOTHING = Selection((), (), 0.0, 0.0, "no physics is searched in this recording")
