@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from calibration_sim.proving import batch
@@ -216,6 +217,20 @@ def test_the_table_counts_what_it_says() -> None:
     assert "| nothing missing: a finding | 0.25 | <= 0.01 | **no** | 4 |" in markdown(cases, "head")
     assert power(cases)[0]["right"] == {"1": 0.5}
     assert [row["group"] for row in wrong(cases)] == ["nothing", "pair", "single", "outside"]
+
+
+def test_no_test_could_tell_what_is_in_the_noise() -> None:
+    """A simulated best test, of known mean, does as well as the table says."""
+    ratios = [0.0, 1.0, 2.5, 40.0]
+    cases = [_case(_label(_effect(), snr=[ratio]), _result()) for ratio in ratios]
+    limit = _measure(cases, "most that any test could tell, typical, with unloading")
+    assert limit.value is not None
+    noise = np.random.default_rng(0).standard_normal((200_000, 1))
+    told = np.array(ratios) + noise > np.quantile(noise, 0.99)
+    assert limit.value == pytest.approx(told.mean(), abs=0.003)
+    assert told.mean(axis=0)[0] == pytest.approx(0.01, abs=1e-4)
+    assert limit.count == 4
+    assert _measure(cases, "most that any test could tell, typical, with reversed").value is None
 
 
 def test_a_recording_without_a_result_counts_against() -> None:

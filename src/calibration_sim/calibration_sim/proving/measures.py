@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from calibration_sim.proving.running import Run
 from calibration_sim.proving.scoring import Outcome
@@ -48,6 +49,8 @@ class Measure:
     count: int
 
 
+FALSE_ALARM = 0.01  # of the best test there can be, as of the diagnosis
+
 Chosen = Callable[[Case], bool]
 Flags = Callable[[Case, Outcome], Iterable[bool]]
 
@@ -69,6 +72,8 @@ def measures(cases: Sequence[Case]) -> list[Measure]:
         _least("effect right, typical, with reversed load", cases, loads["R"], _first, 0.90),
         _least("effect right, typical, with unloading, 240 kg", cases, _both(loads["L"], _heavy), _first, None),
         _least("effect right, typical, with reversed load, 240 kg", cases, _both(loads["R"], _heavy), _first, None),
+        _limit("most that any test could tell, typical, with unloading", cases, loads["L"]),
+        _limit("most that any test could tell, typical, with reversed load", cases, loads["R"]),
         _most("a false second finding beside a single effect", cases, _group("single"), _false, None),
         _least("effect right, absolute and hardly visible ones besides", cases, _group("besides"), _first, None),
         _least("pairs: both found", cases, several, lambda _, o: [all(o.effect_right)], 0.85),
@@ -185,6 +190,16 @@ def _most(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags, bar: f
     value, count = _share(cases, chosen, flags, missing=True)
     met = None if bar is None or value is None else value <= bar + 1e-12
     return Measure(text, value, "" if bar is None else f"<= {bar:g}", met, count)
+
+
+def _limit(text: str, cases: Sequence[Case], chosen: Chosen) -> Measure:
+    """Return the power of a test that knows effect, place and size beforehand, at the same share of false alarms.
+
+    None has more (Neyman and Pearson 1933); one that has to find out what it is, and where, has less.
+    """
+    ratios = np.array([float(case.label["snr"][0]) for case in cases if chosen(case)])
+    value = float(norm.cdf(ratios - norm.isf(FALSE_ALARM)).mean()) if len(ratios) else None
+    return Measure(f"{text}, {100 * FALSE_ALARM:g} % false alarms", value, "", None, len(ratios))
 
 
 def _within(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags) -> Measure:
