@@ -95,7 +95,8 @@ def diagnose_loaded(
     if attempt.withheld:
         joints, kept = prepared.problem.chain.joints, prepared.problem.readings
         said = " ".join(withheld_sentence(one, joints, kept) for one in attempt.withheld)
-        rest = dataclasses.replace(rest, significant=True, text=f"{rest.text} {said}")
+        size = rest.text if rest.significant else "By its size the rest would pass for noise, by what it follows not."
+        rest = dataclasses.replace(rest, significant=True, text=f"{size} {said}")
     anomalies = _anomalies(checked, attempt, identification)
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:

@@ -52,6 +52,7 @@ def test_a_law_outside_the_catalogue_is_not_called_by_a_name_in_it(
     for effect in effects:
         assert f"Not named, although it comes near: {effect} (" in found.rest.text
     assert "That joint_2 follows the angle " in found.rest.text
+    assert "agrees with the noise" not in found.rest.text
     assert found.model is not None
     assert found.model.effects == ()
 
