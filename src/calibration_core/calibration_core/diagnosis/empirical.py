@@ -11,7 +11,7 @@ Source: Zellner 1986, Liang et al. 2008 (g-prior); Cameron, Gelbach and Miller 2
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -158,6 +158,9 @@ def empirical_law(extended: Extended) -> Law | None:
 def rival(extended: Extended, candidates: Sequence[int]) -> Rival | None:
     """Search for the term that does best in place of accepted candidates; None where nothing can be searched.
 
+    What a candidate's own joint follows by load, direction or time alone is no rival: physics of the catalogue says
+    such things too, and the term may be its image.
+
     Args:
         extended: The extended model.
         candidates: Indices of those that the term replaces; all others stay in the model.
@@ -168,10 +171,17 @@ def rival(extended: Extended, candidates: Sequence[int]) -> Rival | None:
         return None
     everywhere = np.ones(len(rest.value), dtype=bool)
     scores, _ = _scores(rest, (), everywhere)
-    best = int(np.argmax(scores))
-    design = extended.design
+    design, joints = extended.design, extended.state.chain.joints
+    own = set().union(*(_named(design.candidates[index].location.values()) for index in candidates))
+    image = [len(term.names) == 1 and joints[term.joint] in own for term in rest.terms]
+    best = int(np.argmax(np.where(image, -np.inf, scores)))
     columns = np.column_stack([design.columns[:, design.blocks[index]] for index in candidates])
     return Rival(rest.terms[best], float(scores[best]), _score_of(rest, columns))
+
+
+def _named(places: Iterable[str | tuple[str, ...]]) -> set[str]:
+    """Return the names in the values of a location."""
+    return {name for place in places for name in ((place,) if isinstance(place, str) else place)}
 
 
 def _score_of(rest: _Rest, columns: Float2D) -> float:
