@@ -151,7 +151,7 @@ def test_a_result_is_shown_to_whoever_comes_late(spinning: Any, until: Callable[
     assert answer.outcome.code == Outcome.OK, answer.outcome.text
     late: list[MarkerArray] = []
     spinning.plain("late").create_subscription(MARKERS.message, f"/{MARKERS.relative}", late.append, MARKERS.qos)
-    until(lambda: late)
+    until(lambda: late and "deflection" in by_space(late[-1]))  # drawn beside the answer, not before it
     found = by_space(late[-1])
     space = json.loads(answer.result_json)["operating_space"]
     arrows = np.array([places(marker.points) for marker in found["deflection"]])
