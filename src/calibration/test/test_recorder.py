@@ -50,6 +50,15 @@ def recorder(context: Any, out: Path | str, **values: Any) -> RecorderNode:
     return RecorderNode(context=context, parameter_overrides=overrides)
 
 
+def matched(spinning: Any, until: Callable[..., None], tmp_path: Path, depth: int = 100) -> tuple[Any, Any, Any]:
+    """Return a recorder, a node beside it, and that one's publisher of joint states, which the recorder has found."""
+    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
+    client = spinning.plain()
+    publisher = client.create_publisher(JointState, "joint_states", depth)
+    until(publisher.get_subscription_count)
+    return node, client, publisher
+
+
 def q(k: int) -> list[float]:
     return [0.001 * k + joint for joint in range(6)]
 
@@ -158,10 +167,7 @@ def test_everything_goes_into_the_bag(spinning: Any, until: Callable[..., None],
 
 
 def test_close_and_open(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
-    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
-    client = spinning.plain()
-    publisher = client.create_publisher(JointState, "joint_states", 100)
-    until(publisher.get_subscription_count)
+    node, client, publisher = matched(spinning, until, tmp_path)
     close = client.create_client(Trigger, "recorder/close")
     opening = client.create_client(Trigger, "recorder/open")
     assert close.wait_for_service(15.0)
@@ -200,10 +206,7 @@ def test_an_instrument_that_publishes_and_is_not_heard_is_named(
 def test_the_sequencer_waits_until_the_recorder_hears(
     spinning: Any, until: Callable[..., None], tmp_path: Path
 ) -> None:
-    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
-    client = spinning.plain()
-    publisher = client.create_publisher(JointState, "joint_states", 100)
-    until(publisher.get_subscription_count)
+    node, client, publisher = matched(spinning, until, tmp_path)
     user = Recorder(client, "recorder")
     until(lambda: all(one.service_is_ready() for one in user._clients.values()))
     opening = threading.Thread(target=user.open)
@@ -222,10 +225,7 @@ def test_what_came_before_the_bag_was_closed_is_in_it(
     spinning: Any, until: Callable[..., None], tmp_path: Path
 ) -> None:
     """Also where the recorder lags behind."""
-    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
-    client = spinning.plain()
-    publisher = client.create_publisher(JointState, "joint_states", 1000)
-    until(publisher.get_subscription_count)
+    node, client, publisher = matched(spinning, until, tmp_path, depth=1000)
     close = client.create_client(Trigger, "recorder/close")
     assert close.wait_for_service(15.0)
     publisher.publish(joint_state(0))

@@ -186,9 +186,7 @@ def _named(places: Iterable[str | tuple[str, ...]]) -> set[str]:
 
 def _score_of(rest: _Rest, columns: Float2D) -> float:
     """Return the log Bayes factor of any whitened columns, (r, k), by the measure of the terms."""
-    model, precision = rest.model(())
-    inverse = np.linalg.inv(model.T @ model + np.diag(precision))
-    left = rest.value - model @ (inverse @ (model.T @ rest.value))
+    model, inverse, left = _left(rest, (), np.ones(len(rest.value), dtype=bool))
     model_left = model.T @ left
     columns = columns / np.linalg.norm(columns, axis=0)
     cross = columns.T @ model
@@ -241,10 +239,8 @@ def _scores(rest: _Rest, accepted: tuple[int, ...], used: Bool1D, *, bootstrap: 
         used: (r,) rows that may be fitted.
         bootstrap: Whether to find the threshold; it is zero otherwise.
     """
-    model, precision = rest.model(accepted)
-    model, value, functions, place = model[used], rest.value[used], rest.functions[used], rest.place[used]
-    inverse = np.linalg.inv(model.T @ model + np.diag(precision))
-    left = value - model @ (inverse @ (model.T @ value))
+    model, inverse, left = _left(rest, accepted, used)
+    functions, place = rest.functions[used], rest.place[used]
     count = rest.factors.shape[1]
     signs = np.ones((count, 1))
     if bootstrap:
@@ -270,7 +266,7 @@ def _scores(rest: _Rest, accepted: tuple[int, ...], used: Bool1D, *, bootstrap: 
     usable, half = _roots(block, projected, rest.count)
     gain = ((half @ right) ** 2).sum(axis=1)
     total = float(left @ left) - (model_left * (inverse @ model_left)).sum(axis=0)
-    freedom = max(len(value) - model.shape[1], 1)
+    freedom = max(len(left) - model.shape[1], 1)
     share = np.clip(gain / total, 0.0, 1.0 - 1e-12)
     scores = _log_bayes_factor(share, rest.count[:, None], freedom)
     scores[~usable] = -np.inf
@@ -278,6 +274,20 @@ def _scores(rest: _Rest, accepted: tuple[int, ...], used: Bool1D, *, bootstrap: 
     scores[[term.words + str(term.joint) in places for term in rest.terms]] = -np.inf
     limit = float(np.quantile(scores[:, 1:].max(axis=0), 1 - FALSE_ALARM)) if bootstrap else 0.0
     return scores[:, 0], limit
+
+
+def _left(rest: _Rest, accepted: tuple[int, ...], used: Bool1D) -> tuple[Float2D, Float2D, Float1D]:
+    """Return the model with accepted terms, (r, p), its inverse normal matrix, (p, p), and what it leaves, (r,).
+
+    Args:
+        rest: The recording.
+        accepted: Terms in the law.
+        used: (m,) rows that are fitted, r of them.
+    """
+    model, precision = rest.model(accepted)
+    model, value = model[used], rest.value[used]
+    inverse = np.asarray(np.linalg.inv(model.T @ model + np.diag(precision)), dtype=np.float64)
+    return model, inverse, value - model @ (inverse @ (model.T @ value))
 
 
 def _roots(block: Float3D, projected: Float3D, count: Int1D) -> tuple[Bool1D, Float3D]:

@@ -111,9 +111,15 @@ def plan_phases(
         PlanError: Joint 1 or 2 cannot be swept far enough, or too few postures can be measured.
     """
     rules = rules or PhaseRules()
-    parameters = parameters or nominal_parameters(cell)
-    ground = ground_of(cell, parameters, rules.space, None)
-    bodies, chain = ground.bodies, ground.site.chain
+    ground = ground_of(cell, parameters or nominal_parameters(cell), rules.space, None)
+    return _standstills(ground, rules, seed, home)
+
+
+def _standstills(
+    ground: Ground, rules: PhaseRules, seed: int, home: Float1D | None
+) -> tuple[PlannedConfiguration, ...]:
+    """Plan the standstills of all phases on prepared ground."""
+    cell, bodies, chain = ground.cell, ground.bodies, ground.site.chain
     rng = np.random.default_rng([seed, 4])
     here = home
     planned: list[PlannedConfiguration] = []
@@ -151,10 +157,9 @@ def with_phases(
     """
     rules = rules or PhaseRules()
     parameters = parameters or nominal_parameters(cell)
-    home = plan.primary[0].q if plan.reference is None else plan.reference.q
-    phases = plan_phases(cell, rules, seed=seed, parameters=parameters, home=home)
-    plan = dataclasses.replace(plan, preparation=phases)
     ground = ground_of(cell, parameters, rules.space, None)
+    home = plan.primary[0].q if plan.reference is None else plan.reference.q
+    plan = dataclasses.replace(plan, preparation=_standstills(ground, rules, seed, home))
     monitored = Monitored.of(ground.site.chain, parameters)
     duration, unclear = way_through(plan, ground.bodies, monitored, MotionLimits(), SequenceRules())
     if plan.expected is not None:

@@ -177,7 +177,7 @@ class Sequence:
     def _hearing(self, event: m.GuardHearing) -> None:
         """A motion under way goes on: the guard cancels it itself where it must."""
         self._heard = event.hears
-        if event.hears and self._state is not State.IDLE:
+        if event.hears and self._permitted and not self.paused:  # nothing else stood in the way: ask anew next time
             self._asked = False
             self._go_on()
 
