@@ -16,7 +16,7 @@ from calibration_core.diagnosis.design import Design, build_design
 from calibration_core.diagnosis.extended import Extended, loaded_state
 from calibration_core.diagnosis.finding import Measurement
 from calibration_core.diagnosis.next_knowledge import Knowledge, expected_log_bayes_factor
-from calibration_core.diagnosis.next_offers import Offer
+from calibration_core.diagnosis.next_offers import Offer, alternating
 from calibration_core.diagnosis.noise import Scatter
 from calibration_core.diagnosis.nuisances import nuisances
 from calibration_core.diagnosis.selection import Choice, Selection
@@ -154,16 +154,21 @@ class _Search:
         return _Table(offers, design, columns, self.members)
 
     def _best(self, judge: Judge) -> tuple[Offer, float, float] | None:
-        """Judge all offers roughly, the best and some taken at random in full; return the best, its gain, the usual."""
+        """Judge all offers roughly, the best and some taken at random in full; return the best, its gain, the usual.
+
+        The best ones are judged with the load levels of the recording, and alternating between the extremes of these.
+        """
         rough = judge(self.coarse)
         if not rough.useful:
             return None
         order = np.argsort(-rough.score, kind="stable")[:JUDGED]
-        table = self._table(tuple(self.offers[k] for k in (*order, *range(min(JUDGED, len(self.offers))))))
+        chosen = [self.offers[k] for k in order]
+        chosen += [alternating(offer) for offer in chosen]
+        table = self._table((*chosen, *self.offers[:JUDGED]))
         full = judge(table)
-        best = int(np.argmax(full.score[: len(order)]))
+        best = int(np.argmax(full.score[: len(chosen)]))
         self.taken.append(dataclasses.replace(table, offers=(table.offers[best],), columns=table.columns[[best]]))
-        return table.offers[best], float(full.gain[best]), float(np.median(full.gain[len(order) :]))
+        return table.offers[best], float(full.gain[best]), float(np.median(full.gain[len(chosen) :]))
 
     def _knowledge(self, chosen: Sequence[int], truth: Sequence[int]) -> Knowledge:
         """Return what is known under a hypothesis, the offers taken already measured as the truth predicts them."""

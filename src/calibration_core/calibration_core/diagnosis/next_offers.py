@@ -36,6 +36,18 @@ class Offer:
         return np.asarray(self.steps[int(np.argmax(np.linalg.norm(self.steps[:, :3], axis=1)))])
 
 
+def alternating(offer: Offer) -> Offer:
+    """Return an offer with as many steps, that after the first go to and fro between its extreme loads.
+
+    What grows with the load shows most between extremes, what depends on its path or size in between does not: which
+    of the two tells more has to be judged.
+    """
+    levels = offer.steps[:, :3] @ offer.full[:3]
+    highest, lowest = offer.steps[int(np.argmax(levels))], offer.steps[int(np.argmin(levels))]
+    turns = np.arange(1, len(offer.steps)) % 2 == 1
+    return dataclasses.replace(offer, steps=np.vstack([offer.steps[:1], np.where(turns[:, None], highest, lowest)]))
+
+
 def levels_of(readings: Readings) -> tuple[float, ...]:
     """Return the load levels of a recording's steps, as shares of the full load, the first being none.
 

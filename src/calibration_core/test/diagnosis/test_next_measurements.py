@@ -13,12 +13,13 @@ from calibration_core.cell import Cell
 from calibration_core.commands.offers import offers_for, proposed_plan
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.next_knowledge import Knowledge, expected_log_bayes_factor
-from calibration_core.diagnosis.next_offers import levels_of
+from calibration_core.diagnosis.next_offers import Offer, alternating, levels_of
 from calibration_core.identification.problem import build_problem, load_of
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
+from calibration_core.procedure.loads import wrench_steps
 from calibration_core.procedure.plan_file import plan_text, read_plan
 from calibration_core.timeseries import Readings
 
@@ -95,6 +96,32 @@ def test_offers_keep_the_limits(cell: Cell) -> None:
         assert force[0] == 0.0
         assert force.max() <= min(240 * 9.80665, largest) + 1e-6
         np.testing.assert_allclose(force, force.max() * np.array([0.0, 0.5, 1.0, 0.5, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("levels", "expected"),
+    [
+        ((0.0, 0.5, 1.0, 0.5, 0.0), (0.0, 1.0, 0.0, 1.0, 0.0)),
+        ((0.0, 1.0, 0.5, -1.0, -0.5, 0.0), (0.0, 1.0, -1.0, 1.0, -1.0, 1.0)),
+        ((0.0,), (0.0,)),
+    ],
+)
+def test_an_alternating_offer_goes_to_and_fro_between_its_extremes(
+    levels: tuple[float, ...], expected: tuple[float, ...]
+) -> None:
+    force = np.array([100.0, -300.0, 50.0])
+    offer = Offer(1, np.arange(6.0), wrench_steps(force, levels))
+    other = alternating(offer)
+    np.testing.assert_array_equal(other.steps, wrench_steps(force, expected))
+    np.testing.assert_array_equal(other.q, offer.q)
+
+
+def test_what_grows_with_the_load_is_sharpened_by_going_to_and_fro(cell: Cell) -> None:
+    readings = loaded_readings(cell, 1)
+    found = diagnose_loaded(readings, cell, offers=offers_for(readings, cell))
+    for proposal in found.next_measurements:
+        force = np.linalg.norm(np.array(proposal.steps)[:, :3], axis=1)
+        np.testing.assert_allclose(force, force.max() * np.array([0.0, 1.0, 0.0, 1.0, 0.0]))
 
 
 def test_an_ambiguous_finding_gets_a_proposal_that_the_sequencer_can_read(cell: Cell, tmp_path: Path) -> None:

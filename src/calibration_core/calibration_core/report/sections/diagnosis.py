@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.diagnosis.comparison import Comparison
-from calibration_core.diagnosis.finding import EMPIRICAL, Diagnosis, Finding
+from calibration_core.diagnosis.finding import EMPIRICAL, Diagnosis, Finding, Measurement
 from calibration_core.report.diagnosis_figures import before_after_figure, comparison_figure, where_figure
 from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table
 from calibration_core.report.rounding import fixed, padded, significant
@@ -135,22 +135,34 @@ def next_blocks(found: Diagnosis) -> tuple[Block, ...]:
         Column("No"),
         *(Column(f"θ{k + 1} [°]") for k in range(len(joints))),
         *(Column(f"F{axis} [N]") for axis in "xyz"),
+        Column("steps [% of F]"),
     )
     rows = tuple(
         (
             str(number),
             *(fixed(float(np.degrees(angle)), 2) for angle in proposal.q),
             *(fixed(force, 0) for force in proposal.wrench[:3]),
+            _percent_of_full(proposal),
         )
         for number, proposal in enumerate(found.next_measurements, start=1)
     )
     note = (
-        "Force at the full step, base axes, at the wrench point; the steps are those of this recording. The same "
-        "stands in next.yaml, which `calibration simulate` and the sequencer read as a plan."
+        "Force at the full step, base axes, at the wrench point. The steps are those of this recording, or go to and "
+        "fro between the extremes of these where that tells more. The same stands in next.yaml, which `calibration "
+        "simulate` and the sequencer read as a plan."
     )
     blocks.append(Table("Proposed measurements", columns, padded(rows), note))
     blocks.append(Items(tuple(f"No {k}: {p.why}." for k, p in enumerate(found.next_measurements, start=1))))
     return tuple(blocks)
+
+
+def _percent_of_full(proposal: Measurement) -> str:
+    full = np.array(proposal.wrench[:3])
+    power = float(full @ full)
+    if power == 0.0:
+        return "no load"
+    levels = 100.0 * np.array(proposal.steps)[:, :3] @ full / power
+    return ", ".join(fixed(level + 0.0, 0) for level in levels.round())
 
 
 def stiffness_blocks(found: Diagnosis) -> tuple[Block, ...]:
