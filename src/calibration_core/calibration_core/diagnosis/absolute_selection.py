@@ -80,6 +80,12 @@ def parameter_count(design: AbsoluteDesign, accepted: Sequence[int]) -> int:
     return sum(len(design.candidates[index].parameters) for index in physics)
 
 
+def held_out_squares(design: AbsoluteDesign, selection: AbsoluteSelection, partition: Blocks) -> float:
+    """Return the squared error on blocks left out, with what was accepted."""
+    left = left_out(design.of(selection.accepted), design.residual, partition)
+    return float(block_squares(left, partition).sum())
+
+
 class _Search:
     """The steps of the search, and what they refuse."""
 

@@ -14,6 +14,7 @@ from calibration_core.diagnosis.finding import Diagnosis
 from calibration_core.identification.absolute import evaluate_absolute
 from calibration_core.identification.predict import predict_readings
 from calibration_core.model.effects.approach_direction import last_motion
+from calibration_core.model.effects.gravity_compensator import Triangle, spring_torque, triangle_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Readings
@@ -113,6 +114,54 @@ def test_sag_is_not_claimed_where_a_low_harmonic_does(cell: Cell) -> None:
     found = diagnose_absolute(planted(cell, q, extra), cell)
     assert ("joint_elasticity", "joint_2") not in named(found)
     assert not found.stiffness
+
+
+def overtones(torque: float, shape: Triangle) -> np.ndarray:
+    """Return the second to fourth harmonic of a spring's torque; the first hides behind geometry and weight."""
+    q = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    values = torque * spring_torque(np.radians(shape.anchor) - q, shape.flatness, shape.preload)
+    return np.asarray(np.fft.rfft(values)[2:5])
+
+
+@pytest.mark.parametrize("shape", [Triangle(183.8, 0.498, 0.58), Triangle(221.0, 0.4, 0.7)])
+def test_a_compensator_is_found_with_its_triangle_and_without_waves_that_imitate_it(shape: Triangle) -> None:
+    stated = make_cell(points=POINTS, robot={"stiffness": [1e6] * 6})
+    q, other = random_angles(SEED, CONFIGURATIONS, 6), random_angles(99, 25, 6)
+    torque = -1500.0
+
+    def extra(q: np.ndarray) -> np.ndarray:
+        result = np.zeros_like(q)
+        result[:, 1] = 1e-6 * torque * spring_torque(np.radians(shape.anchor) - q[:, 1], shape.flatness, shape.preload)
+        return result
+
+    def seen(q: np.ndarray, seed: int) -> Readings:
+        readings = make_readings(stated, truth_of(stated, SEED, compliance=1e-6), q + extra(q), seed=seed)
+        return dataclasses.replace(readings, q=np.repeat(q, len(stated.points), axis=0))
+
+    test = seen(other, 7)
+    found = diagnose_absolute(seen(q, SEED), stated, test=test)
+    assert named(found) == [("gravity_compensator", "joint_2")]
+    assert found.verdict == "missing_physics"
+    told = triangle_of(found.findings[0].variant)
+    assert told is not None
+    parameters = {p.name: p.value for p in found.findings[0].parameters}
+    seen_ones, true_ones = overtones(parameters["torque"], told), overtones(torque, shape)
+    np.testing.assert_allclose(seen_ones, true_ones, atol=0.15 * np.abs(true_ones).max())
+    assert found.model is not None
+    assert found.test is not None
+    assert found.test.rms < 1.4 * SIGMA
+    again = predict_readings(test, stated, found.model) - test.position
+    assert np.isclose(np.sqrt(np.mean(again**2)), found.test.rms, rtol=1e-6)
+
+
+def test_waves_of_high_order_are_not_taken_for_a_compensator() -> None:
+    stated = make_cell(points=POINTS, robot={"stiffness": [1e6] * 6})
+    q = random_angles(SEED, CONFIGURATIONS, 6)
+    seen = make_readings(stated, truth_of(stated, SEED, compliance=1e-6), q + waves(q), seed=SEED)
+    found = diagnose_absolute(dataclasses.replace(seen, q=np.repeat(q, len(POINTS), axis=0)), stated)
+    assert named(found) == [("transmission_error", "joint_2")]
+    orders = {p.value for p in found.findings[0].parameters if p.name.startswith("harmonic")}
+    assert orders == set(WAVES)
 
 
 def test_thermal_growth(cell: Cell) -> None:

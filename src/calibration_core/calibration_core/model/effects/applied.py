@@ -11,6 +11,7 @@ import numpy as np
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.approach_direction import approach
 from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.gravity_compensator import spring, triangle_of
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.thermal_growth import growths
 from calibration_core.model.effects.transmission_error import harmonic, order_of
@@ -72,6 +73,10 @@ def _candidate(effect: AppliedEffect, state: State) -> Candidate | None:
         if not names or any(name not in joints for name in names):
             return None
         return approach(state, tuple(joints.index(str(name)) for name in names), effect.location)
+    triangle = triangle_of(effect.variant) if effect.effect == "gravity_compensator" else None
+    if triangle is not None:
+        found = spring(state, triangle)
+        return found if dict(found.location) == dict(effect.location) else None
     key = (effect.effect, tuple(sorted(effect.location.items())), effect.variant)
     if effect.effect == "thermal_growth":
         offered = growths(state)

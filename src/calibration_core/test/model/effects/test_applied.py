@@ -6,12 +6,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.identification.problem import build_problem, load_of
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.applied import REFERENCE, RELATIVE, applied, applied_shift
+from calibration_core.model.effects.gravity_compensator import Triangle, spring, triangle_of
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
@@ -51,3 +54,37 @@ def test_a_law_relative_to_the_largest_torque_stays_the_same_law(cell: Cell, eff
     np.testing.assert_allclose(applied_shift([known], part), (candidate.columns(whole) @ value)[some], atol=1e-12)
     free = dataclasses.replace(known, parameters={k: v for k, v in known.parameters.items() if k != REFERENCE})
     assert np.abs(applied_shift([free], part) - (candidate.columns(whole) @ value)[some]).max() > 1e-7
+
+
+@given(anchor=st.floats(-400, 800), flatness=st.floats(0.05, 0.9), preload=st.floats(0.05, 0.9))
+def test_a_spring_of_any_shape_is_restored_from_its_variant(
+    cell: Cell, anchor: float, flatness: float, preload: float
+) -> None:
+    state = state_at(loaded_readings(cell, 1), cell)
+    candidate = spring(state, Triangle(anchor, flatness, preload))
+    told = triangle_of(candidate.variant)
+    assert told is not None
+    assert abs((told.anchor - anchor + 180) % 360 - 180) <= 0.051
+    assert abs(told.flatness - flatness) <= 0.00051
+    assert abs(told.preload - preload) <= 0.00051
+    value = np.array([-3000.0, 400.0])
+    shift = applied_shift([applied(candidate, value, state)], state)
+    np.testing.assert_array_equal(shift, candidate.columns(state) @ value)
+
+
+@pytest.mark.parametrize(
+    "variant",
+    [
+        "torque, anchor 5 deg, flatness 1.2, preload 0.5",
+        "torque, anchor -5 deg, flatness 0.2, preload 0.5",
+        "torque, anchor 5 deg, flatness 0.2",
+        "torque, anchor 5 deg, flatness 0.2, preload 0.5 ",
+    ],
+)
+def test_a_spring_that_cannot_be_is_refused(cell: Cell, variant: str) -> None:
+    state = state_at(loaded_readings(cell, 1), cell)
+    known = applied(spring(state, Triangle(5.0, 0.2, 0.5)), np.array([1.0, 1.0]), state)
+    with pytest.raises(ValueError, match="cannot be evaluated"):
+        applied_shift([dataclasses.replace(known, variant=variant)], state)
+    with pytest.raises(ValueError, match="cannot be evaluated"):
+        applied_shift([dataclasses.replace(known, location={"joint": "joint_3"})], state)

@@ -1,0 +1,77 @@
+"""The triangle of a gravity compensator, refitted where one may be.
+
+The catalogue offers a few shapes.  By what the true one differs is a wave over the joint's angle, which a transmission
+error of the same joint would explain, and several orders together imitate the whole spring.  The shape is therefore
+fitted without such waves, which are judged beside it anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from calibration_core.diagnosis.absolute_design import AbsoluteDesign
+from calibration_core.diagnosis.absolute_evidence import orthonormal
+from calibration_core.model.effects import candidates
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.gravity_compensator import JOINT, Triangle, sag, spring, triangle_of
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+
+REACH = 30.0  # degrees about the offered anchor
+LEAST, MOST = 0.05, 0.9  # of flatness and preload
+SCALE = (5.0, 0.1, 0.1)  # of anchor, flatness and preload
+STARTS = 4  # shapes of the catalogue from which the best one is sought
+STEPS = 20  # at most, from each
+
+
+def sharpened(
+    build: Callable[[tuple[Candidate, ...]], AbsoluteDesign],
+    weigh: Callable[[Float3D], Float2D],
+    state: State,
+    others: Sequence[Candidate],
+) -> Candidate:
+    """Return a compensator with the shape that explains most beside others.
+
+    Args:
+        build: Sets up the linear model for given hypotheses.
+        weigh: Turns movements (m, 3, k) of all readings into the model's columns (3 s, k).
+        state: All readings' state.
+        others: Hypotheses that are part of the model.
+    """
+    design = build(tuple(others))
+    basis = orthonormal(design.of(range(len(others))))
+    residual = design.residual - basis @ (basis.T @ design.residual)
+
+    def left(x: Float1D) -> Float1D:
+        column = weigh(sag(state, Triangle(*x))[:, :, :1])[:, 0]
+        column = column - basis @ (basis.T @ column)
+        return np.asarray(residual - column * (column @ residual) / (column @ column))
+
+    offered = [triangle_of(c.variant) for c in candidates(state) if is_spring(c)]
+    starts = [np.array([shape.anchor, shape.flatness, shape.preload]) for shape in offered if shape is not None]
+    starts.sort(key=lambda x: float(np.sum(left(x) ** 2)))
+    fits = [least_squares(left, x, bounds=_around(x), x_scale=SCALE, max_nfev=STEPS) for x in starts[:STARTS]]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    return spring(state, Triangle(*map(float, best.x)))
+
+
+def _around(start: Float1D) -> tuple[list[float], list[float]]:
+    return [float(start[0]) - REACH, LEAST, LEAST], [float(start[0]) + REACH, MOST, MOST]
+
+
+def is_spring(candidate: Candidate) -> bool:
+    """Return whether a hypothesis is a compensator's torque of some shape."""
+    return candidate.effect == "gravity_compensator" and triangle_of(candidate.variant) is not None
+
+
+def by_kind(
+    chosen: Sequence[Candidate], state: State
+) -> tuple[tuple[Candidate, ...], tuple[Candidate, ...], tuple[Candidate, ...]]:
+    """Return springs, waves of the joint that a spring would help, and all others."""
+    joint = state.chain.joints[JOINT]
+    springs = tuple(c for c in chosen if is_spring(c))
+    waves = tuple(c for c in chosen if c.effect == "transmission_error" and c.location["joint"] == joint)
+    return springs, waves, tuple(c for c in chosen if c not in springs and c not in waves)
