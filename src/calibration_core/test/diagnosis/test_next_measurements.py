@@ -11,6 +11,7 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.commands.offers import offers_for, proposed_plan
+from calibration_core.diagnosis.finding import Diagnosis
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.next_knowledge import Knowledge, expected_log_bayes_factor
 from calibration_core.diagnosis.next_offers import Offer, alternating, levels_of
@@ -21,6 +22,8 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.loads import wrench_steps
 from calibration_core.procedure.plan_file import plan_text, read_plan
+from calibration_core.report.document import Items
+from calibration_core.report.sections.diagnosis import next_blocks
 from calibration_core.timeseries import Readings
 
 
@@ -122,6 +125,24 @@ def test_what_grows_with_the_load_is_sharpened_by_going_to_and_fro(cell: Cell) -
     for proposal in found.next_measurements:
         force = np.linalg.norm(np.array(proposal.steps)[:, :3], axis=1)
         np.testing.assert_allclose(force, force.max() * np.array([0.0, 1.0, 0.0, 1.0, 0.0]))
+    assert said_of(found).count("Steps: 0 % of F, then 100 % and 0 % in turn, 5 in all.") == 3
+    as_recorded = dataclasses.replace(
+        found.next_measurements[0], steps=tuple(map(tuple, wrench_steps(force_of(found), (0.0, 0.5, 1.0, 0.5, 0.0))))
+    )
+    other = dataclasses.replace(found, next_measurements=(as_recorded,))
+    assert said_of(other).endswith("Steps: 0, 50, 100, 50, 0 % of F.")
+    unloaded = dataclasses.replace(as_recorded, wrench=(0.0,) * 6, steps=((0.0,) * 6,))
+    assert said_of(dataclasses.replace(found, next_measurements=(unloaded,))).endswith("No load.")
+
+
+def said_of(found: Diagnosis) -> str:
+    """Return what the report says below the table of the proposals."""
+    (items,) = (block for block in next_blocks(found) if isinstance(block, Items))
+    return " ".join(items.texts)
+
+
+def force_of(found: Diagnosis) -> np.ndarray:
+    return np.array(found.next_measurements[0].wrench[:3])
 
 
 def test_an_ambiguous_finding_gets_a_proposal_that_the_sequencer_can_read(cell: Cell, tmp_path: Path) -> None:

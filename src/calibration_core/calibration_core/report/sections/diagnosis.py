@@ -135,34 +135,37 @@ def next_blocks(found: Diagnosis) -> tuple[Block, ...]:
         Column("No"),
         *(Column(f"θ{k + 1} [°]") for k in range(len(joints))),
         *(Column(f"F{axis} [N]") for axis in "xyz"),
-        Column("steps [% of F]"),
     )
     rows = tuple(
         (
             str(number),
             *(fixed(float(np.degrees(angle)), 2) for angle in proposal.q),
             *(fixed(force, 0) for force in proposal.wrench[:3]),
-            _percent_of_full(proposal),
         )
         for number, proposal in enumerate(found.next_measurements, start=1)
     )
     note = (
-        "Force at the full step, base axes, at the wrench point. The steps are those of this recording, or go to and "
-        "fro between the extremes of these where that tells more. The same stands in next.yaml, which `calibration "
-        "simulate` and the sequencer read as a plan."
+        "Force F at the full step, base axes, at the wrench point; the steps stand below. The same stands in "
+        "next.yaml, which `calibration simulate` and the sequencer read as a plan."
     )
     blocks.append(Table("Proposed measurements", columns, padded(rows), note))
-    blocks.append(Items(tuple(f"No {k}: {p.why}." for k, p in enumerate(found.next_measurements, start=1))))
+    said = (f"No {k}: {p.why}. {_steps_of(p)}" for k, p in enumerate(found.next_measurements, start=1))
+    blocks.append(Items(tuple(said)))
     return tuple(blocks)
 
 
-def _percent_of_full(proposal: Measurement) -> str:
+def _steps_of(proposal: Measurement) -> str:
+    """Return the load steps in words, as shares of the full force."""
     full = np.array(proposal.wrench[:3])
     power = float(full @ full)
     if power == 0.0:
-        return "no load"
-    levels = 100.0 * np.array(proposal.steps)[:, :3] @ full / power
-    return ", ".join(fixed(level + 0.0, 0) for level in levels.round())
+        return "No load."
+    shares = (100.0 * np.array(proposal.steps)[:, :3] @ full / power).round() + 0.0
+    levels = [fixed(share, 0) for share in shares]
+    turns = levels[1:]
+    if len(turns) > 2 and turns == [turns[k % 2] for k in range(len(turns))]:
+        return f"Steps: {levels[0]} % of F, then {turns[0]} % and {turns[1]} % in turn, {len(levels)} in all."
+    return f"Steps: {', '.join(levels)} % of F."
 
 
 def stiffness_blocks(found: Diagnosis) -> tuple[Block, ...]:
