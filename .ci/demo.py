@@ -1,4 +1,5 @@
 """The whole suite at work: a simulated cell with a concealed fault is measured, identified live, replayed, diagnosed.
+A second robot, of which only unloaded postures are known, hides another fault and is diagnosed, too.
 
     source install/setup.bash && .venv/bin/python .ci/demo.py OUT
 
@@ -32,6 +33,8 @@ from tqdm import tqdm
 
 from calibration_core.procedure.session import Session
 from calibration_core.timeseries import NANOSECONDS
+from calibration_sim.proving.writing import folder_of, open_labels, write_recordings
+from calibration_sim.scenarios import grid
 
 ROOT = Path(__file__).resolve().parents[1]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
@@ -39,6 +42,8 @@ PARAMETERS = [ROOT / "config" / name for name in ("ros.yaml", "simulation.yaml")
 NODES = ("guard", "tracker", "force_torque", "sequencer", "recorder", "identification")
 SPEED = 25.0  # times real time, if the machine can
 EFFECT, JOINT, COMPLIANCE = "off_axis_compliance", "joint_2", 3.0e-7  # concealed: a bearing that tilts, rad/(N*m)
+CHOSEN = ("besides", "heavy", "transmission_error")  # concealed in the second robot: group, robot and effect
+CHOSEN_SEED = 1  # by whose lot it has its joint and size
 PATIENCE = 300.0  # s
 GRACE = 10.0  # s, a process may take to end
 LEVELS = (0.0, 0.333, 0.667, 1.0)  # shares of the full pull, per step
@@ -164,10 +169,10 @@ def stage(what: str) -> Iterator[None]:
     print(f"{time.monotonic() - began:.1f} s", flush=True)
 
 
-def program(processes: Processes, out: Path, *arguments: object) -> tuple[str, dict[str, Any]]:
+def program(processes: Processes, out: Path, *arguments: object, cell: Path = CELL) -> tuple[str, dict[str, Any]]:
     """Run the program `calibration`, which needs no ROS; return what it prints, and its result."""
     command = [str(Path(sys.executable).parent / "calibration"), *map(str, arguments)]
-    told = processes.run([*command, "--cell", str(CELL), "--out", str(out)])
+    told = processes.run([*command, "--cell", str(cell), "--out", str(out)])
     return told, dict(json.loads((out / "result.json").read_text(encoding="utf-8")))
 
 
@@ -178,14 +183,41 @@ def cell_seconds(session: Path) -> float:
     return (max(times) - min(times)) / NANOSECONDS
 
 
-def named(found: dict[str, Any]) -> bool:
+def named(found: dict[str, Any], effect: str, joint: str) -> bool:
     """Whether the diagnosis names what was concealed, first."""
     first = next(iter(found["findings"]), {"effect": "", "location": {}})
-    return (first["effect"], first["location"]) == (EFFECT, {"joint": JOINT})
+    return (first["effect"], first["location"]) == (effect, {"joint": joint})
+
+
+def show(told: str) -> None:
+    """Print what a diagnosis says, less the place of its report."""
+    print("".join(f"  {line}\n" for line in told.splitlines() if not line.startswith("report:")), end="")
+
+
+def unloaded(out: Path, processes: Processes) -> bool:
+    """Conceal a fault in a robot of which only postures without load are measured; return whether it is named."""
+    scenarios = grid(CHOSEN_SEED)
+    hiding = (s for s in scenarios if (s.group, s.robot, s.planned[0].name if s.planned else "") == CHOSEN)
+    print("a second robot, postures without load, in which something is concealed", flush=True)
+    (name,), digest = write_recordings([next(hiding)], len(scenarios), out, jobs=1)
+    print(f"SHA-256 of the label: {digest}")
+    folder = folder_of(out, name)
+    with stage("diagnosing it, blind"):
+        told, found = program(
+            processes, out / "diagnose", "diagnose", folder / "measurements.csv", cell=folder / "cell.yaml"
+        )
+    show(told)
+    (truth,) = open_labels(out, digest)[name]["effects"]
+    joint, sizes = truth["location"]["joint"], truth["parameters"]
+    waves = ", ".join(f"{1e3 * size:.2f} mrad {key.split('_')[1]} times a turn" for key, size in sizes.items())
+    print(f"what was concealed: a gear error of {joint} ({truth['effect']}, {waves})")
+    right = named(found, truth["effect"], joint)
+    print(f"the diagnosis {'names it' if right else 'does NOT name it'}")
+    return right
 
 
 def demonstrate(out: Path, processes: Processes) -> bool:
-    """Run everything; return whether live and replayed results are the same and the concealed effect is named."""
+    """Run everything; return whether live and replayed results are the same and the concealed effects are named."""
     with stage("planning"):
         program(processes, out / "plan", "plan", "--load-levels", *LEVELS)
     cell = Cell(out, processes)
@@ -204,18 +236,21 @@ def demonstrate(out: Path, processes: Processes) -> bool:
     print(f"live and replayed results are {'the same to the bit' if same else 'DIFFERENT'}")
     with stage("diagnosing the recorded bag, blind"):
         told, found = program(processes, out / "diagnose", "diagnose", cell.bag)
-    print("".join(f"  {line}\n" for line in told.splitlines() if not line.startswith("report:")), end="")
+    show(told)
     print(f"what was concealed: a bearing of {JOINT} that tilts ({EFFECT}, {COMPLIANCE:g} rad/(N·m))")
-    print(f"the diagnosis {'names it' if named(found) else 'does NOT name it'}")
+    right = named(found, EFFECT, JOINT)
+    print(f"the diagnosis {'names it' if right else 'does NOT name it'}")
+    second = unloaded(out / "second", processes)
     report = Path(answer.report_path)
     end = time.monotonic() + PATIENCE
     while not report.exists():  # drawn after the answer
         if time.monotonic() > end:
             raise DemonstrationError(f"{report} is not drawn; see {out / 'identification.log'}")
         time.sleep(0.1)
-    for what, path in (("plan", out / "plan"), ("stiffness", report.parent), ("diagnosis", out / "diagnose")):
+    diagnoses = (("diagnosis", out / "diagnose"), ("second diagnosis", out / "second" / "diagnose"))
+    for what, path in (("plan", out / "plan"), ("stiffness", report.parent), *diagnoses):
         print(f"report, {what}: {path / 'report.html'}")
-    return same and named(found)
+    return same and right and second
 
 
 def leave(number: int, _frame: object) -> None:
@@ -224,7 +259,7 @@ def leave(number: int, _frame: object) -> None:
 
 
 def main() -> int:
-    """Run the demonstration; 0 if live and replayed results are the same to the bit and the diagnosis is right."""
+    """Run the demonstration; 0 if live and replayed results are the same to the bit and both diagnoses are right."""
     parser = argparse.ArgumentParser(description="Measure a simulated cell with everything that a real one needs.")
     parser.add_argument("out", type=Path, help="directory, replaced")
     out = parser.parse_args().out.resolve()
