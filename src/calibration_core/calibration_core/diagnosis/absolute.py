@@ -31,7 +31,7 @@ from calibration_core.diagnosis.absolute_selection import (
     parameter_count,
     select_absolute,
 )
-from calibration_core.diagnosis.absolute_shape import by_kind, is_spring, sharpened
+from calibration_core.diagnosis.absolute_shape import by_kind, is_spring, sharpened, spring_is_better
 from calibration_core.diagnosis.blocks import Blocks, posture_blocks, time_blocks
 from calibration_core.diagnosis.finding import Diagnosis, Finding, Rest, Verdict, by_size
 from calibration_core.diagnosis.known_stiffness import Considered, KnownCompliance, divided
@@ -59,7 +59,6 @@ GROSS = 0.01  # probability that a clean recording has any reading beyond the li
 LOW_ORDERS = 64  # of transmission errors, searched first; higher ones if there is room left
 DWARFS = 10.0  # times what remains unexplained, that a geometry error beside it must move the points
 REPORTED = {"time": 10, "posture": 20}  # blocks left out in the figures that are reported
-NO_WORSE = 0.02  # of the squared error on blocks left out
 Found = tuple[AbsoluteDesign, AbsoluteSelection]
 
 
@@ -254,11 +253,7 @@ def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, Steps]:
 
 
 def _spring_or_waves(case: Case, offered: tuple[Candidate, ...], found: Found) -> Found:
-    """Search anew where joint 2 was given a spring or waves, from either alone; return the better result.
-
-    The spring's triangle is refitted.  What predicts blocks left out better is believed; where neither does, what has
-    fewer parameters; where these are as many, what the search began with.
-    """
+    """Search anew where joint 2 was given a spring or waves, from either alone; return the better result."""
     accepted = _accepted(*found)
     springs, waves, others = by_kind(accepted, case.state)
     if not any(map(is_spring, offered)) or not (springs or waves):
@@ -268,13 +263,9 @@ def _spring_or_waves(case: Case, offered: tuple[Candidate, ...], found: Found) -
     sprung = _select(case, (*others, sharpened(case.design, case.weigh, case.state, others)), rest)
     if not any(map(is_spring, _accepted(*sprung))):
         return waved
-    ratio = held_out_squares(*sprung, case.partitions[0]) / held_out_squares(*waved, case.partitions[0])
+    squares = [held_out_squares(*one, case.partitions[0]) for one in (sprung, waved)]
     counts = [parameter_count(design, selection.accepted) for design, selection in (sprung, waved)]
-    if abs(ratio - 1) > NO_WORSE:
-        return sprung if ratio < 1 else waved
-    if counts[0] != counts[1]:
-        return sprung if counts[0] < counts[1] else waved
-    return sprung if springs else waved
+    return sprung if spring_is_better(squares, counts, first=bool(springs)) else waved
 
 
 def fitting_after_all(extended: AbsoluteExtended, readings: Readings) -> frozenset[Key]:

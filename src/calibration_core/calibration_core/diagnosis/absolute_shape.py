@@ -23,6 +23,7 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D
 REACH = 30.0  # degrees about the offered anchor
 LEAST, MOST = 0.05, 0.9  # of flatness and preload
 SCALE = (5.0, 0.1, 0.1)  # of anchor, flatness and preload
+NO_WORSE = 0.02  # of the squared error on blocks left out
 STARTS = 4  # shapes of the catalogue from which the best one is sought
 STEPS = 20  # at most, from each
 
@@ -75,3 +76,20 @@ def by_kind(
     springs = tuple(c for c in chosen if is_spring(c))
     waves = tuple(c for c in chosen if c.effect == "transmission_error" and c.location["joint"] == joint)
     return springs, waves, tuple(c for c in chosen if c not in springs and c not in waves)
+
+
+def spring_is_better(squares: Sequence[float], counts: Sequence[int], *, first: bool) -> bool:
+    """Say whether a search that begins with a spring ends better than one that begins with waves.
+
+    What predicts blocks left out better is believed; where neither does, what has fewer parameters; where these are as
+    many, what an open search had taken.
+
+    Args:
+        squares: Squared error on blocks left out, of the spring's search and of the waves'.
+        counts: Parameters of both.
+        first: Whether an open search had taken a spring.
+    """
+    ratio = squares[0] / squares[1]
+    if abs(ratio - 1) > NO_WORSE:
+        return ratio < 1
+    return first if counts[0] == counts[1] else counts[0] < counts[1]

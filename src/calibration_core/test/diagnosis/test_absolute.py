@@ -10,6 +10,7 @@ from absolute_cases import SIGMA, make_cell, make_readings, random_angles, truth
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.absolute import diagnose_absolute, prepare, search
+from calibration_core.diagnosis.absolute_shape import spring_is_better
 from calibration_core.diagnosis.finding import Diagnosis
 from calibration_core.identification.absolute import evaluate_absolute
 from calibration_core.identification.predict import predict_readings
@@ -152,6 +153,21 @@ def test_a_compensator_is_found_with_its_triangle_and_without_waves_that_imitate
     assert found.test.rms < 1.4 * SIGMA
     again = predict_readings(test, stated, found.model) - test.position
     assert np.isclose(np.sqrt(np.mean(again**2)), found.test.rms, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("squares", "counts", "first", "better"),
+    [
+        ((0.9, 1.0), (6, 2), False, True),
+        ((1.1, 1.0), (2, 6), True, False),
+        ((1.01, 1.0), (2, 4), False, True),
+        ((0.99, 1.0), (4, 2), True, False),
+        ((1.01, 1.0), (2, 2), True, True),
+        ((0.99, 1.0), (2, 2), False, False),
+    ],
+)
+def test_spring_or_waves(squares: tuple[float, float], counts: tuple[int, int], first: bool, better: bool) -> None:
+    assert spring_is_better(squares, counts, first=first) is better
 
 
 def test_waves_of_high_order_are_not_taken_for_a_compensator() -> None:
