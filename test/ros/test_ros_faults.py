@@ -85,7 +85,7 @@ class Cell:
         sim = {"use_sim_time": True}
         suite.start("simulated_cell", clock=True, event_log=suite.directory / "cell.csv")
         suite.start(
-            "guard", **sim, stop_action="driver/move_to", trace=suite.directory / "guard.csv",
+            "guard", **sim, motion__backend="simulated", trace=suite.directory / "guard.csv",
             robot_state__adapter="native",
         )  # fmt: skip
         for name in ("tracker", "force_torque"):

@@ -1,4 +1,4 @@
-"""The guard's own hand on the motion: it cancels every goal of the driver's action when nobody else may be able to.
+"""The guard's own hand on the motion: it stops the robot by the back end's stop path when nobody else may be able to.
 
 The sequencer stops its motions itself.  This is for the case that it cannot any more: it was killed, hangs, or does not
 hear.  Its sign of life tells whether a motion of its own is under way.  A robot that moves without any such sign is
@@ -12,31 +12,29 @@ import time
 from pathlib import Path
 from typing import Any
 
-from action_msgs.srv import CancelGoal
-
+from calibration.motion.stop_path import StopPath
 from calibration.node import CalibrationNode
 from calibration.topics import MOTION_PULSE
 
 UNHEARD = "the robot moves and no sign of life of the sequencer is heard"
 MOVES = 0.02  # m/s of the fastest point: a robot at rest is never as fast, noise included
-AGAIN = 0.5  # s between cancellations of such a motion
+AGAIN = 0.5  # s between stops of such a motion
 WATCHED = "the motion under way is permitted and watched"
 
 
 class Emergency:
-    """Cancels all goals of one action; times are s of the steady clock."""
+    """Stops what nobody watches; times are s of the steady clock."""
 
-    def __init__(self, node: CalibrationNode, action: str, max_age: float, trace: str) -> None:
+    def __init__(self, node: CalibrationNode, stop: StopPath, max_age: float, trace: str) -> None:
         """Listen to the sequencer's sign of life.
 
         Args:
             node: The guard.
-            action: Name of the driver's action; empty: nothing is ever cancelled.
+            stop: How the robot is stopped.
             max_age: s, of the sign of life.
-            trace: File for the monotonic clock's ns of every cancellation; empty: none.
+            trace: File for the monotonic clock's ns of every stop; empty: none.
         """
-        self._node, self._max_age = node, max_age
-        self._client = node.create_client(CancelGoal, f"{action}/_action/cancel_goal") if action else None
+        self._node, self._stop, self._max_age = node, stop, max_age
         self._trace = Path(trace) if trace else None
         self._moving, self._heard, self._told = False, -math.inf, ""
         self._unheard = -math.inf
@@ -51,7 +49,7 @@ class Emergency:
         return now - self._heard <= self._max_age
 
     def look(self, now: float, *, permitted: bool, speed: float = math.nan) -> None:
-        """Cancel, and say so, if a motion is under way that is not permitted, or that nobody watches.
+        """Stop, and say so, if a motion is under way that is not permitted, or that nobody watches.
 
         Args:
             now: s of the steady clock.
@@ -61,7 +59,7 @@ class Emergency:
         fault = self._fault(now, permitted=permitted, speed=speed)
         if fault:
             self._moving = False  # until the sequencer says so again
-            self._cancel(now, fault)
+            self._command(now, fault)
         if fault != self._told and (fault or self._moving):  # what was told stands until a motion is as it should be
             self._told = fault
             self._node.diagnostics.report("motion", 2 if fault else 0, fault or WATCHED)
@@ -71,7 +69,7 @@ class Emergency:
     def _fault(self, now: float, *, permitted: bool, speed: float) -> str:
         if not self._moving:
             silent = not self.hears(now) and now - self._unheard > AGAIN
-            if self._client is None or not silent or not speed > MOVES:
+            if not self._stop.exists or not silent or not speed > MOVES:
                 return ""
             self._unheard = now
             return UNHEARD
@@ -79,10 +77,8 @@ class Emergency:
             return "the sequencer is silent while its motion is under way"
         return "" if permitted else "a motion is under way that is not permitted"
 
-    def _cancel(self, now: float, why: str) -> None:
-        if self._client is None:
-            return
-        self._client.call_async(CancelGoal.Request())  # no goal's name and no time: all goals
-        if self._trace is not None:
+    def _command(self, now: float, why: str) -> None:
+        self._stop.command()
+        if self._trace is not None and self._stop.exists:
             with self._trace.open("a", encoding="utf-8") as file:
-                file.write(f"{round(now * 1e9)},cancel all: {why}\n")
+                file.write(f"{round(now * 1e9)},stop: {why}\n")

@@ -2,7 +2,7 @@
 
 It listens to the controller's state (through an adapter) and to joint states, hands them to the pure rule with the time
 of the steady clock, and publishes the permission: at a fixed rate, and at every change at once.  Absence of that pulse
-means no.  It stops nothing itself and is no safety function.
+means no.  It stops the robot itself when the sequencer may not be able to.  It is no safety function.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from sensor_msgs.msg import JointState
 from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_stamp
 from calibration.emergency import Emergency
 from calibration.guard_messages import mode_names, to_evidence, to_permission, to_robot_state
+from calibration.motion.catalogue import MOTION_INTERFACE
+from calibration.motion.stop_path import make_stop_path
 from calibration.node import CalibrationNode, Declared, run
 from calibration.robot_state import generic
 from calibration.robot_state.adapter import Adapter, Received, Report, Source, assemble
@@ -61,9 +63,9 @@ PARAMETERS = (
     Declared("jump_rate", RULES.jump_rate, "rad/s, no joint is faster.", low=1.0, high=100.0),
     Declared("scaling_zero_time", RULES.scaling_zero_time, "s, speed scaling may be zero.", low=0.0, high=10.0),
     Declared("max_pause", RULES.max_pause, "s, between two decisions, and between stamps of joint states.", low=0.1),
-    Declared("stop_action", "", "Driver's action whose goals are cancelled if the sequencer cannot; empty: none."),
+    *MOTION_INTERFACE,
     Declared("sequencer_age", 0.1, "s, of the sequencer's sign of life while it moves the robot.", low=0.05, high=5.0),
-    Declared("trace", "", "File for the monotonic clock's ns of what it cancels; empty: none."),
+    Declared("trace", "", "File for the monotonic clock's ns of what it stops; empty: none."),
     Declared("clock_jump", 2.0, "s, the clock may advance between two decisions.", low=0.1, high=3600.0),
     Declared("robot_state.adapter", "native", "How the controller's state is understood.", choices=NAMES),
     Declared("robot_state.topics", [], "Names of topics other than the driver's defaults, as key=name."),
@@ -101,7 +103,14 @@ class GuardNode(CalibrationNode):
         self._deciding = threading.RLock()
         self._evidence_sent = -math.inf
         self._ros_time = 0
-        self._emergency = Emergency(self, *(self.value(name) for name in ("stop_action", "sequencer_age", "trace")))
+        self._stop_path = make_stop_path(
+            self.value("motion.backend"),
+            self,
+            self.cell.robot.joints,
+            interface=self.value("motion.interface"),
+            where=lambda: self._q if np.isfinite(self._q).all() else None,
+        )
+        self._emergency = Emergency(self, self._stop_path, self.value("sequencer_age"), self.value("trace"))
         self._speak()
         self._listen()
 

@@ -6,7 +6,7 @@ import math
 from typing import Any, Protocol
 
 from calibration.motion.arrival import ArrivalRules
-from calibration.motion.catalogue import NAMES as BACKENDS
+from calibration.motion.catalogue import MOTION_INTERFACE
 from calibration.node import Declared
 from calibration_core.cell import Cell
 from calibration_core.procedure.agenda import SequenceRules
@@ -18,8 +18,7 @@ ARRIVAL, LIMITS, RULES = ArrivalRules(), MotionLimits(), SequenceRules()
 
 PARAMETERS = (
     Declared("cell", "", "Cell file.", required=True),
-    Declared("motion.backend", "follow_joint_trajectory", "How the robot is moved.", choices=BACKENDS),
-    Declared("motion.interface", "", "Name of the action or topic; empty: the back end's usual one."),
+    *MOTION_INTERFACE,
     Declared("motion.speed", LIMITS.speed, "m/s, of every monitored point.", low=0.01, high=0.25),
     Declared("motion.margin", LIMITS.margin, "Share of the speed that is kept free.", low=0.01, high=0.9),
     Declared("motion.joint_speed", 0.8, "rad/s, of every joint.", low=0.001, high=10.0),

@@ -320,7 +320,7 @@ class Sequencer:
 
 def test_a_motion_that_nobody_watches_is_cancelled(spinning: Any, until: Any) -> None:
     sequencer = Sequencer(spinning)
-    cell = Cell(spinning, stop_action="driver/move_to", sequencer_age=0.4)
+    cell = Cell(spinning, **{"motion.backend": "simulated"}, sequencer_age=0.4)
     until(cell.permitted)
     until(lambda: cell.now.hears_sequencer)
     sequencer.timer.cancel()
@@ -339,7 +339,7 @@ def test_a_motion_that_nobody_watches_is_cancelled(spinning: Any, until: Any) ->
 
 def test_a_motion_that_is_not_permitted_is_cancelled(spinning: Any, until: Any) -> None:
     sequencer = Sequencer(spinning)
-    cell = Cell(spinning, stop_action="driver/move_to", sequencer_age=1.0)
+    cell = Cell(spinning, **{"motion.backend": "simulated"}, sequencer_age=1.0)
     until(cell.permitted)
     sequencer.moving = True
     time.sleep(0.2)

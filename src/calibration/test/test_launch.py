@@ -16,7 +16,7 @@ import yaml
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from calibration import force_torque, guard, identification, recorder, sequencer_parameters, tracker
+from calibration import force_torque, guard, identification, process_tree, recorder, sequencer_parameters, tracker
 from calibration.acquisition import COMMON
 from calibration.node import NODE_NAMES, Declared
 
@@ -42,24 +42,43 @@ class Made:
 
 STAND_INS = {
     "launch": ("LaunchDescription",),
-    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "Shutdown"),
+    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess"),
     "launch.substitutions": ("LaunchConfiguration", "PathJoinSubstitution"),
     "launch_ros": (),
     "launch_ros.actions": ("Node",),
     "launch_ros.parameter_descriptions": ("ParameterValue",),
     "launch_ros.substitutions": ("FindPackageShare",),
 }
+TREES = {
+    "real_cell": process_tree.REAL_CELL,
+    "replay": process_tree.REPLAY,
+    "simulated_cell": process_tree.SIMULATED_CELL,
+}
 
 
 @pytest.fixture(params=LAUNCH_FILES, ids=lambda path: path.name.partition(".")[0])
-def description(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> list[Made]:
+def path(request: pytest.FixtureRequest) -> Path:
+    """A launch file."""
+    return Path(request.param)
+
+
+@pytest.fixture
+def tree(path: Path) -> process_tree.Tree:
+    """The table that a launch file reads."""
+    return TREES[path.name.partition(".")[0]]
+
+
+@pytest.fixture
+def description(path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Made]:
     """The entities that a launch file declares."""
+    monkeypatch.delitem(sys.modules, "calibration.launch_tree", raising=False)
     for name, classes in STAND_INS.items():
         module = ModuleType(name)
         for one in classes:
             setattr(module, one, type(one, (Made,), {}))
         monkeypatch.setitem(sys.modules, name, module)
-    made = runpy.run_path(str(request.param))["generate_launch_description"]()
+    made = runpy.run_path(str(path))["generate_launch_description"]()
+    monkeypatch.delitem(sys.modules, "calibration.launch_tree", raising=False)  # it knows the stand-ins
     return list(made.positional[0])
 
 
@@ -107,17 +126,34 @@ def test_every_executable_exists(description: list[Made]) -> None:
         assert node.named["executable"] in executables(node.named["package"])
 
 
-def test_every_parameter_exists_and_has_its_type(description: list[Made]) -> None:
-    for node in of("Node", description):
-        name = node.named["executable"]
+def test_every_parameter_exists_and_has_its_type(tree: process_tree.Tree) -> None:
+    for process in tree.processes:
+        assert process.parameters.keys() <= known(process.name)
+        for one in TABLES.get(process.name, ()):
+            value = process.parameters.get(one.name)
+            types = {argument.name: argument.type for argument in tree.arguments}
+            if isinstance(value, process_tree.Given):
+                assert types[value.argument] is type(one.default)
+            else:
+                assert value is None or (one.fault(value) == "" and type(value) is type(one.default))
+            assert not one.required or one.name in process.parameters
+
+
+def test_a_launch_file_says_what_the_table_says(description: list[Made], tree: process_tree.Tree) -> None:
+    nodes = of("Node", description)
+    assert [node.named["executable"] for node in nodes] == [process.name for process in tree.processes]
+    for node, process in zip(nodes, tree.processes, strict=True):
         file, given = node.named["parameters"]
         assert file.positional == ("params_file",)
-        assert given.keys() <= known(name)
-        for one in TABLES.get(name, ()):
-            value = given.get(one.name)
-            assert value is None or isinstance(value, Made) or one.fault(value) == ""
-            assert value is None or isinstance(value, Made) or type(value) is type(one.default)
-            assert not one.required or one.name in given
+        assert node.named["package"] == process.package
+        assert given.keys() == process.parameters.keys()
+        constant = {name: value for name, value in given.items() if not isinstance(value, Made)}
+        assert constant.items() <= process.parameters.items()
+        assert float(node.named["sigterm_timeout"]) == process.sigterm_after
+        assert float(node.named["sigkill_timeout"]) == process.sigkill_after
+    assert [len(one.named["cmd"]) for one in of("ExecuteProcess", description)] == [
+        len(tool.words) for tool in tree.tools
+    ]
 
 
 def test_every_argument_is_declared_described_and_used(description: list[Made]) -> None:
@@ -125,8 +161,35 @@ def test_every_argument_is_declared_described_and_used(description: list[Made]) 
     used = {one.positional[0] for one in everything(description) if type(one).__name__ == "LaunchConfiguration"}
     assert used == declared
     assert all(one.named["description"].endswith(".") for one in of("DeclareLaunchArgument", description))
-    for node in of("Node", description):
-        assert type(node.named["on_exit"]).__name__ == "Shutdown"
+
+
+def test_a_node_that_ends_ends_no_other(description: list[Made]) -> None:
+    assert [node for node in of("Node", description) if "on_exit" in node.named] == []
+
+
+@pytest.mark.parametrize("name", ["real_cell", "simulated_cell"])
+def test_the_guard_outlives_the_others(name: str) -> None:
+    """Launch ends a process 5 s after the first signal; who stops the robot waits longer for it to stand."""
+    rows = {process.name: process for process in TREES[name].processes}
+    assert rows["guard"].sigterm_after > process_tree.STANDSTILL
+    assert rows["guard"].sigterm_after > rows["sequencer"].sigterm_after
+    assert list(rows).index("guard") < list(rows).index("sequencer")
+    motion = [{key: value for key, value in rows[node].parameters.items() if key.startswith("motion.")}
+              for node in ("guard", "sequencer")]  # fmt: skip
+    assert motion[0] == motion[1] != {}  # who stops the robot reaches it where it is moved
+
+
+def test_values_of_a_tree(tmp_path: Path) -> None:
+    said = {"cell": "c.yaml", "session": "/s", "speed": "2.5"}
+    values = process_tree.said_or_default(process_tree.SIMULATED_CELL, said, "/share")
+    assert values["params_file"] == "/share/config/ros.yaml"
+    rows = {process.name: process for process in process_tree.SIMULATED_CELL.processes}
+    given = process_tree.parameters_of(process_tree.SIMULATED_CELL, rows["simulated_cell"], values)
+    assert (given["speed"], given["seed"], given["cell"]) == (2.5, 1, "c.yaml")
+    sequencer = process_tree.parameters_of(process_tree.SIMULATED_CELL, rows["sequencer"], values)
+    assert sequencer["recording"] == "/s/bag"
+    with pytest.raises(KeyError, match="session"):
+        process_tree.said_or_default(process_tree.SIMULATED_CELL, {"cell": "c.yaml"}, "/share")
 
 
 def test_the_default_parameter_file_is_installed(description: list[Made]) -> None:

@@ -27,7 +27,7 @@ from calibration.motion import action_motion, follow_joint_trajectory
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.base import End
 from calibration.motion.calls import Call, parse_call, succeeded
-from calibration.motion.catalogue import NAMES, make_backend
+from calibration.motion.catalogue import make_backend
 from calibration.motion.external import ExternalMotion
 from calibration.motion.follow_joint_trajectory import decoded
 from calibration.motion.joint_trajectory_topic import TopicMotion
@@ -35,6 +35,7 @@ from calibration.motion.ladder import StopLadder
 from calibration.motion.messages import hold, to_duration, to_joint_trajectory
 from calibration.motion.simulated import simulated
 from calibration.permission import SILENT, PermissionWatch
+from calibration.process_tree import BACKENDS
 from calibration_core.errors import InputError
 from calibration_core.procedure.trajectory import Trajectory
 from calibration_core.timeseries import NANOSECONDS
@@ -382,7 +383,7 @@ def options(**changes: Any) -> dict[str, Any]:
 
 def test_back_ends_by_name(spinning: Any) -> None:
     node = spinning.plain()
-    for name in set(NAMES) - {"follow_joint_trajectory"}:
+    for name in set(BACKENDS) - {"follow_joint_trajectory"}:
         assert make_backend(name, node, JOINTS, **options()).commands == (name != "external")
     with pytest.raises(InputError, match="simulated"):
         make_backend("telepathy", node, JOINTS, **options())

@@ -12,9 +12,15 @@ from calibration.motion.external import ExternalMotion
 from calibration.motion.follow_joint_trajectory import follow_joint_trajectory
 from calibration.motion.joint_trajectory_topic import TopicMotion
 from calibration.motion.simulated import simulated
+from calibration.node import Declared
+from calibration.process_tree import BACKENDS
 from calibration_core.errors import InputError, quoted
 
-NAMES = ("follow_joint_trajectory", "joint_trajectory_topic", "external", "simulated")
+MOTION_INTERFACE = (
+    Declared("motion.backend", BACKENDS[0], "How the robot is moved, and stopped.", choices=BACKENDS),
+    Declared("motion.interface", "", "Name of the action or topic; empty: the back end's usual one."),
+)
+"""Parameters that whoever moves the robot and whoever stops it have in common."""
 GOAL_TIME = 10.0  # s, that a driver may take beyond a trajectory's end
 
 
@@ -31,7 +37,7 @@ def make_backend(
     """Return a back end.
 
     Args:
-        name: One of `NAMES`.
+        name: One of `BACKENDS`.
         node: Whose executor carries the answers.
         joints: Names, in the order of q.
         interface: Name of the action or topic; empty: the usual one.
@@ -51,4 +57,4 @@ def make_backend(
             return ExternalMotion(ask)
         case "simulated":
             return simulated(node, interface)
-    raise InputError("parameters", "motion.backend", quoted(name), f"one of {', '.join(NAMES)}")
+    raise InputError("parameters", "motion.backend", quoted(name), f"one of {', '.join(BACKENDS)}")

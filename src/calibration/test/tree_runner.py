@@ -1,0 +1,104 @@
+"""Starts and ends the shipped tree of processes as `launch` does, where there is no `launch`."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+from calibration.process_tree import PARAMETERS_FILE, Process, Tree, parameters_of, said_or_default
+
+ROOT = Path(__file__).resolve().parents[3]
+INSTALL = ROOT / "install"
+
+
+class TreeRunner:
+    """The processes of one tree.
+
+    Attributes:
+        running: By name.
+        ended: Names in the order in which they ended, and how: (name, exit code, s since the signals).
+    """
+
+    def __init__(
+        self,
+        tree: Tree,
+        environment: dict[str, str],
+        directory: Path,
+        files: tuple[Path, ...] = (),
+        more: dict[str, dict[str, object]] | None = None,
+        **said: object,
+    ) -> None:
+        """Prepare; `files` are parameter files after the tree's own, `more` parameters of single nodes."""
+        self.tree, self._environment, self._directory = tree, environment, directory
+        self._files, self._more = files, more or {}
+        texts = {name: str(value) for name, value in said.items()}
+        self._values = said_or_default(tree, texts, str(INSTALL / "calibration" / "share" / "calibration"))
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self.ended: list[tuple[str, int, float]] = []
+
+    def command(self, process: Process) -> list[str]:
+        """Return the command line that launch would make."""
+        words = [str(INSTALL / process.package / "lib" / process.package / process.name), "--ros-args"]
+        words += ["-r", f"__ns:=/{self._values['namespace'].strip('/')}"]
+        for file in (self._values[PARAMETERS_FILE.name], *self._files):
+            words += ["--params-file", str(file)]
+        given = {**parameters_of(self.tree, process, self._values), **self._more.get(process.name, {})}
+        for key, value in given.items():
+            text = str(value) if isinstance(value, str | Path) else json.dumps(value)
+            words += ["-p", f"{key}:={json.dumps(text) if text == '' else text}"]
+        return words
+
+    def start(self) -> None:
+        """Start everything, in the order of the table."""
+        for process in self.tree.processes:
+            self.again(process.name)
+
+    def again(self, name: str) -> None:
+        """Start one process, as it was started."""
+        process = next(one for one in self.tree.processes if one.name == name)
+        with (self._directory / f"{name}.log").open("ab") as log:
+            self.running[name] = subprocess.Popen(
+                self.command(process), env=self._environment, stdout=log, stderr=subprocess.STDOUT
+            )
+
+    def strike(self, name: str, how: signal.Signals) -> None:
+        """Send one process a signal, and wait for its end where that is what it means."""
+        self.running[name].send_signal(how)
+        if how is signal.SIGKILL:
+            self.running.pop(name).wait()
+
+    def log(self, name: str) -> str:
+        """What a process said."""
+        return (self._directory / f"{name}.log").read_text(encoding="utf-8", errors="replace")
+
+    def shutdown(self) -> list[tuple[str, int, float]]:
+        """SIGINT to every process at once, SIGTERM and SIGKILL after the times of the table; return what ended when."""
+        self.ended.clear()
+        began = time.monotonic()
+        for process in self.running.values():
+            process.send_signal(signal.SIGCONT)  # one that a test has stopped must hear the next one
+            process.send_signal(signal.SIGINT)
+        rows = {one.name: one for one in self.tree.processes}
+        threads = [
+            threading.Thread(target=self._escalate, args=(rows[name], process, began))
+            for name, process in self.running.items()
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        self.running.clear()
+        return self.ended
+
+    def _escalate(self, row: Process, process: subprocess.Popen[bytes], began: float) -> None:
+        for seconds, then in ((row.sigterm_after, signal.SIGTERM), (row.sigkill_after, signal.SIGKILL)):
+            try:
+                process.wait(seconds)
+                break
+            except subprocess.TimeoutExpired:
+                process.send_signal(then)
+        self.ended.append((row.name, process.wait(), time.monotonic() - began))
