@@ -21,7 +21,7 @@ TOP_LEVEL = {"src", "config", "test", "bags", "README.md", "colcon.meta", "Makef
 
 CHAIN = ("timeseries", "recording", "observations", "model", "identification", "diagnosis", "report")
 FOR_ALL = {"errors", "cell"}
-FOR_PROCEDURE = {"timeseries", "model", "procedure", "identification.observability"}
+FOR_PROCEDURE = {"timeseries", "recording", "model", "procedure", "identification.observability"}
 ENTRY = {"cli", "commands", "__main__"}
 FOR_SIM = {"errors", "cell", "timeseries", "recording"}
 SIM_NODE = {"calibration_sim.node", "calibration_sim.node_cell", "calibration_sim.node_messages"}

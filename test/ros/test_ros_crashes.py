@@ -19,8 +19,8 @@ pytest.importorskip("rclpy")
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.procedure.session import Session
-from calibration_core.procedure.session_values import ConfirmedReading
 from calibration_core.recording.bag import read_bag
+from calibration_core.recording.session_values import ConfirmedReading
 from calibration_core.timeseries import NANOSECONDS
 
 ROOT = Path(__file__).resolve().parents[2]

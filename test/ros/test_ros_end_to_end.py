@@ -19,7 +19,7 @@ from calibration_core.cell import load_cell
 from calibration_core.observations.observe import observe
 from calibration_core.procedure.plan import REFERENCE_NUMBER
 from calibration_core.procedure.session import Session
-from calibration_core.procedure.session_values import as_readings
+from calibration_core.recording.session_values import as_readings
 from calibration_core.timeseries import NANOSECONDS
 from calibration_sim.live import LiveCell
 from calibration_sim.motion_log import true_speeds

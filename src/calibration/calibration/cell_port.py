@@ -16,7 +16,7 @@ from calibration.readings import confirmed_readings, to_reading
 from calibration_core.procedure import messages as m
 from calibration_core.procedure.plan import REFERENCE_NUMBER
 from calibration_core.procedure.session import Session
-from calibration_core.procedure.session_values import Decision, Event
+from calibration_core.recording.session_values import Decision, Event
 from calibration_core.timeseries import NANOSECONDS
 
 PATIENCE = 600.0  # s of wall time, for an instrument's answer; its own timeout ends it before
@@ -58,6 +58,7 @@ class CellPort:
         self._node, self.session, self._joints = node, session, joints
         self._instruments, self._load_device = instruments, load_device
         self._temperature, self.progress, self.scaling = temperature, progress, scaling
+        self._plan = session.plan_sha256
         self._attempt: tuple[int, int, int] | None = None  # row of the session, configuration, count
         self._awaited: tuple[m.RequestLoad, Callable[[bool, str], None]] | None = None
         self.confirmed = 0
@@ -142,9 +143,8 @@ class CellPort:
 
     def _tell(self, record: m.Record, now: int) -> None:
         place = {"configuration": record.configuration, "step": record.step}
-        self._node.events.publish(
-            SessionEvent(header=to_header(now), kind=int(record.kind), source=SOURCE, text=record.text, **place)
-        )
+        words = {"source": SOURCE, "text": record.text, "plan_sha256": self._plan}
+        self._node.events.publish(SessionEvent(header=to_header(now), kind=int(record.kind), **place, **words))
         text = f"{record.kind.name.lower()} {record.configuration}.{record.step} {record.text}".rstrip()
         self.session.note(Event(now, record.kind.name.lower(), f"{record.configuration}.{record.step} {record.text}"))
         self._node.get_logger().info(text)

@@ -10,7 +10,7 @@ from calibration_interfaces.msg import Reading
 from calibration.conversions import Mean, to_header, to_point, to_wrench
 from calibration.motion.arrival import Joints
 from calibration_core.observations.average import average
-from calibration_core.procedure.session_values import ConfirmedReading
+from calibration_core.recording.session_values import ConfirmedReading
 
 
 class ReadingError(Exception):

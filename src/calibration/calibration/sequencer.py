@@ -56,8 +56,8 @@ from calibration_core.procedure.plan import Plan
 from calibration_core.procedure.plan_file import read_plan
 from calibration_core.procedure.sequence import Sequence
 from calibration_core.procedure.session import DATABASE, Session
-from calibration_core.procedure.session_values import Decision
 from calibration_core.procedure.speed import Monitored
+from calibration_core.recording.session_values import Decision
 from calibration_core.timeseries import NANOSECONDS
 
 PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way

@@ -29,7 +29,7 @@ from calibration_core.procedure import messages as m
 from calibration_core.procedure.plan import Plan, PlannedConfiguration
 from calibration_core.procedure.plan_file import plan_text
 from calibration_core.procedure.session import Session
-from calibration_core.procedure.session_values import ConfirmedReading
+from calibration_core.recording.session_values import ConfirmedReading
 
 CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml"
 DONE, ALL = 5, 8

@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from calibration_interfaces.msg import MeasurementStep, RobotState, TareEvent
+from calibration_interfaces.msg import MeasurementStep, RobotState, SessionEvent, TareEvent
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -31,8 +31,9 @@ from calibration.definitions import definition
 from calibration.node import ParameterError
 from calibration.recorder import RecorderNode
 from calibration.recorder_client import Recorder
-from calibration.topics import OWN, contract_topics, recorded_topics
+from calibration.topics import EVENT, OWN, contract_topics, recorded_topics
 from calibration_core.cell import load_cell
+from calibration_core.errors import RecordingError
 from calibration_core.recording.bag import read_bag
 from calibration_core.recording.kinds import Kind
 from calibration_core.timeseries import Phase
@@ -281,3 +282,24 @@ def test_the_process_leaves_a_bag_that_can_be_read(
         assert len(back.joints) == 1500
         assert "truncated" not in [note.kind for note in back.notes]
         assert time.monotonic() - killed < 2.0
+
+
+def test_a_bag_with_configurations_of_two_plans_is_refused(
+    spinning: Any, until: Callable[..., None], tmp_path: Path
+) -> None:
+    """The same numbers mean different configurations."""
+    node, client, publisher = matched(spinning, until, tmp_path)
+    events = client.create_publisher(SessionEvent, EVENT.relative, EVENT.qos)
+    tracker = client.create_publisher(PointStamped, "tracker/mp1", 100)
+    until(lambda: events.get_subscription_count() and tracker.get_subscription_count())
+    for k in range(50):
+        publisher.publish(joint_state(k))
+        tracker.publish(point(k))
+    events.publish(SessionEvent(plan_sha256="a" * 64))
+    events.publish(SessionEvent(plan_sha256="a" * 64))
+    until(lambda: node._bag.messages >= 102)
+    assert read_bag(tmp_path / "bag", CELL).provenance.plan_sha256 == "a" * 64
+    events.publish(SessionEvent(plan_sha256="b" * 64))
+    until(lambda: node._bag.messages >= 103)
+    with pytest.raises(RecordingError, match=r"found configurations of 2 plans \(SHA-256 a{12}…, b{12}…\)"):
+        read_bag(tmp_path / "bag", CELL)

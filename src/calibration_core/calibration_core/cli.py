@@ -75,7 +75,10 @@ def _command(
 
 def _recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "recording", type=Path, metavar="RECORDING", help="rosbag2 directory, .mcap file or measurement table (.csv)"
+        "recording",
+        type=Path,
+        metavar="RECORDING",
+        help="rosbag2 directory, .mcap file, measurement table (.csv), or a session (its directory or session.db)",
     )
 
 

@@ -173,10 +173,11 @@ class Provenance:
 
     Attributes:
         path: As the user named it.
-        kind: `mcap`, `db3` or `csv`.
+        kind: `mcap`, `db3`, `csv` or `session`.
         sha256: File name -> SHA-256 hex digest of every file read.
         messages: Topic -> number of messages (rows for a table) that were read.
         start: UTC date of the first sample, ISO 8601, empty if the recording carries no date.
+        plan_sha256: SHA-256 of the plan that was measured, empty where the recording does not know it.
     """
 
     path: str
@@ -184,6 +185,7 @@ class Provenance:
     sha256: Mapping[str, str]
     messages: Mapping[str, int]
     start: str = ""
+    plan_sha256: str = ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

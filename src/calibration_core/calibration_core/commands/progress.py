@@ -12,7 +12,7 @@ from calibration_core.identification.progress import Progress, progress
 from calibration_core.procedure.plan import REFERENCE_NUMBER
 from calibration_core.procedure.plan_file import read_plan
 from calibration_core.procedure.session import PLAN, Session
-from calibration_core.procedure.session_values import as_readings
+from calibration_core.recording.session_values import as_readings
 
 
 def session_progress(directory: Path, cell: Cell, wanted: float = 0.0) -> Progress:

@@ -15,6 +15,7 @@ from calibration_core.observations.conditions import worst
 from calibration_core.observations.plateaus import USUAL_SIGMA, Window, found_windows, marked_windows
 from calibration_core.observations.settling import settled_from
 from calibration_core.recording.bag import read_bag
+from calibration_core.recording.session import read_session
 from calibration_core.recording.source import recording_kind
 from calibration_core.recording.table import read_table
 from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Note, Readings, Recording, TimeSeries
@@ -31,7 +32,7 @@ def observe(path: Path, cell: Cell) -> Readings:
     """Read a recording of any kind.
 
     Args:
-        path: A bag or a measurement table.
+        path: A bag, a measurement table, or a session (directory or database).
         cell: The cell it was recorded in.
 
     Returns:
@@ -42,8 +43,12 @@ def observe(path: Path, cell: Cell) -> Readings:
         ObservationError: It holds nothing that can be evaluated.
     """
     path = Path(path)
-    if recording_kind(path) == "table":
+    kind = recording_kind(path)
+    if kind == "table":
         return read_table(path, cell)
+    if kind == "session":
+        readings, conditions = read_session(path, cell)
+        return dataclasses.replace(readings, conditions=worst(conditions))
     return observe_recording(read_bag(path, cell), cell)
 
 

@@ -27,11 +27,12 @@ from typing import IO, Any, Self
 from calibration_core.cell import Cell
 from calibration_core.errors import SessionError
 from calibration_core.procedure.plan import REFERENCE_NUMBER
-from calibration_core.procedure.session_values import ConfirmedReading, Decision, Event, packed, unpacked
+from calibration_core.recording.session_values import ConfirmedReading, Decision, Event, packed, unpacked
+from calibration_core.recording.source import SESSION_DATABASE
 from calibration_core.timeseries import Condition, Override
 
 SCHEMA = 1
-DATABASE, PLAN, LOCK = "session.db", "plan.yaml", "session.lock"
+DATABASE, PLAN, LOCK = SESSION_DATABASE, "plan.yaml", "session.lock"
 PLACE = "attempt, configuration, step, point, time"
 PATIENCE = 5.0  # s, waiting for another process's transaction
 
@@ -196,6 +197,11 @@ class Session:
     def plan_text(self) -> str:
         """Content of the plan file as it was when the session began."""
         return (self.directory / PLAN).read_text(encoding="utf-8")
+
+    @property
+    def plan_sha256(self) -> str:
+        """SHA-256 of that text."""
+        return str(self._one("SELECT plan_sha256 FROM session")[0])
 
     @property
     def points(self) -> tuple[str, ...]:

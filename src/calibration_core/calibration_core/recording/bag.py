@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +12,17 @@ from calibration_core.cell import Cell
 from calibration_core.errors import CellError, RecordingError
 from calibration_core.recording.batch import Batch
 from calibration_core.recording.conditions import read_conditions
+from calibration_core.recording.dates import iso_date
 from calibration_core.recording.decode import Decoder
-from calibration_core.recording.definitions import CONDITIONS_TYPE, STEP_TYPE, TEXT_TYPE
+from calibration_core.recording.definitions import CONDITIONS_TYPE, EVENT_TOPIC, EVENT_TYPE, STEP_TYPE, TEXT_TYPE
 from calibration_core.recording.files import BagFiles, BagStorage, bag_files, type_error
 from calibration_core.recording.kinds import Kind, Samples
+from calibration_core.recording.plan_hash import one_plan, plans_of_events
 from calibration_core.recording.source import sha256_of
 from calibration_core.recording.streams import to_series
 from calibration_core.recording.typed import FAULTS, deserializer, stamp_of
-from calibration_core.timeseries import NANOSECONDS, Condition, Note, Provenance, Recording, StepMarkers, TimeSeries
+from calibration_core.timeseries import Condition, Note, Provenance, Recording, StepMarkers, TimeSeries
 
-EARLIEST_DATE = 946_684_800  # 2000-01-01; earlier stamps count from a start-up, not from the epoch
 MAX_MARKERS = 1_000_000
 
 
@@ -37,6 +37,7 @@ class Contents:
         topics: Topic -> type of everything in the bag.
         notes: What was lost.
         conditions: The standard's conditions as seen while measuring, one tuple per message.
+        plans: SHA-256 of every plan that the events name.
     """
 
     streams: Mapping[str, Samples]
@@ -45,6 +46,7 @@ class Contents:
     topics: Mapping[str, str]
     notes: tuple[Note, ...]
     conditions: tuple[tuple[Condition, ...], ...] = ()
+    plans: frozenset[str] = frozenset()
 
 
 def read_contents(
@@ -55,6 +57,7 @@ def read_contents(
     step_topic: str = "",
     text_topic: str = "",
     conditions_topic: str = "",
+    event_topic: str = "",
     fast: bool = True,
 ) -> Contents:
     """Read the given topics of a bag.
@@ -66,6 +69,7 @@ def read_contents(
         step_topic: Topic of the step markers, empty: none.
         text_topic: Topic of the robot description, empty: none.
         conditions_topic: Topic of the standard's conditions, empty: none.
+        event_topic: Topic of the session's events, empty: none.
         fast: Whether fixed layouts are read without Python per message.
 
     Raises:
@@ -77,7 +81,13 @@ def read_contents(
     notes: list[Note] = []
     conditions: list[tuple[Condition, ...]] = []
     text = ""
-    others = {step_topic: STEP_TYPE, text_topic: TEXT_TYPE, conditions_topic: CONDITIONS_TYPE}
+    others = {
+        step_topic: STEP_TYPE,
+        text_topic: TEXT_TYPE,
+        conditions_topic: CONDITIONS_TYPE,
+        event_topic: EVENT_TYPE,
+    }
+    plans: set[str] = set()
     wanted = {*streams, *others} - {""}
     for batch in storage.batches(wanted):
         topic = batch.channel.topic
@@ -93,10 +103,13 @@ def read_contents(
             markers += _markers(bag, batch, notes, len(markers))
         elif topic == conditions_topic:
             conditions += read_conditions(str(bag.path), batch, notes)
+        elif topic == event_topic:
+            plans |= plans_of_events(str(bag.path), batch, notes)
         elif not text:
             text = _text(bag, batch, notes)
     samples = {topic: decoder.samples() for topic, decoder in decoders.items()}
-    return Contents(samples, tuple(markers), text, storage.topics, (*storage.notes, *notes), tuple(conditions))
+    every_note = (*storage.notes, *notes)
+    return Contents(samples, tuple(markers), text, storage.topics, every_note, tuple(conditions), frozenset(plans))
 
 
 def _markers(bag: BagFiles, batch: Batch, notes: list[Note], before: int) -> list[tuple[int, int, int, int, int]]:
@@ -137,7 +150,7 @@ def read_bag(path: Path, cell: Cell) -> Recording:
         Everything this software knows of in the bag; `notes` tell what was lost or repaired.
 
     Raises:
-        RecordingError: The bag cannot be used, or lacks joint states or measurement points.
+        RecordingError: The bag cannot be used, lacks joint states or measurement points, or mixes two plans.
         CellError: The cell file names one topic for two streams.
     """
     path = Path(path)
@@ -150,10 +163,13 @@ def read_bag(path: Path, cell: Cell) -> Recording:
         step_topic=topics.step,
         text_topic=topics.robot_description,
         conditions_topic=topics.conditions,
+        event_topic=EVENT_TOPIC,
     )
+    plan = one_plan(path, {bag.plan_sha256, *contents.plans})
     _require(path, cell, contents)
     files = [*bag.files, *([bag.metadata] if bag.metadata else [])]
-    return _recording(path, bag, cell, contents, {file.name: sha256_of(file) for file in files})
+    recording = _recording(path, bag, cell, contents, {file.name: sha256_of(file) for file in files})
+    return dataclasses.replace(recording, provenance=dataclasses.replace(recording.provenance, plan_sha256=plan))
 
 
 def _streams(cell: Cell) -> dict[str, Kind]:
@@ -235,14 +251,3 @@ def step_markers(rows: tuple[tuple[int, int, int, int, int], ...]) -> StepMarker
     time = np.where(table[:, 1] == 0, table[:, 0], table[:, 1])
     order = np.argsort(time, kind="stable")
     return StepMarkers(time[order], table[order, 2], table[order, 3], table[order, 4])
-
-
-def iso_date(time: int) -> str:
-    """Return ns since the epoch as a UTC date, empty where the clock evidently does not count from the epoch."""
-    seconds = time // NANOSECONDS
-    if seconds < EARLIEST_DATE:
-        return ""
-    try:
-        return datetime.fromtimestamp(seconds, UTC).isoformat()
-    except (OverflowError, ValueError, OSError):
-        return ""

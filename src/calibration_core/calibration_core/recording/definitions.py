@@ -9,6 +9,8 @@ from calibration_core.timeseries import Phase
 
 STEP_TYPE = "calibration_interfaces/msg/MeasurementStep"
 CONDITIONS_TYPE = "calibration_interfaces/msg/Conditions"
+EVENT_TYPE = "calibration_interfaces/msg/SessionEvent"
+EVENT_TOPIC = "/calibration/event"
 TEXT_TYPE = "std_msgs/msg/String"
 
 STEP_DEFINITION = "\n".join(

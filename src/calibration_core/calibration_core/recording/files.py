@@ -17,6 +17,7 @@ from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.batch import Batch, Channel, Storage
 from calibration_core.recording.compression import decompress_file, decompress_message
 from calibration_core.recording.mcap import McapStorage
+from calibration_core.recording.plan_hash import plan_of_metadata
 from calibration_core.recording.source import BAG_SUFFIXES
 from calibration_core.recording.sqlite import SqliteStorage
 from calibration_core.timeseries import Note
@@ -36,6 +37,7 @@ class BagFiles:
         metadata: `metadata.yaml`, None if there is none.
         per_message: Each message is compressed by itself (zstd).
         notes: What is missing.
+        plan_sha256: SHA-256 of the plan that was measured, from the custom data; empty: not known.
     """
 
     path: Path
@@ -43,6 +45,7 @@ class BagFiles:
     metadata: Path | None
     per_message: bool
     notes: tuple[Note, ...]
+    plan_sha256: str = ""
 
 
 def bag_files(path: Path) -> BagFiles:
@@ -101,7 +104,8 @@ def _from_metadata(path: Path, metadata: Path) -> BagFiles:
     missing = [file.name for file in files if file not in there]
     text = f"{len(missing)} of {len(files)} storage files do not exist: {', '.join(missing[:3])}"
     notes = (Note("missing_file", path.name, text, len(missing)),) if missing else ()
-    return BagFiles(path, tuple(there), metadata, per_message=mode == "message", notes=notes)
+    plan = plan_of_metadata(metadata, information.get("custom_data"))
+    return BagFiles(path, tuple(there), metadata, per_message=mode == "message", notes=notes, plan_sha256=plan)
 
 
 def _metadata(file: Path) -> dict[str, Any]:

@@ -9,19 +9,20 @@ from typing import Literal
 from calibration_core.errors import RecordingError
 
 BAG_SUFFIXES = (".mcap", ".db3")
-EXPECTED = "a rosbag2 directory, an .mcap or .db3 file, or a measurement table (.csv)"
+SESSION_DATABASE = "session.db"  # in the directory of a session
+EXPECTED = "a rosbag2 directory, an .mcap or .db3 file, a measurement table (.csv), or a session (directory or .db)"
 
 
-def recording_kind(path: Path) -> Literal["bag", "table"]:
-    """Tell a bag from a measurement table by what the path names.
+def recording_kind(path: Path) -> Literal["bag", "table", "session"]:
+    """Tell bags, measurement tables and sessions apart by what the path names.
 
     Raises:
-        RecordingError: The path does not exist, or is neither.
+        RecordingError: The path does not exist, or is none of them.
     """
     path = Path(path)
     try:
         if path.is_dir():
-            return "bag"
+            return "session" if (path / SESSION_DATABASE).exists() else "bag"
         exists = path.exists()
     except (OSError, ValueError) as error:
         raise RecordingError(path, "", getattr(error, "strerror", None) or str(error), EXPECTED) from None
@@ -34,6 +35,8 @@ def recording_kind(path: Path) -> Literal["bag", "table"]:
         return "bag"
     if suffix == ".csv":
         return "table"
+    if suffix == Path(SESSION_DATABASE).suffix:
+        return "session"
     raise RecordingError(path, "", f"a file that ends in {suffix!r}", EXPECTED)
 
 

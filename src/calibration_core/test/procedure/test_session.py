@@ -17,7 +17,7 @@ import pytest
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import SessionError
 from calibration_core.procedure.session import DATABASE, PLAN, Session
-from calibration_core.procedure.session_values import ConfirmedReading, Decision, Event, as_readings
+from calibration_core.recording.session_values import ConfirmedReading, Decision, Event, as_readings
 
 ROOT = Path(__file__).parents[4]
 PLAN_TEXT = "schema: 1\n"
@@ -184,7 +184,7 @@ from pathlib import Path
 import numpy as np
 from calibration_core.cell import load_cell
 from calibration_core.procedure.session import Session, DATABASE
-from calibration_core.procedure.session_values import ConfirmedReading
+from calibration_core.recording.session_values import ConfirmedReading
 directory, cell = Path(sys.argv[1]), load_cell(sys.argv[2])
 opening = Session.resume if (directory / DATABASE).exists() else Session.create
 with opening(directory, "schema: 1\\n", cell) as session:

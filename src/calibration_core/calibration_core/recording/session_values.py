@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Provenance, Readings, read_only
+from calibration_core.errors import quoted
+from calibration_core.recording.dates import iso_date
+from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Note, Provenance, Readings, read_only
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -91,13 +93,83 @@ def unpacked(configuration: int, step: int, point: str, time: int, text: str) ->
     return ConfirmedReading(configuration, step, point, time, **content)
 
 
-def as_readings(confirmed: Sequence[ConfirmedReading], points: tuple[str, ...], path: str) -> Readings:
+def checked_reading(
+    configuration: int, step: int, point: str, time: int, content: object, joints: int
+) -> ConfirmedReading:
+    """Return the reading in content that anybody may have written, parsed from JSON.
+
+    Args:
+        configuration: Its number; likewise `step`, `point` and `time`, checked already.
+        step: See there.
+        point: See there.
+        time: See there.
+        content: What `packed` wrote.
+        joints: Of the robot.
+
+    Raises:
+        ValueError: Something is wrong with it; the text is what was found, a bar, and what was expected.
+    """
+    if not isinstance(content, dict):
+        raise ValueError(f"{quoted(content)}|a mapping")
+    shapes = {"q": (joints,), "position": (3,), "position_covariance": (3, 3)}
+    if content.get("wrench") is not None:
+        shapes |= {"wrench": (6,), "wrench_covariance": (6, 6)}
+    arrays = {name: _array(name, content.get(name), shape) for name, shape in shapes.items()}
+    for name in ("position_covariance", "wrench_covariance"):
+        if name in arrays and not _is_covariance(arrays[name]):
+            raise ValueError(f"{name} {quoted(content[name])}|a covariance: symmetric, no variance below zero")
+    samples, temperature = content.get("samples"), content.get("temperature")
+    if isinstance(samples, bool) or not isinstance(samples, int) or not 0 < samples < 1 << 32:
+        raise ValueError(f"samples {quoted(samples)}|an integer of at least one")
+    if not (temperature is None or _is_number(temperature)):
+        raise ValueError(f"temperature {quoted(temperature)}|degrees Celsius or null")
+    celsius = math.nan if temperature is None else float(temperature)
+    return ConfirmedReading(configuration, step, point, time, samples=samples, temperature=celsius, **arrays)
+
+
+def _array(name: str, value: object, shape: tuple[int, ...]) -> Float2D:
+    try:
+        found = np.array(value, dtype=np.float64) if _is_nested(value, shape) else None
+    except OverflowError:  # an integer beyond all floats
+        found = None
+    if found is None or not np.isfinite(found).all():
+        raise ValueError(f"{name} {quoted(value)}|{' x '.join(map(str, shape))} finite numbers")
+    return found
+
+
+def _is_nested(value: object, shape: tuple[int, ...]) -> bool:
+    if not shape:
+        return _is_number(value)
+    return isinstance(value, list) and len(value) == shape[0] and all(_is_nested(one, shape[1:]) for one in value)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def _is_covariance(values: Float2D) -> bool:
+    largest = np.abs(values).max()
+    return bool(np.all(np.diag(values) >= 0.0) and np.abs(values - values.T).max() <= 1e-9 * largest)
+
+
+def as_readings(
+    confirmed: Sequence[ConfirmedReading],
+    points: tuple[str, ...],
+    path: str,
+    *,
+    sha256: Mapping[str, str] | None = None,
+    plan_sha256: str = "",
+    notes: tuple[Note, ...] = (),
+) -> Readings:
     """Return confirmed readings as the identification takes them.
 
     Args:
         confirmed: At least one, in the order of time.
         points: Names of the measurement points, in the cell's order.
         path: Of the session, for the provenance.
+        sha256: File name -> SHA-256 of what was read.
+        plan_sha256: Of the plan that was measured.
+        notes: What has to be said of them.
     """
     origin = confirmed[0].time
     with_wrench = all(r.wrench is not None for r in confirmed)
@@ -111,7 +183,10 @@ def as_readings(confirmed: Sequence[ConfirmedReading], points: tuple[str, ...], 
         wrench=np.array([r.wrench for r in confirmed]) if with_wrench else None,
         time=np.array([(r.time - origin) / NANOSECONDS for r in confirmed]),
         temperature=np.array([r.temperature for r in confirmed]),
-        provenance=Provenance(path, "session", {}, {"reading": len(confirmed)}),
+        provenance=Provenance(
+            path, "session", sha256 or {}, {"reading": len(confirmed)}, iso_date(origin), plan_sha256
+        ),
+        notes=notes,
         position_covariance=np.array([r.position_covariance for r in confirmed]),
         wrench_covariance=np.array([r.wrench_covariance for r in confirmed]) if with_wrench else None,
         samples=np.array([r.samples for r in confirmed], np.int64),
