@@ -21,6 +21,10 @@ from calibration_core.timeseries import NANOSECONDS
 
 PATIENCE = 600.0  # s of wall time, for an instrument's answer; its own timeout ends it before
 SOURCE = "sequencer"
+ERRORS = frozenset({m.Kind.FAULT, m.Kind.ABORTED})
+WARNINGS = frozenset({
+    m.Kind.PERMISSION_LOST, m.Kind.CONDITION_VIOLATED, m.Kind.CONFIGURATION_RETRIED, m.Kind.CONFIGURATION_SKIPPED,
+})  # fmt: skip
 
 
 class CellPort:
@@ -147,7 +151,12 @@ class CellPort:
         self._node.events.publish(SessionEvent(header=to_header(now), kind=int(record.kind), **place, **words))
         text = f"{record.kind.name.lower()} {record.configuration}.{record.step} {record.text}".rstrip()
         self.session.note(Event(now, record.kind.name.lower(), f"{record.configuration}.{record.step} {record.text}"))
-        self._node.get_logger().info(text)
+        if record.kind in ERRORS:
+            self._node.get_logger().error(text)
+        elif record.kind in WARNINGS:
+            self._node.get_logger().warning(text)
+        else:
+            self._node.get_logger().info(text)
         if record.kind is m.Kind.CONFIGURATION_DONE:
             self._node.feedback.configuration_done(str(self.session.directory))
 

@@ -50,7 +50,7 @@ RULES = GuardRules()
 MODES = tuple(mode.name for mode in OperatingMode if mode is not OperatingMode.UNKNOWN)
 
 PARAMETERS = (
-    Declared("cell", "", "Cell file.", required=True),
+    Declared("cell", "", "The cell file.", required=True),
     Declared("rate", 50.0, "Hz, of the permission.", low=20.0, high=500.0),
     Declared("evidence_rate", 2.0, "Hz, of the evidence between changes.", low=0.1, high=50.0),
     Declared("allowed_modes", ["MANUAL_REDUCED"], f"Operating modes in which motion is permitted: {', '.join(MODES)}."),
@@ -283,7 +283,10 @@ class GuardNode(CalibrationNode):
             self._evidence.publish(to_evidence(decision, message, state, self.monitored, self.rules, self._q))
         if changed:
             self.diagnostics.report("permission", 0 if decision.permitted else 1, decision.text)
-            self.get_logger().info(decision.text)
+            if before is not None and before.permitted and not decision.permitted:
+                self.get_logger().warning(f"motion is no longer permitted: {decision.text}")
+            else:
+                self.get_logger().info(decision.text)
 
     # --- what the operator says --------------------------------------------------------------------------------------
 

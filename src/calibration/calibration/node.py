@@ -86,6 +86,13 @@ class Declared:
             answer.floating_point_range = [FloatingPointRange(from_value=low_f, to_value=high_f, step=0.0)]
         return answer
 
+    @property
+    def wanted(self) -> str:
+        """What is to be given, and how: for whoever has left it out."""
+        what = self.description[0].lower() + self.description[1:].rstrip(".")
+        kind = "DIR" if what.startswith("directory") else "FILE"
+        return f"{what}: --ros-args -p {self.name}:={kind}"
+
     def fault(self, value: object) -> str:
         """Say what is wrong with a value that has the right type; empty if nothing is."""
         if isinstance(value, float) and not math.isfinite(value):
@@ -142,7 +149,7 @@ class CalibrationNode(Node):
                 found = quoted(None if given is None else given.value)
                 raise ParameterError(own, one.name, found, expected) from error
             if one.fault(self.value(one.name)):
-                expected = f"one of {', '.join(one.choices)}" if one.choices else one.description
+                expected = f"one of {', '.join(one.choices)}" if one.choices else one.wanted
                 raise ParameterError(own, one.name, one.fault(self.value(one.name)), expected)
 
     def value(self, name: str) -> Any:

@@ -249,8 +249,9 @@ class SequencerNode(CalibrationNode):
         result = RunPlan.Result()
         try:
             result = await Background(self, lambda: self._measure(goal))
-        except InputError as error:
-            result.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
+        except InputError as error:  # once a run is under way, it is the disk that cannot be used any more
+            self._backend.stop()
+            result.outcome = to_outcome(Outcome.INPUT_UNUSABLE if self._runner is None else Outcome.FAULT, str(error))
         except Exception as error:  # noqa: BLE001  # a defect of ours: it must reach whoever asked
             self.get_logger().error(f"{type(error).__name__}: {error}")
             self._backend.stop()

@@ -17,7 +17,7 @@ LOOK = ("base", "flange", "size")  # of markers
 ARRIVAL, LIMITS, RULES = ArrivalRules(), MotionLimits(), SequenceRules()
 
 PARAMETERS = (
-    Declared("cell", "", "Cell file.", required=True),
+    Declared("cell", "", "The cell file.", required=True),
     *MOTION_INTERFACE,
     Declared("motion.speed", LIMITS.speed, "m/s, of every monitored point.", low=0.01, high=0.25),
     Declared("motion.margin", LIMITS.margin, "Share of the speed that is kept free.", low=0.01, high=0.9),

@@ -21,7 +21,14 @@ CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 
 
 def command(name: str, *more: str) -> list[str]:
-    return [str(BIN / name), "--ros-args", "--params-file", str(PARAMETERS), *more]
+    package = "calibration_sim" if name == "simulated_cell" else "calibration"
+    return [
+        str(ROOT / "install" / package / "lib" / package / name),
+        "--ros-args",
+        "--params-file",
+        str(PARAMETERS),
+        *more,
+    ]
 
 
 @pytest.mark.parametrize("name", ["tracker", "force_torque", "identification"])
@@ -50,8 +57,10 @@ def test_start_and_end(
     [
         ("tracker", ("-p", f"cell:={CELL}", "-p", "unit:=mm"), "unit: found an unknown parameter, expected one of"),
         ("tracker", ("-p", f"cell:={CELL}", "-p", "units:=km"), "units: found 'km', expected one of m, mm, inch"),
-        ("force_torque", (), "cell: found nothing"),
-        ("recorder", ("-p", f"cell:={CELL}"), "out: found nothing"),
+        ("force_torque", (), "cell: found nothing, expected the cell file: --ros-args -p cell:=FILE\n"),
+        ("guard", (), "cell: found nothing, expected the cell file: --ros-args -p cell:=FILE\n"),
+        ("simulated_cell", (), "cell: found nothing, expected the cell file: --ros-args -p cell:=FILE\n"),
+        ("recorder", ("-p", f"cell:={CELL}"), "is continued: --ros-args -p out:=DIR\n"),
         ("recorder", ("-p", "cell:=/no/such.yaml", "-p", "out:=/no/such"), "/no/such.yaml"),
     ],
 )

@@ -18,6 +18,7 @@ from action_msgs.srv import CancelGoal
 from builtin_interfaces.msg import Time
 from calibration_interfaces.msg import GuardEvidence, Outcome, Permission, RobotState
 from calibration_interfaces.srv import ConfirmMode, ResetGuard
+from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -156,6 +157,16 @@ def test_a_loss_is_told_at_once_and_latched(spinning: Any, until: Any, change: d
     assert not cell.permitted()
     assert cell.reset().outcome.code == Outcome.OK
     until(cell.permitted)
+
+
+def test_a_loss_is_a_warning_in_the_log(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    logged: list[Log] = []
+    cell.robot.node.create_subscription(Log, "/rosout", logged.append, 100)
+    until(cell.permitted)
+    cell.robot.state = GOOD | {"drives": RobotState.DRIVES_OFF}
+    until(lambda: any(one.level == Log.WARN and "drives are off" in one.msg for one in logged))
+    assert not [one for one in logged if one.level == Log.INFO and "drives are off" in one.msg]
 
 
 def test_silence_of_the_controller(spinning: Any, until: Any) -> None:

@@ -6,7 +6,10 @@ what was found and what was expected; the command line prints it and ends with e
 
 from __future__ import annotations
 
+import errno
 import reprlib
+import shutil
+import sqlite3
 from pathlib import Path
 
 
@@ -87,6 +90,25 @@ class EquilibriumError(CalibrationError):
         self.residual = residual
         self.iterations = iterations
         super().__init__(f"no static equilibrium after {iterations} iterations (last change {residual:.3g} rad)")
+
+
+def storage_fault(path: str | Path, error: OSError | sqlite3.Error, expected: str) -> tuple[str, str]:
+    """Return what was found and what was expected where something cannot be written.
+
+    Args:
+        path: The file or directory; it need not exist.
+        error: What the system or the database says.
+        expected: What would have been accepted, unless the disk is full.
+    """
+    if isinstance(error, OSError):
+        text, full = error.strerror or str(error), error.errno in (errno.ENOSPC, errno.EDQUOT)
+    else:
+        text, full = str(error), getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
+    if not full:
+        return text, expected
+    there = next(one for one in (Path(path), *Path(path).absolute().parents) if one.exists())
+    room = shutil.disk_usage(there)
+    return f"a full disk: {room.free / 1024:.0f} kB of {room.total / 1024:.0f} kB left ({text})", "room to write"
 
 
 def quoted(value: object, limit: int = 60) -> str:

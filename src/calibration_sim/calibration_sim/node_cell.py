@@ -65,6 +65,9 @@ class SimulatedCell(Node):
                 raise InputError("simulated_cell", name, "an unknown parameter", f"one of {', '.join(PARAMETERS)}")
         for name, (default, text) in PARAMETERS.items():
             self.declare_parameter(name, default, ParameterDescriptor(description=text, read_only=True))
+        if not self._value("cell"):
+            own = self.get_fully_qualified_name()
+            raise InputError(own, "cell", "nothing", "the cell file: --ros-args -p cell:=FILE")
         self.cell = load_cell(self._value("cell"))
         self.speed = float(self._value("speed"))
         self._with_clock = bool(self._value("clock"))

@@ -224,7 +224,10 @@ class Guard:
             Reason.CLOCK_JUMPED: self._clock_jumped,
             Reason.JOINTS_JUMPED: self._jumped,
             Reason.JOINTS_NOT_FINITE: self._bad_joints,
-            Reason.JOINTS_ABSENT: not self._bad_joints and len(self._samples) < 2,  # two, for a speed
+            Reason.JOINTS_ABSENT: not self._bad_joints and math.isnan(self._fresh_joints),
+            Reason.SPEED_UNKNOWN: not self._bad_joints
+            and not math.isnan(self._fresh_joints)
+            and len(self._samples) < 2,
             Reason.JOINTS_STALE: not self._bad_joints and self._old(now, self._fresh_joints, rules.max_joints_age),
             Reason.OVER_SPEED: bool(np.any(speeds > rules.speed_limit * (1.0 + rules.tolerance))),
             Reason.PLANNED_OVER_SPEED: planned_speed is not None and not planned_speed <= rules.speed_limit,

@@ -66,6 +66,7 @@ class Reason(enum.IntEnum):
     SPEED_SCALING_ZERO = 21
     LATCHED = 22
     STOPPING = 23
+    SPEED_UNKNOWN = 24
 
 
 TEXT = {
@@ -93,6 +94,7 @@ TEXT = {
     Reason.SPEED_SCALING_ZERO: "the controller has paused the motion",
     Reason.LATCHED: "an earlier fault waits for the operator's reset",
     Reason.STOPPING: "the guard is being shut down",
+    Reason.SPEED_UNKNOWN: "the speed is not known yet: it takes two joint states in a row",
 }
 
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 from calibration_core.cell import Cell
-from calibration_core.errors import SessionError
+from calibration_core.errors import SessionError, storage_fault
 from calibration_core.procedure.plan import REFERENCE_NUMBER
 from calibration_core.recording.session_values import ConfirmedReading, Decision, Event, packed, unpacked
 from calibration_core.recording.source import SESSION_DATABASE
@@ -34,6 +34,7 @@ from calibration_core.timeseries import Condition, Override
 SCHEMA = 1
 DATABASE, PLAN, LOCK = SESSION_DATABASE, "plan.yaml", "session.lock"
 PLACE = "attempt, configuration, step, point, time"
+WRITABLE = "a directory to write to"
 PATIENCE = 5.0  # s, waiting for another process's transaction
 
 TABLES = """
@@ -82,20 +83,24 @@ class Session:
             directory.mkdir(parents=True, exist_ok=True)
             lock = _locked(directory)
         except OSError as error:
-            raise SessionError(directory, "", error.strerror or str(error), "a directory to write to") from None
+            raise SessionError(directory, "", *storage_fault(directory, error, WRITABLE)) from None
         if (directory / DATABASE).exists():
             lock.close()
             raise SessionError(directory, "", "a session", "an empty directory, or to resume this session")
-        _write_durably(directory / PLAN, plan_text)
         # under another name until it is whole: a process killed here leaves no half-made session
         unfinished = directory / f".{DATABASE}"
-        unfinished.unlink(missing_ok=True)
-        with contextlib.closing(sqlite3.connect(unfinished, isolation_level=None)) as database:
-            database.executescript(f"PRAGMA synchronous = FULL; BEGIN; {TABLES} {LATER} COMMIT;")
-            row = (SCHEMA, _digest(plan_text), cell.sha256, cell.robot.name, json.dumps(cell.points))
-            database.execute("INSERT INTO session VALUES (?, ?, ?, ?, ?)", row)
-        unfinished.rename(directory / DATABASE)
-        _sync(directory)
+        try:
+            _write_durably(directory / PLAN, plan_text)
+            unfinished.unlink(missing_ok=True)
+            with contextlib.closing(sqlite3.connect(unfinished, isolation_level=None)) as database:
+                database.executescript(f"PRAGMA synchronous = FULL; BEGIN; {TABLES} {LATER} COMMIT;")
+                row = (SCHEMA, _digest(plan_text), cell.sha256, cell.robot.name, json.dumps(cell.points))
+                database.execute("INSERT INTO session VALUES (?, ?, ?, ?, ?)", row)
+            unfinished.rename(directory / DATABASE)
+            _sync(directory)
+        except (OSError, sqlite3.OperationalError) as error:
+            lock.close()
+            raise SessionError(directory, "", *storage_fault(directory, error, WRITABLE)) from None
         return cls(directory, _connect(directory), lock)
 
     @classmethod
@@ -283,13 +288,16 @@ class Session:
     def _transaction(self) -> Iterator[None]:
         if self._lock is None:
             raise SessionError(self.directory, "", "a session opened to be read", "one created or resumed")
-        self._database.execute("BEGIN IMMEDIATE")
         try:
+            self._database.execute("BEGIN IMMEDIATE")
             yield
-        except BaseException:
-            self._database.execute("ROLLBACK")
-            raise
-        self._database.execute("COMMIT")
+            self._database.execute("COMMIT")
+        except sqlite3.OperationalError as error:
+            file = self.directory / DATABASE
+            raise SessionError(file, "", *storage_fault(file, error, "a database that can be written")) from None
+        finally:
+            if self._database.in_transaction:  # not committed: SQLite itself may have rolled back already
+                self._database.execute("ROLLBACK")
 
     def _insert(self, statement: str, row: tuple[object, ...]) -> int:
         with self._transaction():

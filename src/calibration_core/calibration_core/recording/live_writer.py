@@ -17,7 +17,7 @@ from typing import Any, Literal
 import yaml
 from mcap.writer import CompressionType, Writer
 
-from calibration_core.errors import OutputError
+from calibration_core.errors import OutputError, storage_fault
 
 METADATA = "metadata.yaml"
 CHUNK = 4 << 20
@@ -146,7 +146,7 @@ class LiveBag:
             raise self._error(error) from None
 
     def _error(self, error: OSError) -> OutputError:
-        return OutputError(self.file, "", error.strerror or str(error), "a directory that can be written")
+        return OutputError(self.file, "", *storage_fault(self.file, error, "a directory that can be written"))
 
     def _write_metadata(self) -> None:
         begin, duration = {"nanoseconds_since_epoch": self._begin}, {"nanoseconds": self._end - self._begin}

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from calibration_core.errors import OutputError
+from calibration_core.errors import OutputError, storage_fault
 
 RESULT, REPORT_HTML, REPORT_PDF = "result.json", "report.html", "report.pdf"
 
@@ -47,7 +47,9 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
     except OSError as error:
         _undo(staged, saved, placed)
         place = Path(str(error.filename)).name if error.filename else ""
-        raise OutputError(directory, place, error.strerror or str(error), "a directory that can be written") from None
+        raise OutputError(
+            directory, place, *storage_fault(directory, error, "a directory that can be written")
+        ) from None
     except BaseException:
         _undo(staged, saved, placed)
         raise

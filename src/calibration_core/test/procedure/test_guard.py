@@ -82,7 +82,7 @@ class History:
             return found | {"JOINTS_NOT_FINITE"}
         series = self._unbroken(every)
         if len(series) < 2:
-            found.add("JOINTS_ABSENT")
+            found.add("SPEED_UNKNOWN" if self._ever() else "JOINTS_ABSENT")
         if every and not -rules.clock_tolerance <= now - every[-1][0] <= rules.max_joints_age:
             found.add("JOINTS_STALE")
         if len(series) >= 2:
@@ -107,6 +107,10 @@ class History:
             if not -rules.clock_tolerance <= now - since <= rules.freeze_time:
                 found.add("JOINTS_FROZEN")
         return found
+
+    def _ever(self) -> bool:
+        """Tell whether any joint state with all its angles has come at all."""
+        return any(len(q) == 3 and all(map(math.isfinite, q)) for _, _, q in self.joints)
 
     def _jumped_since(self) -> bool:
         """Tell whether any message since the last decision was a jump, even if a bad one came after it."""

@@ -174,3 +174,31 @@ def test_paused_by_the_controller(plane_arm: Monitored) -> None:
 
 def test_every_reason_has_a_text() -> None:
     assert set(TEXT) == set(Reason)
+
+
+def test_joint_states_that_came_are_never_called_absent(plane_arm: Monitored) -> None:
+    guard = Guard(plane_arm, RULES)
+    guard.on_status(GOOD, 0.0)
+    assert Reason.JOINTS_ABSENT in guard.decide(0.0).reasons
+    guard.on_joints(np.array([0.0, math.nan, 0.0]), 0.01, 0.01)
+    assert guard.decide(0.01).reasons == (Reason.JOINTS_NOT_FINITE,)
+    guard.on_joints(np.zeros(3), 0.02, 0.02)
+    assert guard.decide(0.02).reasons == (Reason.SPEED_UNKNOWN,)
+    guard.on_joints(np.zeros(3), 0.03, 0.03)
+    assert guard.decide(0.03).permitted
+
+
+def test_one_bad_joint_state_is_named_until_the_reset(plane_arm: Monitored) -> None:
+    guard, now = permitting(plane_arm)
+    guard.on_joints(np.full(3, math.nan), now + 0.01, now + 0.01)
+    guard.decide(now + 0.01)
+    guard.on_joints(np.zeros(3), now + 0.02, now + 0.02)
+    text = guard.decide(now + 0.02).text
+    assert "no joint states have arrived" not in text
+    assert "a joint state is missing or not a finite number" in text
+
+
+def test_a_clock_that_goes_back_leaves_joint_states_present(plane_arm: Monitored) -> None:
+    guard, now = permitting(plane_arm)
+    guard.on_joints(np.zeros(3), now + 0.01, now - 1.0)
+    assert Reason.SPEED_UNKNOWN in guard.decide(now + 0.01).reasons
