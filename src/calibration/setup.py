@@ -18,7 +18,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/calibration"]),
         ("share/calibration", ["package.xml"]),
         ("share/calibration/launch", sorted(glob("launch/*.launch.py"))),  # noqa: PTH207
-        ("share/calibration/config", ["../../config/ros.yaml"]),
+        ("share/calibration/config", ["../../config/ros.yaml", "../../config/simulation.yaml"]),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -1,61 +1,63 @@
-"""A tree of processes as a launch description; the only module that needs `launch`."""
+"""A tree of processes as a launch description; the only module that needs `launch`.
+
+Nothing is started before every argument is known to be of use: a path that is wrong is one line, not a line of every
+node.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
-from launch.actions import DeclareLaunchArgument, ExecuteProcess
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
 
-from calibration.process_tree import PARAMETERS_FILE, Argument, Given, Process, Tool, Tree, Value
+from calibration.process_tree import Argument, Given, Process, Tree, files_of, parameters_of, values_of
+from calibration_core.errors import InputError
 from launch import LaunchDescription
 
 
 def launch_description(tree: Tree) -> LaunchDescription:
-    """Return the arguments and the processes of a tree."""
-    types = {argument.name: argument.type for argument in tree.arguments}
-    return LaunchDescription(
-        [
-            *map(_declared, tree.arguments),
-            *map(_tool, tree.tools),
-            *(_node(process, types) for process in tree.processes),
-        ]
-    )
+    """Return the arguments of a tree, and what starts its processes once their values are known."""
+    return LaunchDescription([*map(_declared, tree.arguments), OpaqueFunction(function=started, args=[tree])])
+
+
+def started(context: Any, tree: Tree) -> list[Any]:
+    """Return what is started with the values that the arguments have.
+
+    Raises:
+        SystemError: A value cannot be used; launch says so in one line and ends with exit code 1.
+    """
+    said = {argument.name: context.launch_configurations[argument.name] for argument in tree.arguments}
+    try:
+        values = values_of(tree, said)
+    except InputError as error:
+        raise SystemError(str(error)) from None
+    files = files_of(values, get_package_share_directory("calibration"))
+    tools = [ExecuteProcess(cmd=[_word(word, values) for word in tool.words], output="screen") for tool in tree.tools]
+    return [*tools, *(_node(process, tree, values, files) for process in tree.processes)]
 
 
 def _declared(argument: Argument) -> Any:
-    default: Any = argument.default
-    if argument.shared:
-        default = PathJoinSubstitution([FindPackageShare("calibration"), *str(argument.default).split("/")])
     choices = {"choices": list(argument.choices)} if argument.choices else {}
-    return DeclareLaunchArgument(argument.name, default_value=default, description=argument.description, **choices)
-
-
-def _node(process: Process, types: dict[str, type]) -> Any:
-    parameters = {name: _value(value, types) for name, value in process.parameters.items()}
-    return Node(
-        package=process.package,
-        executable=process.name,
-        namespace=LaunchConfiguration("namespace"),
-        output="screen",
-        sigterm_timeout=str(process.sigterm_after),
-        sigkill_timeout=str(process.sigkill_after),
-        parameters=[LaunchConfiguration(PARAMETERS_FILE.name), parameters],
+    return DeclareLaunchArgument(
+        argument.name, default_value=argument.default, description=argument.description, **choices
     )
 
 
-def _tool(tool: Tool) -> Any:
-    words = [_text(word) if isinstance(word, Given) else word for word in tool.words]
-    return ExecuteProcess(cmd=words, output="screen")
+def _node(process: Process, tree: Tree, values: dict[str, str], files: tuple[str, ...]) -> Any:
+    given = parameters_of(tree, process, values)
+    return Node(
+        package=process.package,
+        executable=process.name,
+        namespace=values["namespace"],
+        output="screen",
+        sigterm_timeout=str(process.sigterm_after),
+        sigkill_timeout=str(process.sigkill_after),
+        parameters=[*files, {name: ParameterValue(value, value_type=type(value)) for name, value in given.items()}],
+    )
 
 
-def _value(value: Value, types: dict[str, type]) -> Any:
-    return ParameterValue(_text(value), value_type=types[value.argument]) if isinstance(value, Given) else value
-
-
-def _text(given: Given) -> Any:
-    said = LaunchConfiguration(given.argument)
-    return PathJoinSubstitution([said, given.inside]) if given.inside else said
+def _word(word: str | Given, values: dict[str, str]) -> str:
+    return values[word.argument] if isinstance(word, Given) else word

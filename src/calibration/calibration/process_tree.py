@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
+
+from calibration_core.errors import InputError, quoted
 
 Scalar = bool | int | float | str
 
@@ -26,17 +29,17 @@ class Argument:
         name: Name.
         description: One sentence.
         default: Value if nothing is said; None: it must be said.
-        shared: Whether the default is a file in the share folder of the package `calibration`.
         type: Of the value as a parameter.
         choices: The values allowed; empty: any.
+        path: What it is the path of, and must be there: a "file", or a "file or directory"; empty: it is no such path.
     """
 
     name: str
     description: str
     default: str | None = None
-    shared: bool = False
     type: type[Scalar] = str
     choices: tuple[str, ...] = ()
+    path: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,15 +94,18 @@ class Tree:
     tools: tuple[Tool, ...] = ()
 
 
-CELL = Argument("cell", "The cell file.")
+DEFAULTS = "config/ros.yaml"  # every parameter of every node, in the share folder of the package `calibration`
+FASTER = "config/simulation.yaml"  # what differs where the cell lives faster than life, likewise
+CELL = Argument("cell", "The cell file.", path="file")
 SESSION = Argument("session", "Directory of the session; one that is there is continued.")
-PARAMETERS_FILE = Argument("params_file", "Parameters of the nodes.", "config/ros.yaml", shared=True)
+PARAMETERS_FILE = Argument("params_file", "Parameters that differ from config/ros.yaml; empty: none.", "", path="file")
 NAMESPACE = Argument("namespace", "Namespace of the cell.", "")
 BACKENDS = ("follow_joint_trajectory", "joint_trajectory_topic", "external", "simulated")
 BACKEND = Argument("backend", "How the robot is moved, and stopped.", "follow_joint_trajectory", choices=BACKENDS)
 INTERFACE = Argument("interface", "Action or topic that moves the robot; empty: the back end's usual one.", "")
 ADAPTER = Argument("adapter", "How the controller's state is understood.", "industrial")
-RATE = Argument("rate", "Multiple of real time.", "1.0")
+RATE = Argument("rate", "Multiple of real time.", "1.0", type=float)
+SPEED = Argument("speed", "Multiple of real time; above 1, config/simulation.yaml holds.", "1.0", type=float)
 
 CELL_FILE = {"cell": Given("cell")}
 BAG = {"recording": Given("session", "bag")}
@@ -129,7 +135,7 @@ SIMULATED_CELL = Tree(
         SESSION,
         PARAMETERS_FILE,
         NAMESPACE,
-        Argument("speed", "Multiple of real time.", "1.0", type=float),
+        SPEED,
         Argument("seed", "Of the hidden truth and of the noise.", "1", type=int),
     ),
     (
@@ -143,33 +149,61 @@ SIMULATED_CELL = Tree(
     ),
 )
 REPLAY = Tree(
-    (CELL, Argument("recording", "The bag."), PARAMETERS_FILE, NAMESPACE, RATE),
+    (CELL, Argument("recording", "The bag.", path="file or directory"), PARAMETERS_FILE, NAMESPACE, RATE),
     (Process("identification", {**CELL_FILE, "recording": Given("recording")}),),
     (Tool(("ros2", "bag", "play", Given("recording"), "--clock", "--rate", Given("rate"))),),
 )
 
 
-def said_or_default(tree: Tree, said: Mapping[str, str], share: str) -> dict[str, str]:
-    """Return the values of a tree's arguments.
+def values_of(tree: Tree, said: Mapping[str, str]) -> dict[str, str]:
+    """Return the values of a tree's arguments, what is not said by default.
 
     Args:
         tree: The tree.
         said: Values by name, in place of the defaults.
-        share: The share folder of the package `calibration`.
 
     Raises:
-        KeyError: One that must be said is not.
+        InputError: One that must be said is not, is none of the choices or no number, or its file is not there.
     """
     values = {}
     for argument in tree.arguments:
-        default = argument.default
-        if argument.name in said:
-            values[argument.name] = said[argument.name]
-        elif default is None:
-            raise KeyError(argument.name)
-        else:
-            values[argument.name] = f"{share}/{default}" if argument.shared else default
+        value = said.get(argument.name, argument.default)
+        found, expected = _fault(argument, value)
+        if value is None or found:
+            raise InputError("arguments", argument.name, found, expected)
+        values[argument.name] = value
     return values
+
+
+def _fault(argument: Argument, value: str | None) -> tuple[str, str]:
+    """Return what is wrong with a value and what was expected; nothing is found if nothing is wrong."""
+    usage = f"{argument.description} Say {argument.name}:=VALUE"
+    if value is None or (value == "" and argument.default is None):
+        return "nothing", usage
+    if argument.choices and value not in argument.choices:
+        return quoted(value), f"one of {', '.join(argument.choices)}"
+    if argument.type in (int, float):
+        try:
+            argument.type(value)
+        except ValueError:
+            return quoted(value), f"a number: {usage}"
+    if argument.path and value and not Path(value).exists():
+        return f"no {argument.path} {value}", usage
+    if argument.path == "file" and value and not Path(value).is_file():
+        return f"a directory, {value}", f"a file: {usage}"
+    return "", ""
+
+
+def files_of(values: Mapping[str, str], share: str) -> tuple[str, ...]:
+    """Return the parameter files of every node, later ones overrule earlier ones.
+
+    Args:
+        values: Of the tree's arguments.
+        share: The share folder of the package `calibration`.
+    """
+    fast = SPEED.name in values and float(values[SPEED.name]) > 1.0
+    own = values[PARAMETERS_FILE.name]
+    return (f"{share}/{DEFAULTS}", *([f"{share}/{FASTER}"] if fast else []), *([own] if own else []))
 
 
 def parameters_of(tree: Tree, process: Process, values: Mapping[str, str]) -> dict[str, Scalar]:

@@ -6,7 +6,6 @@ import ast
 import re
 import runpy
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,9 +18,12 @@ pytest.importorskip("calibration_interfaces.msg", reason="the messages are not b
 from calibration import force_torque, guard, identification, process_tree, recorder, sequencer_parameters, tracker
 from calibration.acquisition import COMMON
 from calibration.node import NODE_NAMES, Declared
+from calibration_core.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = Path(__file__).resolve().parents[1]
+CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
+SHARE = ROOT / "install" / "calibration" / "share" / "calibration"
 LAUNCH_FILES = sorted((PACKAGE / "launch").glob("*.launch.py"))
 TABLES: dict[str, tuple[Declared, ...]] = {
     "tracker": (*COMMON, *tracker.PARAMETERS),
@@ -42,12 +44,10 @@ class Made:
 
 STAND_INS = {
     "launch": ("LaunchDescription",),
-    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess"),
-    "launch.substitutions": ("LaunchConfiguration", "PathJoinSubstitution"),
+    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "OpaqueFunction"),
     "launch_ros": (),
     "launch_ros.actions": ("Node",),
     "launch_ros.parameter_descriptions": ("ParameterValue",),
-    "launch_ros.substitutions": ("FindPackageShare",),
 }
 TREES = {
     "real_cell": process_tree.REAL_CELL,
@@ -69,8 +69,14 @@ def tree(path: Path) -> process_tree.Tree:
 
 
 @pytest.fixture
-def description(path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Made]:
-    """The entities that a launch file declares."""
+def said(tmp_path: Path, tree: process_tree.Tree) -> dict[str, str]:
+    """Values of the arguments that must be said."""
+    return {one.name: str(CELL if one.path == "file" else tmp_path) for one in tree.arguments if one.default is None}
+
+
+@pytest.fixture
+def description(path: Path, said: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> list[Made]:
+    """The entities that a launch file declares, and those that it starts."""
     monkeypatch.delitem(sys.modules, "calibration.launch_tree", raising=False)
     for name, classes in STAND_INS.items():
         module = ModuleType(name)
@@ -78,25 +84,17 @@ def description(path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Made]:
             setattr(module, one, type(one, (Made,), {}))
         monkeypatch.setitem(sys.modules, name, module)
     made = runpy.run_path(str(path))["generate_launch_description"]()
+    monkeypatch.setattr(sys.modules["calibration.launch_tree"], "get_package_share_directory", lambda _: str(SHARE))
     monkeypatch.delitem(sys.modules, "calibration.launch_tree", raising=False)  # it knows the stand-ins
-    return list(made.positional[0])
+    *declared, starting = made.positional[0]
+    values = {one.positional[0]: one.named["default_value"] for one in declared} | said
+    context = Made()
+    context.launch_configurations = values
+    return [*declared, *starting.named["function"](context, *starting.named["args"])]
 
 
 def of(kind: str, entities: list[Made]) -> list[Made]:
     return [one for one in entities if type(one).__name__ == kind]
-
-
-def everything(value: Any) -> Iterator[Made]:
-    """Everything that was made, wherever it stands."""
-    if isinstance(value, Made):
-        yield value
-        yield from everything(value.positional)
-        yield from everything(list(value.named.values()))
-    elif isinstance(value, dict):
-        yield from everything(list(value.values()))
-    elif isinstance(value, list | tuple):
-        for one in value:
-            yield from everything(one)
 
 
 def executables(package: str) -> set[str]:
@@ -139,16 +137,19 @@ def test_every_parameter_exists_and_has_its_type(tree: process_tree.Tree) -> Non
             assert not one.required or one.name in process.parameters
 
 
-def test_a_launch_file_says_what_the_table_says(description: list[Made], tree: process_tree.Tree) -> None:
+def test_a_launch_file_says_what_the_table_says(
+    description: list[Made], tree: process_tree.Tree, said: dict[str, str]
+) -> None:
     nodes = of("Node", description)
     assert [node.named["executable"] for node in nodes] == [process.name for process in tree.processes]
+    values = process_tree.values_of(tree, said)
     for node, process in zip(nodes, tree.processes, strict=True):
-        file, given = node.named["parameters"]
-        assert file.positional == ("params_file",)
+        *files, given = node.named["parameters"]
+        assert tuple(files) == process_tree.files_of(values, str(SHARE))
         assert node.named["package"] == process.package
-        assert given.keys() == process.parameters.keys()
-        constant = {name: value for name, value in given.items() if not isinstance(value, Made)}
-        assert constant.items() <= process.parameters.items()
+        found = {name: value.positional[0] for name, value in given.items()}
+        assert found == process_tree.parameters_of(tree, process, values)
+        assert all(value.named["value_type"] is type(value.positional[0]) for value in given.values())
         assert float(node.named["sigterm_timeout"]) == process.sigterm_after
         assert float(node.named["sigkill_timeout"]) == process.sigkill_after
     assert [len(one.named["cmd"]) for one in of("ExecuteProcess", description)] == [
@@ -156,10 +157,12 @@ def test_a_launch_file_says_what_the_table_says(description: list[Made], tree: p
     ]
 
 
-def test_every_argument_is_declared_described_and_used(description: list[Made]) -> None:
-    declared = {one.positional[0] for one in of("DeclareLaunchArgument", description)}
-    used = {one.positional[0] for one in everything(description) if type(one).__name__ == "LaunchConfiguration"}
-    assert used == declared
+def test_every_argument_is_declared_described_and_used(description: list[Made], tree: process_tree.Tree) -> None:
+    declared = [one.positional[0] for one in of("DeclareLaunchArgument", description)]
+    values = [*(value for process in tree.processes for value in process.parameters.values()),
+              *(word for tool in tree.tools for word in tool.words)]  # fmt: skip
+    used = {value.argument for value in values if isinstance(value, process_tree.Given)}
+    assert used | {"namespace", "params_file"} == set(declared)
     assert all(one.named["description"].endswith(".") for one in of("DeclareLaunchArgument", description))
 
 
@@ -180,25 +183,57 @@ def test_the_guard_outlives_the_others(name: str) -> None:
 
 
 def test_values_of_a_tree(tmp_path: Path) -> None:
-    said = {"cell": "c.yaml", "session": "/s", "speed": "2.5"}
-    values = process_tree.said_or_default(process_tree.SIMULATED_CELL, said, "/share")
-    assert values["params_file"] == "/share/config/ros.yaml"
+    said = {"cell": str(CELL), "session": "/s", "speed": "2.5"}
+    values = process_tree.values_of(process_tree.SIMULATED_CELL, said)
     rows = {process.name: process for process in process_tree.SIMULATED_CELL.processes}
     given = process_tree.parameters_of(process_tree.SIMULATED_CELL, rows["simulated_cell"], values)
-    assert (given["speed"], given["seed"], given["cell"]) == (2.5, 1, "c.yaml")
+    assert (given["speed"], given["seed"], given["cell"]) == (2.5, 1, str(CELL))
     sequencer = process_tree.parameters_of(process_tree.SIMULATED_CELL, rows["sequencer"], values)
     assert sequencer["recording"] == "/s/bag"
-    with pytest.raises(KeyError, match="session"):
-        process_tree.said_or_default(process_tree.SIMULATED_CELL, {"cell": "c.yaml"}, "/share")
 
 
-def test_the_default_parameter_file_is_installed(description: list[Made]) -> None:
-    (argument,) = [one for one in of("DeclareLaunchArgument", description) if one.positional[0] == "params_file"]
-    share, *rest = argument.named["default_value"].positional[0]
-    assert share.positional == ("calibration",)
-    setup = (PACKAGE / "setup.py").read_text("utf-8")
-    assert rest == ["config", "ros.yaml"]
-    assert '("share/calibration/config", ["../../config/ros.yaml"])' in setup
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"cell": "/no/such.yaml"}, "arguments: cell: found no file /no/such.yaml, expected The cell file. Say cell:="),
+        ({"cell": str(ROOT / "config")}, "cell: found a directory"),
+        ({"cell": ""}, "cell: found nothing"),
+        ({}, "cell: found nothing"),
+        ({"cell": str(CELL), "session": "s", "speed": "fast"}, "speed: found 'fast', expected a number"),
+        ({"cell": str(CELL), "session": "s", "params_file": "/no.yaml"}, "params_file: found no file /no.yaml"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_before_anything_starts(said: dict[str, str], words: str) -> None:
+    with pytest.raises(InputError, match=re.escape(words)) as error:
+        process_tree.values_of(process_tree.SIMULATED_CELL, said)
+    assert "\n" not in str(error.value)
+
+
+def test_later_parameter_files_overrule_and_all_are_installed(tmp_path: Path) -> None:
+    own = tmp_path / "my.yaml"
+    own.write_text("guard: {ros__parameters: {rate: 30.0}}\n", "utf-8")
+    said = {"cell": str(CELL), "session": "s", "params_file": str(own)}
+    slow = process_tree.values_of(process_tree.SIMULATED_CELL, said)
+    fast = process_tree.values_of(process_tree.SIMULATED_CELL, {**said, "speed": "20.0"})
+    default, faster = f"{SHARE}/config/ros.yaml", f"{SHARE}/config/simulation.yaml"
+    assert process_tree.files_of(slow, str(SHARE)) == (default, str(own))
+    assert process_tree.files_of(fast, str(SHARE)) == (default, faster, str(own))
+    assert (Path(default).resolve(), Path(faster).resolve()) == (
+        ROOT / "config" / "ros.yaml", ROOT / "config" / "simulation.yaml",
+    )  # fmt: skip
+
+
+def test_the_file_of_a_fast_simulation_knows_what_it_names_and_is_wide_throughout() -> None:
+    file = yaml.safe_load((ROOT / "config" / "simulation.yaml").read_text("utf-8"))
+    for node, section in file.items():
+        given = section["ros__parameters"]
+        assert given.keys() <= known(node)
+        for one in TABLES.get(node, ()):
+            value = given.get(one.name)
+            assert value is None or (one.fault(value) == "" and type(value) is type(one.default)), one.name
+            age = one.name.endswith("_age") and "generic" not in one.name
+            assert not age or value is not None, f"{node}: {one.name} counts wall time and stays narrow"
+            assert not age or value > one.default
 
 
 def test_launch_files_compute_nothing() -> None:

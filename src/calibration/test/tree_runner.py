@@ -9,7 +9,7 @@ import threading
 import time
 from pathlib import Path
 
-from calibration.process_tree import PARAMETERS_FILE, Process, Tree, parameters_of, said_or_default
+from calibration.process_tree import Process, Tree, files_of, parameters_of, values_of
 
 ROOT = Path(__file__).resolve().parents[3]
 INSTALL = ROOT / "install"
@@ -34,9 +34,11 @@ class TreeRunner:
     ) -> None:
         """Prepare; `files` are parameter files after the tree's own, `more` parameters of single nodes."""
         self.tree, self._environment, self._directory = tree, environment, directory
-        self._files, self._more = files, more or {}
+        self._more = more or {}
         texts = {name: str(value) for name, value in said.items()}
-        self._values = said_or_default(tree, texts, str(INSTALL / "calibration" / "share" / "calibration"))
+        self._values = values_of(tree, texts)
+        own = files_of(self._values, str(INSTALL / "calibration" / "share" / "calibration"))
+        self._files = (*map(Path, own), *files)
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         self.ended: list[tuple[str, int, float]] = []
 
@@ -44,7 +46,7 @@ class TreeRunner:
         """Return the command line that launch would make."""
         words = [str(INSTALL / process.package / "lib" / process.package / process.name), "--ros-args"]
         words += ["-r", f"__ns:=/{self._values['namespace'].strip('/')}"]
-        for file in (self._values[PARAMETERS_FILE.name], *self._files):
+        for file in self._files:
             words += ["--params-file", str(file)]
         given = {**parameters_of(self.tree, process, self._values), **self._more.get(process.name, {})}
         for key, value in given.items():
