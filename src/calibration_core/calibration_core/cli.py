@@ -57,19 +57,28 @@ def _parser() -> argparse.ArgumentParser:
     _identify(_command(commands, "identify", "joint stiffness, frames and geometry from a recording"))
     _diagnose(_command(commands, "diagnose", "where simulation and recording differ, and which physics is left out"))
     _predict(_command(commands, "predict", "predicted points and residuals of a recording"))
+    _import(_bare(commands, "import", "tables of tracker software and controllers into a measurement table"))
+    return parser
+
+
+def _bare(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
+) -> argparse.ArgumentParser:
+    """Add a command that needs no cell file."""
+    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"where results go (default build/calibration/{name})")
+    parser.set_defaults(recording=None, cell=None)
     return parser
 
 
 def _command(
     commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
 ) -> argparse.ArgumentParser:
-    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    parser = _bare(commands, name, text)
     parser.add_argument("--cell", type=Path, required=True, metavar="CELL.yaml", help="the cell file")
-    parser.add_argument("--out", type=Path, metavar="DIR", help=f"where results go (default build/calibration/{name})")
     parser.add_argument(
         "--no-report", dest="report", action="store_false", help="result and tables only, without report.html and .pdf"
     )
-    parser.set_defaults(recording=None)
     return parser
 
 
@@ -136,6 +145,19 @@ def _diagnose(parser: argparse.ArgumentParser) -> None:
 def _predict(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+
+
+def _import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "files",
+        type=Path,
+        nargs="+",
+        metavar="FILES",
+        help="a table with everything, or tables of points, of joint angles and of wrenches, or a robot program",
+    )
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.yaml", help="states what is not recognised: columns, units, names"
+    )
 
 
 def _plan(parser: argparse.ArgumentParser) -> None:

@@ -11,7 +11,8 @@ from collections.abc import Callable
 
 from calibration_core.errors import CalibrationError
 
-NAMES = ("plan", "simulate", "identify", "diagnose", "predict")
+MODULES = {name: name for name in ("plan", "simulate", "identify", "diagnose", "predict")} | {"import": "import_tables"}
+NAMES = tuple(MODULES)
 
 
 def command(name: str) -> Callable[[argparse.Namespace], str]:
@@ -23,5 +24,5 @@ def command(name: str) -> Callable[[argparse.Namespace], str]:
     if name not in NAMES:
         msg = f"no command {name!r}, choose one of {', '.join(NAMES)}"
         raise CalibrationError(msg)
-    run: Callable[[argparse.Namespace], str] = importlib.import_module(f"{__name__}.{name}").run
+    run: Callable[[argparse.Namespace], str] = importlib.import_module(f"{__name__}.{MODULES[name]}").run
     return run

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.recording.foreign.direct import read_foreign
 from calibration_core.recording.source import sha256_of
 from calibration_core.recording.table_checks import check_plausible, check_steps
 from calibration_core.timeseries import Provenance, Readings
@@ -20,6 +21,7 @@ from calibration_core.timeseries import Provenance, Readings
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
 POSITION = ("x", "y", "z")
 INTEGERS = ("configuration", "step")
+OURS = {*INTEGERS, "point", *POSITION}
 OPTIONAL = ("time", "temperature")  # a cell of these may be empty
 MAX_BYTES = 1 << 30
 MAX_LINE = 1 << 16
@@ -28,7 +30,7 @@ BLOCK = 4096
 
 
 def read_table(path: Path, cell: Cell) -> Readings:
-    """Read a measurement table.
+    """Read a measurement table; one of another program is converted where it can be read in one way only.
 
     Args:
         path: The CSV file.
@@ -47,6 +49,9 @@ def read_table(path: Path, cell: Cell) -> Readings:
             size = stream.seek(0, 2)
             if size > MAX_BYTES:
                 raise RecordingError(path, "", f"{size} bytes", f"a measurement table of at most {MAX_BYTES} bytes")
+            stream.seek(0)
+            if _is_foreign(stream.readline(MAX_LINE)):
+                return _read_foreign(path, cell)
             stream.seek(0)
             columns, numbers, points, lines = _parse(path, stream, cell)
     except OSError as error:
@@ -71,6 +76,21 @@ def read_table(path: Path, cell: Cell) -> Readings:
     )
     check_plausible(path, readings, cell, lines)
     return readings.with_notes(*check_steps(path, readings, lines))
+
+
+def _read_foreign(path: Path, cell: Cell) -> Readings:
+    readings = read_foreign(path, cell)
+    lines = np.arange(1, len(readings) + 1)
+    check_plausible(path, readings, cell, lines)
+    return readings.with_notes(*check_steps(path, readings, lines))
+
+
+def _is_foreign(first: bytes) -> bool:
+    """Tell from the first line whether a table is another program's: less than half of our columns is there."""
+    if not first.strip() or first[:1] == b"\x00":
+        return False
+    names = {name.strip() for name in first.decode("utf-8-sig", errors="replace").split(",")}
+    return 2 * len(names & OURS) < len(OURS)
 
 
 def _parse(

@@ -60,7 +60,7 @@ def test_empty_time_and_temperature_are_unknown(tmp_path: Path, cell: Cell) -> N
         ("", "line 1", "nothing"),
         ("\n", "line 1", "nothing"),
         (HEADER, "", "a header without rows"),
-        (HEADER.replace(",", ";"), "line 1", "'configuration;step"),
+        (HEADER.replace(",", ";"), "", "no table"),
         (HEADER + ",x\n", "line 1, column x", "2 times"),
         (HEADER + ",colour\n", "line 1, column 'colour'", "an unknown column"),
         (HEADER.replace("x,y", "x,Y"), "line 1, column 'Y'", "an unknown column"),

@@ -1,0 +1,132 @@
+r"""The map of an import: what is not to be recognised but is stated (YAML).
+
+files:
+  - match: "points_*.txt"          # names of files; the first that matches counts
+    encoding: cp1252               # all keys are optional; what is absent is recognised
+    separator: ";"
+    decimal: ","
+    header: 3                      # line of the header; 0: there is none
+    columns: {Zeit: time, "X ist": x, "5": ignored}    # by name, or by number from 1
+    units: {x: mm, q: deg, f: kN, t: "N*m"}
+    name: '(?P<configuration>\d+)-(?P<step>\d+)-(?P<point>\w+)'
+join: number                       # number, order or time
+tolerance: 0.5                     # s, of a join by time
+points: {SMR1: mp1}                # names in the files -> names in the cell file
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from calibration_core.errors import RecordingError, quoted
+from calibration_core.recording.foreign.meaning import AXES, COUNTS, FORCES, IGNORED, JOINT, NAMES, TORQUES
+from calibration_core.recording.foreign.text import ENCODINGS
+from calibration_core.recording.foreign.units import UNITS, Unit, unit_of
+
+MEANINGS = (*AXES, *FORCES, *TORQUES, *COUNTS, *NAMES, "time", "temperature", IGNORED)
+GROUPS = ("configuration", "step", "point")
+JOINS = ("number", "order", "time")
+Text = Annotated[str, Field(max_length=1000)]
+
+
+class FileMap(BaseModel):
+    """How one kind of file is read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    match: Text = "*"
+    encoding: Text | None = None
+    separator: Literal["\t", ";", "|", ",", " "] | None = None
+    decimal: Literal[".", ","] | None = None
+    header: Annotated[int, Field(ge=0, le=100_000)] | None = None
+    columns: dict[str, str] = {}
+    units: dict[str, str] = {}
+    name: str | None = None
+
+    @field_validator("encoding")
+    @classmethod
+    def _encoding(cls, value: str | None) -> str | None:
+        return _choice(value, ENCODINGS)
+
+    @field_validator("columns", mode="before")
+    @classmethod
+    def _columns(cls, value: object) -> object:
+        if isinstance(value, dict):
+            for meaning in value.values():
+                if not JOINT.fullmatch(str(meaning)):
+                    _choice(str(meaning), ("q1 ... qn", *MEANINGS))
+            return {str(name): meaning for name, meaning in value.items()}
+        return value
+
+    @field_validator("units")
+    @classmethod
+    def _units(cls, value: dict[str, str]) -> dict[str, str]:
+        for text in value.values():
+            if unit_of(text) is None:
+                _choice(text, sorted({unit.name for unit in UNITS.values()}))
+        return value
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, value: str | None) -> str | None:
+        if value is not None:
+            try:
+                groups = re.compile(value).groupindex
+            except re.error as error:
+                raise ValueError(f"{value!r} is no regular expression: {error}") from None
+            if "configuration" not in groups or not set(groups) <= set(GROUPS):
+                raise ValueError(f"the groups {sorted(groups)}: configuration, and at most step and point, are wanted")
+        return value
+
+    def unit(self, meaning: str) -> Unit | None:
+        """Return the unit that is stated for a meaning: `q` stands for all joints, `f` and `t` for force and torque."""
+        family = "q" if JOINT.fullmatch(meaning) else meaning[0] if meaning in (*FORCES, *TORQUES) else ""
+        text = self.units.get(meaning) or (self.units.get(family) if family else None)
+        if text is None and meaning in AXES:
+            text = self.units.get("xyz")
+        return None if text is None else unit_of(text)
+
+
+class ImportMap(BaseModel):
+    """What is stated of an import."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    files: tuple[FileMap, ...] = ()
+    join: Literal["number", "order", "time"] | None = None
+    tolerance: Annotated[float, Field(gt=0.0, le=3600.0)] = 1.0
+    points: dict[str, str] = {}
+
+    def of(self, path: Path) -> FileMap:
+        """Return what is stated of a file."""
+        return next((one for one in self.files if fnmatch.fnmatch(path.name, one.match)), FileMap())
+
+
+def import_map(path: Path, content: object) -> ImportMap:
+    """Return the checked map.
+
+    Args:
+        path: Its file, for messages.
+        content: What the YAML file holds.
+
+    Raises:
+        RecordingError: A key or a value is none of a map.
+    """
+    try:
+        return ImportMap.model_validate({} if content is None else content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the map"
+        expected = str(first["msg"]).removeprefix("Value error, ")
+        raise RecordingError(path, place, quoted(first["input"]), expected) from None
+
+
+def _choice(value: str | None, choices: tuple[str, ...] | list[str]) -> str | None:
+    if value is not None and value not in choices:
+        raise ValueError("one of " + ", ".join(choices))
+    return value

@@ -1,0 +1,102 @@
+"""What a column holds, from its name: the names that tracker software and robot controllers use."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from types import MappingProxyType
+
+from calibration_core.recording.foreign.units import Dimension
+
+AXES = ("x", "y", "z")
+FORCES = ("fx", "fy", "fz")
+TORQUES = ("tx", "ty", "tz")
+COUNTS = ("configuration", "step", "number")
+NAMES = ("point", "name", "group")
+JOINT = re.compile(r"q[1-9]\d?")
+DIMENSIONS: MappingProxyType[str, Dimension] = MappingProxyType(
+    {
+        **dict.fromkeys(AXES, "length"),
+        **dict.fromkeys(FORCES, "force"),
+        **dict.fromkeys(TORQUES, "torque"),
+        "time": "time",
+        "temperature": "temperature",
+    }
+)
+IGNORED = "ignored"  # a column whose name says that it is no measured value
+
+_UNUSED = re.compile(
+    r"(.*_)?(nom|nominal|soll|ref|theo|theoretical|cad|dev|deviation|delta|diff|error|err|tol|lower|upper|sigma|std|stdev|"
+    r"rms|cov|uncert|uncertainty|u95|weight|quality|status|valid|type|color|colour|comment|samples|count)(_.*)?"
+    r"|d[xyz]|d3d|s[xyz]|[ijk]|n[xyz]|dist|distance|hz|vt|azimuth|elevation|range|date|collection|operator"
+)
+_PREFIX = r"(?:(?:pos|position|point|pt|meas|measured|measurement|actual|act|ist|coord|coordinate|tracker|tcp)_)*"
+_SUFFIX = r"(?:_(?:pos|position|meas|measured|measurement|actual|act|ist|coord|coordinate|value|wert|tracker))*"
+_AXIS = re.compile(_PREFIX + r"([xyz])" + _SUFFIX)
+_FORCE = re.compile(r"(?:wrench_)?(?:f|force|kraft)_?([xyz])|([xyz])_(?:force|kraft)")
+_TORQUE = re.compile(r"(?:wrench_)?(?:t|m|torque|moment|drehmoment)_?([xyz])|([xyz])_(?:torque|moment)")
+_JOINT = re.compile(
+    r"(?:robot_|joint_state_|position_)?"
+    r"(?:q|j|a|e?_?axis|achse|joint|joint_a|joint_q|theta|th|ax|angle|winkel|gelenk|actual_q|jnt)_?(\d{1,2})"
+    r"(?:_(?:pos|position|act|actual|ist|angle|value))?"
+)
+_WORDS = MappingProxyType(
+    {
+        "configuration": "configuration configuration_no configuration_number config conf cfg konfiguration pose "
+        "pose_no pose_id pose_number pose_index posture stellung roboterpose",
+        "step": "step step_no schritt load_step loadstep load_level laststufe load_case loadcase load",
+        "number": "no nr num number id index seq shot row line zeile nummer lfd_nr",
+        "point": "point point_name pointname point_id pointid pt point_no target target_name reflector smr punkt "
+        "punktname punkt_id messpunkt measurement_point nest",
+        "name": "name label feature feature_name item object observation bezeichnung element",
+        "group": "group group_name gruppe point_group",
+        "time": "time timestamp time_stamp zeit datetime date_time t uhrzeit",
+        "temperature": "temperature temp temperatur ambient ambient_temperature air_temperature temperature_air",
+    }
+)
+_BY_WORD = MappingProxyType({word: meaning for meaning, words in _WORDS.items() for word in words.split()})
+UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+YASKAWA_JOINTS = ("s", "l", "u", "r", "b", "t")
+
+
+def normal(name: str) -> str:
+    """Return a column's name in lower case, its words joined by underscores: `Point Name` and `PointName` alike."""
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name.strip())
+    for accent, plain in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("θ", "theta"), ("ϑ", "theta")):
+        name = name.replace(accent, plain)
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+def meanings(names: Sequence[str]) -> list[str | None]:
+    """Return what each column holds: `x`, `q1`, `fx`, `configuration`, ..., `ignored`, or None for an unknown name.
+
+    Joints may be counted from 0; a set of columns with the names of a maker's joints is taken as a whole.
+    """
+    plain = [normal(name) for name in names]
+    found = [_meaning(name) for name in plain]
+    for joints in (tuple(f"{name}_joint" for name in UR_JOINTS), UR_JOINTS, YASKAWA_JOINTS):
+        if set(joints) <= set(plain):
+            for i, name in enumerate(joints):
+                found[plain.index(name)] = f"q{i + 1}"
+    counted = [int(meaning[1:]) for meaning in found if meaning is not None and re.fullmatch(r"q\d+", meaning)]
+    if counted and min(counted) == 0:
+        found = [f"q{int(m[1:]) + 1}" if m is not None and re.fullmatch(r"q\d+", m) else m for m in found]
+    return found
+
+
+def dimension_of(meaning: str) -> Dimension:
+    """Return what a meaning is measured in; joints are angles, names and counts are numbers."""
+    return "angle" if JOINT.fullmatch(meaning) else DIMENSIONS.get(meaning, "number")
+
+
+def _meaning(name: str) -> str | None:
+    if name in _BY_WORD:
+        return _BY_WORD[name]
+    for pattern, prefix in ((_FORCE, "f"), (_TORQUE, "t"), (_AXIS, "")):
+        match = pattern.fullmatch(name)
+        if match is not None:
+            return prefix + next(group for group in match.groups() if group)
+    joint = _JOINT.fullmatch(name)
+    if joint is not None:
+        return f"q{int(joint.group(1))}"
+    return IGNORED if _UNUSED.fullmatch(name) else None

@@ -1,0 +1,340 @@
+"""One foreign file as columns with a meaning, in SI units, and an account of what was taken for what."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from calibration_core.errors import RecordingError, quoted
+from calibration_core.recording.foreign.grid import BLANKS, Grid, number_of, read_grid
+from calibration_core.recording.foreign.mapping import FileMap
+from calibration_core.recording.foreign.meaning import (
+    AXES,
+    COUNTS,
+    FORCES,
+    IGNORED,
+    JOINT,
+    NAMES,
+    TORQUES,
+    dimension_of,
+    meanings,
+)
+from calibration_core.recording.foreign.poses import Poses, read_poses
+from calibration_core.recording.foreign.text import Text, read_text
+from calibration_core.recording.foreign.units import SI, UNITS, Dimension, Unit, split_unit, unit_of
+from calibration_core.timeseries import Float1D, Float2D
+
+LARGEST_TURN = 7.0  # rad: no joint of a calibrated robot stands farther than a turn from its zero
+NEAREST_POINT = 0.08  # m from the tracker
+FARTHEST_POINT = 80.0  # m, range of a laser tracker
+LEAST_FORCE = 25.0  # no robot carries as many kN, so that a larger number is a force in N
+_STATED = re.compile(r"(?:units?|einheit(?:en)?)\b\s*[:=]?\s*(.+)", re.IGNORECASE)
+_CLOCKS = ("%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p", "%H:%M:%S")
+_SEPARATOR_NAMES = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", BLANKS: "blanks"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Taken:
+    """What one column was taken for.
+
+    Attributes:
+        column: Its name in the file.
+        meaning: As in the measurement table.
+        unit: Unit in the file, empty for names and counts.
+        how: `stated` (map, header or remark) or why it can be no other.
+    """
+
+    column: str
+    meaning: str
+    unit: str
+    how: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Source:
+    """One file.
+
+    Attributes:
+        path: The file.
+        form: Separator, decimal mark and encoding, or whose program it is.
+        numbers: Meaning -> values (m,) in SI units.
+        texts: `point`, `name` or `group` -> texts (m).
+        lines: Line of each row, for messages.
+        taken: What the columns were taken for.
+        ignored: Columns that were not used.
+    """
+
+    path: Path
+    form: str
+    numbers: Mapping[str, Float1D]
+    texts: Mapping[str, tuple[str, ...]]
+    lines: tuple[int, ...]
+    taken: tuple[Taken, ...]
+    ignored: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.lines)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints whose angles it holds."""
+        return sum(bool(JOINT.fullmatch(name)) for name in self.numbers)
+
+    @property
+    def has_points(self) -> bool:
+        """Whether it holds positions."""
+        return set(AXES) <= set(self.numbers)
+
+    @property
+    def has_wrench(self) -> bool:
+        """Whether it holds forces."""
+        return set(FORCES) <= set(self.numbers)
+
+    def fault(self, row: int, column: str, found: str, expected: str) -> RecordingError:
+        """Return an error at a row."""
+        return RecordingError(self.path, f"line {self.lines[row]}, column {column}", found, expected)
+
+
+def read_source(path: Path, how: FileMap) -> Source:
+    """Read one file.
+
+    Args:
+        path: A table or a robot program.
+        how: What is stated of it; everything else is recognised.
+
+    Raises:
+        RecordingError: It is no table, or a column or unit can be read in more than one way.
+    """
+    text = read_text(path, how.encoding)
+    poses = None if how.columns or how.separator else read_poses(text)
+    if poses is not None:
+        return _of_poses(poses, text)
+    grid = read_grid(text, how.separator, how.decimal, how.header)
+    names, stated = _named(grid)
+    found = _with_map(grid, names, meanings(names) if grid.header else _headerless(grid), how)
+    columns = {meaning: i for i, meaning in enumerate(found) if meaning not in (None, IGNORED)}
+    ignored = tuple(names[i] for i, meaning in enumerate(found) if meaning in (None, IGNORED))
+    _check_whole(grid, columns)
+    numbers: dict[str, Float1D] = {}
+    texts: dict[str, tuple[str, ...]] = {}
+    taken = []
+    remarked = _remarked(grid.remarks)
+    for meaning, i in columns.items():
+        if meaning in NAMES:
+            texts[meaning] = tuple(row[i] for row in grid.rows)
+            taken.append(Taken(names[i], meaning, "", "stated"))
+            continue
+        dimension = dimension_of(meaning)
+        raw = (
+            _times(grid, i) if dimension == "time" else np.array([grid.number(row, i) for row in range(len(grid.rows))])
+        )
+        if meaning in COUNTS:
+            _check_integers(grid, i, names[i], raw)
+        numbers[meaning] = raw
+        unit = how.unit(meaning) or stated[i] or remarked.get(dimension)
+        taken.append(
+            Taken(names[i], meaning, unit.name if unit is not None else "", "stated" if unit is not None else "")
+        )
+    taken = _converted(grid.path, numbers, taken)
+    form = f"{_SEPARATOR_NAMES[grid.separator]}-separated, decimal mark {quoted(grid.decimal)}, {text.encoding}"
+    return Source(path, form, numbers, texts, grid.lines, tuple(taken), ignored)
+
+
+def _of_poses(poses: Poses, text: Text) -> Source:
+    q = np.array(poses.q)
+    names = [f"q{i + 1}" for i in range(q.shape[1])]
+    numbers = {name: q[:, i] for i, name in enumerate(names)}
+    texts = {"name": poses.names} if poses.names else {}
+    taken = tuple(
+        Taken(f"joint {i + 1}", name, poses.unit, f"stated: {poses.language}") for i, name in enumerate(names)
+    )
+    lines = tuple(range(1, len(q) + 1))
+    return Source(poses.path, f"{poses.language}, {text.encoding}", numbers, texts, lines, taken, ())
+
+
+def _named(grid: Grid) -> tuple[list[str], list[Unit | None]]:
+    width = len(grid.rows[0])
+    if not grid.header:
+        return [str(i + 1) for i in range(width)], [None] * width
+    split = [split_unit(field) for field in grid.header]
+    names, units = [name for name, _ in split], [unit for _, unit in split]
+    if grid.units:
+        units = [unit or unit_of(below) for unit, below in zip(units, grid.units, strict=True)]
+    return names, units
+
+
+def _headerless(grid: Grid) -> list[str | None]:
+    """Tell what the columns of a file without header hold: names, then exactly three numbers, then what is ignored."""
+    numeric = [all(number_of(row[i], grid.decimal) is not None for row in grid.rows) for i in range(len(grid.rows[0]))]
+    texts = numeric.index(True) if True in numeric else len(numeric)
+    if not 1 <= texts <= len(NAMES) or sum(numeric[texts : texts + 3]) != 3 or any(numeric[texts + 3 :]):
+        expected = "a header, or names and three coordinates in each row; else state `columns` in a map"
+        raise RecordingError(grid.path, f"line {grid.lines[0]}", f"{len(numeric)} columns without names", expected)
+    names = {1: ["point"], 2: ["group", "point"], 3: [IGNORED, "group", "point"]}[texts]
+    return [*names, *AXES, *[None] * (len(numeric) - texts - 3)]
+
+
+def _with_map(grid: Grid, names: Sequence[str], found: list[str | None], how: FileMap) -> list[str | None]:
+    originals = list(grid.header) or list(names)
+    for column, meaning in how.columns.items():
+        places = [i for i, name in enumerate(names) if column in (name, originals[i], str(i + 1))]
+        if not places:
+            raise RecordingError(
+                grid.path, f"column {quoted(column)}", "no such column", "one of " + ", ".join(originals)
+            )
+        found[places[0]] = meaning
+    used = [meaning for meaning in found if meaning not in (None, IGNORED)]
+    for meaning in used:
+        if used.count(meaning) > 1:
+            both = ", ".join(quoted(originals[i]) for i, one in enumerate(found) if one == meaning)
+            expected = f"one column for {meaning}: state the others as `ignored` in a map"
+            raise RecordingError(grid.path, f"columns {both}", f"{used.count(meaning)} columns for {meaning}", expected)
+    return found
+
+
+def _check_whole(grid: Grid, columns: Mapping[str, int]) -> None:
+    for family in (AXES, FORCES, TORQUES):
+        there = [name for name in family if name in columns]
+        if there and len(there) < 3:
+            missing = ", ".join(sorted(set(family) - set(there)))
+            raise RecordingError(grid.path, "columns", f"{', '.join(there)} without {missing}", "all three")
+    joints = sorted(int(name[1:]) for name in columns if JOINT.fullmatch(name))
+    if joints and joints != list(range(1, len(joints) + 1)):
+        raise RecordingError(grid.path, "columns", f"joints {joints}", "joints counted from 1 (or 0) without a gap")
+    if not set(columns) & {*AXES, *FORCES, "q1"}:
+        seen = ", ".join(grid.header) or f"{len(grid.rows[0])} columns without names"
+        raise RecordingError(grid.path, "columns", seen, "positions x y z, joint angles or forces among them")
+
+
+def _check_integers(grid: Grid, column: int, name: str, values: Float1D) -> None:
+    for row in np.flatnonzero((values != np.round(values)) | (np.abs(values) > 2**53)):
+        place = f"line {grid.lines[row]}, column {name}"
+        raise RecordingError(grid.path, place, quoted(grid.rows[row][column]), "an integer")
+
+
+def _times(grid: Grid, column: int) -> Float1D:
+    """Return seconds: numbers as they are, dates and times of day counted from 1970 in UTC."""
+    values = []
+    for row, fields in enumerate(grid.rows):
+        text = fields[column]
+        number = number_of(text, grid.decimal)
+        stamp = number if number is not None else _stamp(text)
+        if stamp is None:
+            place = f"line {grid.lines[row]}, column {column + 1}"
+            raise RecordingError(grid.path, place, quoted(text), "seconds, or a date and time")
+        values.append(stamp)
+    return np.array(values)
+
+
+def _stamp(text: str) -> float | None:
+    try:
+        moment = datetime.fromisoformat(text)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except ValueError:
+        pass  # not ISO 8601: the other forms are tried
+    for form in _CLOCKS:
+        try:
+            return datetime.strptime(text, form).replace(tzinfo=UTC).timestamp()
+        except ValueError:
+            continue
+    return None
+
+
+def _remarked(remarks: Sequence[str]) -> dict[Dimension, Unit]:
+    """Return units stated in a remark: `Units: Millimeters, Degrees`."""
+    found: dict[Dimension, Unit] = {}
+    for remark in remarks:
+        match = _STATED.search(remark)
+        for word in re.split(r"[,;\s]+", match.group(1)) if match else ():
+            unit = unit_of(word)
+            if unit is not None:
+                found.setdefault(unit.dimension, unit)
+    return found
+
+
+def _converted(path: Path, numbers: dict[str, Float1D], taken: list[Taken]) -> list[Taken]:
+    """Convert all columns to SI units in place; infer units that are not stated for a family of columns at once."""
+    result = {one.meaning: one for one in taken}
+    joints = tuple(name for name in numbers if JOINT.fullmatch(name))
+    inferred = {
+        **_family(path, AXES, numbers, result, _length),
+        **_family(path, joints, numbers, result, _angle),
+        **_family(path, FORCES, numbers, result, _force),
+        **_family(path, TORQUES, numbers, result, lambda *_: (UNITS["n*m"], "the usual unit")),
+    }
+    for meaning, one in result.items():
+        if meaning not in numbers or meaning in COUNTS:
+            continue
+        dimension = dimension_of(meaning)
+        usual = next(unit for unit in UNITS.values() if unit.dimension == dimension and unit.name == SI[dimension])
+        unit, how = inferred.get(meaning) or (unit_of(one.unit) or usual, one.how or "the usual unit")
+        if unit.dimension != dimension and not (JOINT.fullmatch(meaning) and unit.dimension == "length"):
+            raise RecordingError(
+                path, f"column {one.column}", f"{unit.name}, a unit of {unit.dimension}", f"a unit of {dimension}"
+            )
+        numbers[meaning] = np.array([unit.to_si(value) for value in numbers[meaning].tolist()])
+        result[meaning] = dataclasses.replace(one, unit=unit.name, how=how)
+    return list(result.values())
+
+
+def _family(
+    path: Path,
+    family: Sequence[str],
+    numbers: Mapping[str, Float1D],
+    taken: Mapping[str, Taken],
+    infer: Callable[[Path, Float2D, str], tuple[Unit, str]],
+) -> dict[str, tuple[Unit, str]]:
+    """Return meaning -> (unit, how) for the columns of a family whose unit is not stated."""
+    unstated = [name for name in family if name in numbers and not taken[name].unit]
+    if not unstated:
+        return {}
+    known = {taken[name].unit for name in family if name in numbers and taken[name].unit}
+    if len(known) == 1:
+        return dict.fromkeys(unstated, (UNITS[known.pop().lower()], "the unit of the columns beside it"))
+    choice = infer(path, np.column_stack([numbers[name] for name in unstated]), taken[unstated[0]].column)
+    return dict.fromkeys(unstated, choice)
+
+
+def _length(path: Path, values: Float2D, column: str) -> tuple[Unit, str]:
+    distance = np.linalg.norm(values, axis=1)
+    fitting = [
+        unit
+        for unit in (UNITS["m"], UNITS["mm"])
+        if distance.min(initial=math.inf) * unit.factor >= NEAREST_POINT
+        and distance.max(initial=0.0) * unit.factor <= FARTHEST_POINT
+    ]
+    if len(fitting) != 1:
+        found = f"{distance.min():g} to {distance.max():g} from the origin, without a unit"
+        raise RecordingError(
+            path, f"column {column}", found, "a unit: state it in the header or in a map (units: {xyz: mm})"
+        )
+    limits = f"no target is nearer than {NEAREST_POINT:g} m or farther than {FARTHEST_POINT:g} m"
+    return fitting[0], limits
+
+
+def _angle(path: Path, values: Float2D, column: str) -> tuple[Unit, str]:
+    largest = float(np.abs(values).max(initial=0.0))
+    spread = float(np.ptp(values, axis=0).max(initial=0.0))
+    if largest > LARGEST_TURN:
+        return UNITS["deg"], f"the largest is {largest:g}, more than a turn in rad"
+    if spread > 0.5:
+        return UNITS["rad"], f"the largest is {largest:g}: in degrees the robot would hardly move"
+    found = f"angles up to {largest:g} without a unit"
+    raise RecordingError(
+        path, f"column {column}", found, "a unit: state it in the header or in a map (units: {q: deg})"
+    )
+
+
+def _force(path: Path, values: Float2D, column: str) -> tuple[Unit, str]:
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest >= LEAST_FORCE or largest == 0.0:
+        return UNITS["n"], f"the largest is {largest:g}: in kN no robot carries it"
+    found = f"forces up to {largest:g} without a unit"
+    raise RecordingError(path, f"column {column}", found, "a unit: state it in the header or in a map (units: {f: kN})")
