@@ -3,6 +3,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NODES = ("force_torque", "guard", "identification", "recorder", "sequencer", "tracker")
+CONFIG = [f"../../config/{name}" for name in ("ros.yaml", "simulation.yaml", "cell.rviz", "foxglove.json")]
 
 setup(
     name="calibration",
@@ -18,7 +19,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/calibration"]),
         ("share/calibration", ["package.xml"]),
         ("share/calibration/launch", sorted(glob("launch/*.launch.py"))),  # noqa: PTH207
-        ("share/calibration/config", ["../../config/ros.yaml", "../../config/simulation.yaml"]),
+        ("share/calibration/config", CONFIG),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -6,10 +6,12 @@ node.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+import yaml
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_package_share_directory
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -34,9 +36,11 @@ def started(context: Any, tree: Tree) -> list[Any]:
         values = values_of(tree, said)
     except InputError as error:
         raise SystemError(str(error)) from None
-    files = files_of(values, get_package_share_directory("calibration"))
+    share = get_package_share_directory("calibration")
+    files = files_of(values, share)
     tools = [ExecuteProcess(cmd=[_word(word, values) for word in tool.words], output="screen") for tool in tree.tools]
-    return [*tools, *(_node(process, tree, values, files) for process in tree.processes)]
+    nodes = [_node(process, tree, values, files) for process in tree.processes]
+    return [*tools, *nodes, *_transforms(values), *_rviz(values, share)]
 
 
 def _declared(argument: Argument) -> Any:
@@ -61,3 +65,42 @@ def _node(process: Process, tree: Tree, values: dict[str, str], files: tuple[str
 
 def _word(word: str | Given, values: dict[str, str]) -> str:
     return values[word.argument] if isinstance(word, Given) else word
+
+
+def _installed(package: str) -> bool:
+    try:
+        get_package_prefix(package)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _transforms(values: dict[str, str]) -> list[Any]:
+    """Return robot_state_publisher with the URDF of the cell, or why there is none."""
+    if values["transforms"] != "true":
+        return []
+    robot = yaml.safe_load(Path(values["cell"]).read_text("utf-8")).get("robot", {})
+    package = "robot_state_publisher"
+    if "urdf" not in robot or not _installed(package):
+        why = f"{package} is not installed" if "urdf" in robot else "the cell file names no URDF"
+        return [LogInfo(msg=f"no transforms are published: {why}")]
+    urdf = (Path(values["cell"]).parent / robot["urdf"]).read_text("utf-8")
+    return [
+        Node(
+            package=package,
+            executable=package,
+            namespace=values["namespace"],
+            remappings=[("robot_description", "~/robot_description")],  # the topic belongs to the driver
+            parameters=[{"robot_description": ParameterValue(urdf, value_type=str)}],
+        )
+    ]
+
+
+def _rviz(values: dict[str, str], share: str) -> list[Any]:
+    """Return RViz with the suite's displays, or why there is none."""
+    if values["rviz"] != "true":
+        return []
+    if not _installed("rviz2"):
+        return [LogInfo(msg="RViz is not started: rviz2 is not installed")]
+    arguments = ["-d", f"{share}/config/cell.rviz"]
+    return [Node(package="rviz2", executable="rviz2", namespace=values["namespace"], arguments=arguments)]

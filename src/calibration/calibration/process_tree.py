@@ -107,6 +107,12 @@ ADAPTER = Argument("adapter", "How the controller's state is understood.", "indu
 RATE = Argument("rate", "Multiple of real time.", "1.0", type=float)
 SPEED = Argument("speed", "Multiple of real time; above 1, config/simulation.yaml holds.", "1.0", type=float)
 
+SWITCH = ("true", "false")
+RVIZ = Argument("rviz", "Whether RViz is started, where it is installed.", "false", choices=SWITCH)
+TRANSFORMS = "Whether robot_state_publisher is started, where it is installed"
+OF_DRIVER = Argument("transforms", f"{TRANSFORMS}; the drivers of most robots bring it.", "false", choices=SWITCH)
+OF_US = Argument("transforms", f"{TRANSFORMS}.", "true", choices=SWITCH)
+
 CELL_FILE = {"cell": Given("cell")}
 BAG = {"recording": Given("session", "bag")}
 
@@ -125,7 +131,7 @@ def _suite(everywhere: Mapping[str, Value], motion: Mapping[str, Value], adapter
 
 
 REAL_CELL = Tree(
-    (CELL, SESSION, PARAMETERS_FILE, NAMESPACE, BACKEND, INTERFACE, ADAPTER),
+    (CELL, SESSION, PARAMETERS_FILE, NAMESPACE, BACKEND, INTERFACE, ADAPTER, RVIZ, OF_DRIVER),
     _suite(CELL_FILE, {"motion.backend": Given("backend"), "motion.interface": Given("interface")},
            Given("adapter"), {}),
 )  # fmt: skip
@@ -137,6 +143,8 @@ SIMULATED_CELL = Tree(
         NAMESPACE,
         SPEED,
         Argument("seed", "Of the hidden truth and of the noise.", "1", type=int),
+        RVIZ,
+        OF_US,
     ),
     (
         Process(
@@ -149,7 +157,7 @@ SIMULATED_CELL = Tree(
     ),
 )
 REPLAY = Tree(
-    (CELL, Argument("recording", "The bag.", path="file or directory"), PARAMETERS_FILE, NAMESPACE, RATE),
+    (CELL, Argument("recording", "The bag.", path="file or directory"), PARAMETERS_FILE, NAMESPACE, RATE, RVIZ, OF_US),
     (Process("identification", {**CELL_FILE, "recording": Given("recording")}),),
     (Tool(("ros2", "bag", "play", Given("recording"), "--clock", "--rate", Given("rate"))),),
 )
