@@ -37,6 +37,10 @@ class Posture:
         """Return the (3, m) unit vectors along a joint's axis, base axes."""
         return self.before[joint][2]
 
+    def screw(self, joint: int) -> tuple[Float2D, Float2D]:
+        """Return a joint's unit twist: angular (3, m) and linear velocity (3, m) of the base origin."""
+        return self.axis(joint), cross(self.origin[joint], self.axis(joint))
+
     def point(self, point: Float1D) -> Float2D:
         """Return the (3, m) positions of a point given in the flange frame ((3,) or (3, m)), m, base frame."""
         return self.flange_origin + turn(self.flange, point)

@@ -58,18 +58,30 @@ def gravity_torque(chain: Chain, at: Posture) -> Float2D:
     """
     m = at.flange_origin.shape[1]
     torque = np.zeros((chain.n, m))
-    if chain.mass is None or chain.com is None:
+    if chain.mass is None:
         return torque
-    mass, moment = 0.0, np.zeros((3, m))
-    gravity = chain.gravity[:, None]
-    for i in reversed(range(chain.n)):
-        mass += float(chain.mass[i])
-        moment = moment + chain.mass[i] * _com(chain, at, i)
-        torque[i] = dot(at.axis(i), cross(moment - mass * at.origin[i], np.broadcast_to(gravity, (3, m))))
+    gravity = np.broadcast_to(chain.gravity[:, None], (3, m))
+    mass, moment = masses_beyond(chain, at)
+    for i in range(chain.n):
+        torque[i] = dot(at.axis(i), cross(moment[i] - mass[i] * at.origin[i], gravity))
     return torque
 
 
-def _com(chain: Chain, at: Posture, link: int) -> Float2D:
+def masses_beyond(chain: Chain, at: Posture) -> tuple[Float1D, Float3D]:
+    """Return mass (n + 1,) kg and first moment about the base origin (n + 1, 3, m) kg*m of every link and all beyond.
+
+    The last entry, beyond the last link, is zero; so are all where masses are not known.
+    """
+    mass, moment = np.zeros(chain.n + 1), np.zeros((chain.n + 1, 3, at.flange_origin.shape[1]))
+    if chain.mass is not None and chain.com is not None:
+        for i in reversed(range(chain.n)):
+            mass[i] = mass[i + 1] + chain.mass[i]
+            moment[i] = moment[i + 1] + chain.mass[i] * centre_of_mass(chain, at, i)
+    return mass, moment
+
+
+def centre_of_mass(chain: Chain, at: Posture, link: int) -> Float2D:
+    """Return the (3, m) m centre of gravity of a link whose mass is known, base frame."""
     assert chain.com is not None  # noqa: S101 - asked for only where masses are known
     # the body frame has the origin of the frame before the joint
     return at.origin[link] + turn(at.body[link], chain.com[link])
@@ -111,14 +123,12 @@ def gravity_torque_derivative(chain: Chain, at: Posture) -> Float3D:
     """Return the (n, n, m) derivatives d tau_i / d q_j of the gravity torques, N*m/rad (symmetric)."""
     m = at.flange_origin.shape[1]
     derivative = np.zeros((chain.n, chain.n, m))
-    if chain.mass is None or chain.com is None:
+    if chain.mass is None:
         return derivative
     gravity = np.broadcast_to(chain.gravity[:, None], (3, m))
-    mass, moment = 0.0, np.zeros((3, m))
-    for j in reversed(range(chain.n)):
-        mass += float(chain.mass[j])
-        moment = moment + chain.mass[j] * _com(chain, at, j)
-        shift = cross(at.axis(j), moment - mass * at.origin[j])  # how the moment of what is beyond joint j moves
+    mass, moment = masses_beyond(chain, at)
+    for j in range(chain.n):
+        shift = cross(at.axis(j), moment[j] - mass[j] * at.origin[j])  # how the moment of what is beyond joint j moves
         pull = cross(shift, gravity)
         for i in range(j + 1):
             derivative[i, j] = derivative[j, i] = dot(at.axis(i), pull)

@@ -13,26 +13,28 @@ import numpy as np
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import stacked, tilting
+from calibration_core.model.effects.springs import sliding, stacked, tilting, turning
 from calibration_core.model.effects.state import State
+from calibration_core.model.virtual_joints import before_joint
 from calibration_core.timeseries import Float2D, Float3D
 
+BASE = before_joint(0)
 TURN = "rad/(N*m)"
 TURNED = 0.3  # typical size of the compliance between x and y over that about them
 
 
 def _rocking(state: State) -> Float3D:
     x, y, _ = _axes(state)
-    return tilting(state, (x, y), np.zeros((3, state.m)))
+    return tilting(state, BASE, (x, y), np.zeros((3, state.m)))
 
 
 def _rotation(state: State) -> Float3D:
-    turn = state.spring_column(_axes(state)[2], np.zeros((3, state.m)))
+    turn = turning(state, BASE, _axes(state)[2], np.zeros((3, state.m)))
     return np.concatenate([_rocking(state), stacked(turn)], axis=2)
 
 
 def _six(state: State) -> Float3D:
-    return np.concatenate([_rotation(state), stacked(*(state.slide_column(axis) for axis in _axes(state)))], axis=2)
+    return np.concatenate([_rotation(state), stacked(*(sliding(state, BASE, axis) for axis in _axes(state)))], axis=2)
 
 
 def _axes(state: State) -> tuple[Float2D, Float2D, Float2D]:

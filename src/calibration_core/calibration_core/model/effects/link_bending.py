@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import along_link, stacked, tilting
+from calibration_core.model.effects.springs import along_link, stacked, tilting, turning
 from calibration_core.model.effects.state import State
 from calibration_core.model.kinematics import cross
 from calibration_core.timeseries import Float2D, Float3D
@@ -44,13 +44,13 @@ def _axes(state: State, link: int) -> tuple[Float2D, Float2D, Float2D]:
 def _bending(state: State, link: int) -> Float3D:
     _, tip = _ends(state, link)
     first, second, _ = _axes(state, link)
-    return along_link(state, link, tip, lambda at: tilting(state, (first, second), at))
+    return along_link(state, link, tip, lambda cut, at: tilting(state, cut, (first, second), at))
 
 
 def _whole(state: State, link: int) -> Float3D:
     _, tip = _ends(state, link)
     along = _axes(state, link)[2]
-    torsion = along_link(state, link, tip, lambda at: stacked(state.spring_column(along, at)))
+    torsion = along_link(state, link, tip, lambda cut, at: stacked(turning(state, cut, along, at)))
     return np.concatenate([_bending(state, link), torsion], axis=2)
 
 

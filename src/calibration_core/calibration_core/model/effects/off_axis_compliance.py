@@ -14,6 +14,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked, tilting
 from calibration_core.model.effects.state import State
+from calibration_core.model.virtual_joints import before_joint, behind_joint
 from calibration_core.timeseries import Float3D
 
 UNIT = "rad/(N*m)"
@@ -23,12 +24,12 @@ TURNED = 0.3  # typical size of the compliance between x and y over that about t
 
 def _proximal(state: State, joint: int) -> Float3D:
     axes = state.at.before[joint]
-    return tilting(state, (axes[X], axes[Y]), state.at.origin[joint])
+    return tilting(state, before_joint(joint), (axes[X], axes[Y]), state.at.origin[joint])
 
 
 def _distal(state: State, joint: int) -> Float3D:
     axes = state.at.body[joint]
-    return tilting(state, (axes[X], axes[Y]), state.at.origin[joint])
+    return tilting(state, behind_joint(joint), (axes[X], axes[Y]), state.at.origin[joint])
 
 
 def _isotropic(state: State, joint: int) -> Float3D:

@@ -10,8 +10,9 @@ import numpy as np
 
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
-from calibration_core.model.kinematics import Posture, cross, dot, linear_jacobian, turned
+from calibration_core.model.kinematics import Posture, cross, linear_jacobian, turned
 from calibration_core.model.statics import Load, gravity_torque, load_torque
+from calibration_core.model.virtual_joints import ExternalWrench, VirtualJoints
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 
@@ -31,6 +32,7 @@ class State:
         force: (3, m) N; zeros without external load.
         moment: (3, m) N*m, about `where`.
         where: (3, m) m, where the wrench is reduced to.
+        follows: Whether the wrench turns with the flange, as one recorded in sensor axes does.
         wrench: (m, 6) N and N*m, in the axes it is recorded in.
         by_wrench: (m, 3, 6) how the point moves with the wrench as recorded.
         sensor_axes: (3, 3, m) columns of the axes in which the wrench is recorded.
@@ -56,6 +58,7 @@ class State:
     force: Float2D
     moment: Float2D
     where: Float2D
+    follows: bool
     wrench: Float2D
     by_wrench: Float3D
     sensor_axes: Float3D
@@ -100,21 +103,15 @@ class State:
         """Return the (m, 3) movement of the points for an extra deflection (m,) rad of a joint."""
         return (self.answer[:, joint] * deflection).T
 
-    def spring_torque(self, axis: Float2D, origin: Float2D) -> Float1D:
-        """Return the (m,) N*m of the external load about an axis (3, m) through a point (3, m)."""
-        return dot(axis, cross(self.where - origin, self.force) + self.moment)
-
     def rotation_column(self, axis: Float2D, origin: Float2D, angle: Float1D) -> Float2D:
         """Return the (m, 3) movement of the points when all beyond `origin` turns by `angle` (m,) rad about `axis`."""
         return (cross(axis, self.point - origin) * angle).T
 
-    def spring_column(self, axis: Float2D, origin: Float2D) -> Float2D:
-        """Return the (m, 3) movement per unit compliance of a rotary spring about `axis` through `origin`."""
-        return self.rotation_column(axis, origin, self.spring_torque(axis, origin))
-
-    def slide_column(self, axis: Float2D) -> Float2D:
-        """Return the (m, 3) movement per unit compliance of a linear spring along `axis` (3, m), m/N."""
-        return (axis * dot(axis, self.force)).T
+    @functools.cached_property
+    def virtual(self) -> VirtualJoints:
+        """Virtual joints: what structure gives way by, under load and weight."""
+        load = ExternalWrench(self.force, self.moment, self.where, self.follows)
+        return VirtualJoints(self.chain, self.at, self.point, load, self.answer * self.compliance[:, None])
 
     def along_steps(self, values: Float1D, operator: Callable[[Float2D], Float2D]) -> Float1D:
         """Apply a history operator along the steps of every configuration and point.
@@ -210,6 +207,7 @@ def state_of(
         force=force,
         moment=moment,
         where=where,
+        follows=load is not None and load.rotation is not None,
         wrench=np.zeros((m, 6)) if wrench is None else wrench,
         by_wrench=by_wrench,
         sensor_axes=axes,

@@ -11,15 +11,16 @@ from functools import partial
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
-from calibration_core.model.effects.springs import stacked
+from calibration_core.model.effects.springs import sliding, stacked, turning
 from calibration_core.model.effects.state import State
+from calibration_core.model.virtual_joints import before_joint
 from calibration_core.timeseries import Float3D
 
 
 def _columns(state: State, translations: int) -> Float3D:
-    axes = [state.at.flange[k] for k in range(3)]
-    turns = [state.spring_column(axis, state.at.flange_origin) for axis in axes]
-    return stacked(*turns, *(state.slide_column(axis) for axis in axes[:translations]))
+    axes, flange = [state.at.flange[k] for k in range(3)], before_joint(state.chain.n)
+    turns = [turning(state, flange, axis, state.at.flange_origin) for axis in axes]
+    return stacked(*turns, *(sliding(state, flange, axis) for axis in axes[:translations]))
 
 
 def _bending(state: State) -> Float3D:

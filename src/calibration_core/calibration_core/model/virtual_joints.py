@@ -1,0 +1,167 @@
+"""Virtual joints anywhere in the chain: which wrench they carry, and how the measured point moves when they give way.
+
+A virtual joint is a cut through the chain with a spring in it.  What lies beyond the cut moves by a twist; the wrench
+on the cut is the external load together with the weight of everything beyond it, and the drives' own springs answer
+the change of their torques.  Twists are (6, m), angular above linear velocity of the base origin; wrenches are (6, m),
+moment about the base origin above force; their scalar product is work.
+Source: virtual joint method (Pashkevich, Klimchik, Chablat 2011); screw notation as in Murray, Li and Sastry (1994).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.model.chain import Chain
+from calibration_core.model.kinematics import Posture, cross, dot
+from calibration_core.model.statics import masses_beyond
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+
+
+@dataclasses.dataclass(frozen=True)
+class Cut:
+    """Where a virtual joint sits.
+
+    Attributes:
+        joint: Index of the first joint beyond it; the number of joints at the flange.
+        weight: Index of the first link whose weight lies beyond it; the number of joints at the flange.
+    """
+
+    joint: int
+    weight: int
+
+
+def before_joint(joint: int) -> Cut:
+    """Return the cut before a joint: the joint and all that it carries lie beyond."""
+    return Cut(joint, joint)
+
+
+def behind_joint(joint: int) -> Cut:
+    """Return the cut between a joint and its link."""
+    return Cut(joint + 1, joint)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ExternalWrench:
+    """The external load on the flange, base axes, m readings.
+
+    Attributes:
+        force: (3, m) N.
+        moment: (3, m) N*m, about `where`.
+        where: (3, m) m, base frame.
+        follows: Whether it turns with the flange, as one recorded in sensor axes does.
+    """
+
+    force: Float2D
+    moment: Float2D
+    where: Float2D
+    follows: bool
+
+
+class VirtualJoints:
+    """Wrenches on the cuts of a loaded robot, and its answers to twists there; each cut is worked out once."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        at: Posture,
+        point: Float2D,
+        load: ExternalWrench,
+        by_torque: Float3D,
+    ) -> None:
+        """Keep what the cuts need.
+
+        Args:
+            chain: The robot.
+            at: Its deformed posture.
+            point: (3, m) m, the measured points, base frame.
+            load: On the flange.
+            by_torque: (3, n, m) m/(N*m), how the points move with a torque on each joint, K_CSM included.
+        """
+        self._at, self._point, self._load, self._by_torque = at, point, load, by_torque
+        self._screws = [at.screw(i) for i in range(chain.n)]
+        self._external = np.concatenate([load.moment + cross(load.where, load.force), load.force])
+        self._gravity = np.broadcast_to(chain.gravity[:, None], point.shape)
+        self._mass, self._first_moment = masses_beyond(chain, at)
+        self._wrenches: dict[int, Float2D] = {}
+        self._answers: dict[Cut, Float3D] = {}
+
+    def wrench(self, cut: Cut) -> Float2D:
+        """Return the (6, m) wrench of load and weight on what lies beyond the cut."""
+        if cut.weight not in self._wrenches:
+            self._wrenches[cut.weight] = self._external + self._weight(cut.weight)
+        return self._wrenches[cut.weight]
+
+    def answer(self, cut: Cut) -> Float3D:
+        """Return the (3, 6, m) movement of the points per unit twist of what lies beyond the cut."""
+        if cut not in self._answers:
+            m = self._point.shape[1]
+            direct = np.zeros((3, 6, m))
+            for k, axis in enumerate(np.eye(3)):
+                direct[:, k] = cross(np.broadcast_to(axis[:, None], (3, m)), self._point)
+                direct[k, 3 + k] = 1.0
+            self._answers[cut] = direct + np.einsum("anm,nkm->akm", self._by_torque, self.torque_slope(cut))
+        return self._answers[cut]
+
+    def column(self, cut: Cut, moved: Float2D, loaded: Float2D | None = None) -> Float2D:
+        """Return the (m, 3) movement per unit compliance: twist `moved` in answer to the work on twist `loaded`.
+
+        Args:
+            cut: Where.
+            moved: (6, m) twist.
+            loaded: (6, m) twist; None: the same.
+        """
+        work = np.einsum("km,km->m", moved if loaded is None else loaded, self.wrench(cut))
+        return np.einsum("akm,km->ma", self.answer(cut), moved * work)
+
+    def torque_slope(self, cut: Cut) -> Float3D:
+        """Return the (n, 6, m) change of the joints' torques per unit twist of what lies beyond the cut, N*m.
+
+        A joint before the cut sees the wrench beyond it move; a joint beyond moves itself, too.  Source: product rule
+        on tau_i = screw_i . wrench_i.
+        """
+        rows = []
+        for i, (angular, linear) in enumerate(self._screws):
+            beyond = i >= cut.joint
+            weight = max(i, cut.weight)
+            mass, first = self._mass[weight], self._first_moment[weight]
+            pulled = cross(self._gravity, angular)
+            by_turn, by_shift = cross(first, pulled), mass * pulled
+            if beyond:
+                moment, force = cross(first, self._gravity), mass * self._gravity
+                by_turn = by_turn + cross(angular, moment) + cross(linear, force)
+                by_shift = np.zeros_like(by_shift)
+            rows.append(np.concatenate([by_turn, by_shift]) + self._external_slope(angular, linear, beyond=beyond))
+        return np.stack(rows)
+
+    def _external_slope(self, angular: Float2D, linear: Float2D, *, beyond: bool) -> Float2D:
+        """Return the (6, m) share of the external load in a joint's torque per unit twist."""
+        moment, force = self._external[:3], self._external[3:]
+        if self._load.follows:
+            if beyond:  # joint and wrench move together
+                return np.zeros((6, self._point.shape[1]))
+            return np.concatenate([cross(moment, angular) + cross(force, linear), cross(force, angular)])
+        pulled = cross(force, angular)
+        by_turn = cross(self._load.where, pulled)
+        if beyond:
+            return np.concatenate([by_turn + cross(angular, moment) + cross(linear, force), np.zeros_like(pulled)])
+        return np.concatenate([by_turn, pulled])
+
+    def _weight(self, link: int) -> Float2D:
+        return np.concatenate([cross(self._first_moment[link], self._gravity), self._mass[link] * self._gravity])
+
+
+def rotation_twist(axis: Float2D, origin: Float2D) -> Float2D:
+    """Return the (6, m) unit twist about an axis (3, m) through a point (3, m) m."""
+    return np.concatenate([axis, cross(origin, axis)])
+
+
+def translation_twist(axis: Float2D) -> Float2D:
+    """Return the (6, m) unit twist along an axis (3, m)."""
+    return np.concatenate([np.zeros_like(axis), axis])
+
+
+def work(twist: Float2D, wrench: Float2D) -> Float1D:
+    """Return the (m,) work of a wrench on a twist: the torque or force that a virtual joint carries."""
+    return dot(twist[:3], wrench[:3]) + dot(twist[3:], wrench[3:])
