@@ -70,6 +70,7 @@ class Robot(Strict):
     joints: tuple[Name, ...]
     joint_limits: tuple[Interval, ...] | None = None
     inertials: tuple[Inertial, ...] | None = None
+    inertials_known: bool = True
     rated_load: Positive
     stiffness: tuple[Positive, ...] | None = None
     gravity: Vector = STANDARD_GRAVITY

@@ -234,9 +234,7 @@ def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, Steps]:
         The design of the last search, what was accepted in it, and the steps.
     """
     stated = {str(c.location["joint"]) for c in (*case.nuisances, *case.considered.candidates)}
-    offered = tuple(
-        c for c in candidates(case.state) if c.effect != "joint_elasticity" or c.location["joint"] not in stated
-    )
+    offered = tuple(c for c in candidates(case.state) if _searched(c, stated))
     low = tuple(c for c in offered if _order(c) <= LOW_ORDERS)
     high = len(low) < len(offered)
     design, selection = _select(case, (), low)
@@ -250,6 +248,13 @@ def search(case: Case) -> tuple[AbsoluteDesign, AbsoluteSelection, Steps]:
         more = tuple(c for c in low if not (shaped and is_spring(c)))
         design, selection = _select(case, (*steps.found, *physics), more)
     return design, selection, steps
+
+
+def _searched(candidate: Candidate, stated: set[str]) -> bool:
+    """Say whether a hypothesis is searched: not what is refitted, nor what postures at rest hardly tell from sag."""
+    if candidate.effect == "joint_elasticity":
+        return candidate.location["joint"] not in stated
+    return candidate.effect == "gravity_compensator" or candidate.family not in {"structure", "joint law"}
 
 
 def _spring_or_waves(case: Case, offered: tuple[Candidate, ...], found: Found) -> Found:

@@ -16,7 +16,7 @@ from calibration_core.diagnosis.absolute_design import AbsoluteDesign
 from calibration_core.diagnosis.absolute_evidence import orthonormal
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.gravity_compensator import JOINT, Triangle, sag, spring, triangle_of
+from calibration_core.model.effects.gravity_compensator import Triangle, carriers, pull, spring, triangle_of
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -46,17 +46,20 @@ def sharpened(
     basis = orthonormal(design.of(range(len(others))))
     residual = design.residual - basis @ (basis.T @ design.residual)
 
+    joint = carriers(state)[0]
+
     def left(x: Float1D) -> Float1D:
-        column = weigh(sag(state, Triangle(*x))[:, :, :1])[:, 0]
+        column = weigh(pull(state, joint, Triangle(*x))[:, :, :1])[:, 0]
         column = column - basis @ (basis.T @ column)
         return np.asarray(residual - column * (column @ residual) / (column @ column))
 
-    offered = [triangle_of(c.variant) for c in candidates(state) if is_spring(c)]
+    name = state.chain.joints[joint]
+    offered = [triangle_of(c.variant) for c in candidates(state) if is_spring(c) and c.location["joint"] == name]
     starts = [np.array([shape.anchor, shape.flatness, shape.preload]) for shape in offered if shape is not None]
     starts.sort(key=lambda x: float(np.sum(left(x) ** 2)))
     fits = [least_squares(left, x, bounds=_around(x), x_scale=SCALE, max_nfev=STEPS) for x in starts[:STARTS]]
     best = min(fits, key=lambda fit: float(fit.cost))
-    return spring(state, Triangle(*map(float, best.x)))
+    return spring(state, joint, Triangle(*map(float, best.x)))
 
 
 def _around(start: Float1D) -> tuple[list[float], list[float]]:
@@ -72,9 +75,9 @@ def by_kind(
     chosen: Sequence[Candidate], state: State
 ) -> tuple[tuple[Candidate, ...], tuple[Candidate, ...], tuple[Candidate, ...]]:
     """Return springs, waves of the joint that a spring would help, and all others."""
-    joint = state.chain.joints[JOINT]
+    helped = {state.chain.joints[joint] for joint in carriers(state)}
     springs = tuple(c for c in chosen if is_spring(c))
-    waves = tuple(c for c in chosen if c.effect == "transmission_error" and c.location["joint"] == joint)
+    waves = tuple(c for c in chosen if c.effect == "transmission_error" and c.location["joint"] in helped)
     return springs, waves, tuple(c for c in chosen if c not in springs and c not in waves)
 
 

@@ -32,6 +32,7 @@ class Chain:
         gravity: (3,) m/s^2, base axes.
         mass: (n,) kg; None where the masses are not known.
         com: (n, 3) m, centre of gravity in the body frame (after the joint's rotation) of each link; None as `mass`.
+        inertials_known: Whether the masses are known, and not guesses.
     """
 
     joints: tuple[str, ...]
@@ -44,12 +45,13 @@ class Chain:
     gravity: Float1D
     mass: Float1D | None = None
     com: Float2D | None = None
+    inertials_known: bool = True
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays."""
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.name != "joints" and value is not None:
+            if field.name not in {"joints", "inertials_known"} and value is not None:
                 object.__setattr__(self, field.name, read_only(value))
 
     @property

@@ -77,4 +77,5 @@ def _from_dh(cell: Cell) -> Chain:
         gravity=cell.gravity,
         mass=mass,
         com=com,
+        inertials_known=robot.inertials_known,
     )

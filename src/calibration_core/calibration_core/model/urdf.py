@@ -60,6 +60,7 @@ def chain_of_urdf(cell: Cell) -> Chain:
         gravity=cell.gravity,
         mass=mass,
         com=com,
+        inertials_known=cell.robot.inertials_known,
     )
 
 

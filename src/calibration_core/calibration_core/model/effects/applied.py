@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from calibration_core.model.effects import catalogue
-from calibration_core.model.effects.approach_direction import approach
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.gravity_compensator import spring, triangle_of
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.thermal_growth import growths
-from calibration_core.model.effects.transmission_error import harmonic, order_of
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D
 
 RELATIVE = frozenset({"backlash", "hysteresis", "nonlinear_stiffness", "soft_zone"})  # to the largest torque
 REFERENCE = "reference_torque"
-ORDER = re.compile(r"order [1-9]\d{0,4}")  # of a transmission error
 
 
 def applied(candidate: Candidate, value: Float1D, state: State) -> AppliedEffect:
@@ -46,7 +40,7 @@ def restored(effect: AppliedEffect, state: State) -> Candidate:
         ValueError: This recording cannot carry it, for example because it has no times; or there is no such form of
             the effect, or a parameter is missing or one too many.
     """
-    found = _candidate(effect, state)
+    found = next(entry for entry in catalogue() if entry.name == effect.effect).restored(effect, state)
     if found is None:
         msg = f"{effect.effect} ({effect.variant}) at {dict(effect.location)} cannot be evaluated on this recording"
         raise ValueError(msg)
@@ -59,30 +53,6 @@ def restored(effect: AppliedEffect, state: State) -> Candidate:
         msg = f"{effect.effect} with {REFERENCE} {effect.parameters[REFERENCE]:g}, which is not positive"
         raise ValueError(msg)
     return found
-
-
-def _candidate(effect: AppliedEffect, state: State) -> Candidate | None:
-    joints = state.chain.joints
-    if effect.effect == "transmission_error":
-        name = effect.location.get("joint")
-        if name not in joints or not ORDER.fullmatch(effect.variant):
-            return None
-        return harmonic(joints.index(str(name)), str(name), order_of(effect.variant), state.rated_load)
-    if effect.effect == "approach_direction":
-        names = [key.removeprefix("half_width").strip() or effect.location.get("joint") for key in effect.parameters]
-        if not names or any(name not in joints for name in names):
-            return None
-        return approach(state, tuple(joints.index(str(name)) for name in names), effect.location)
-    triangle = triangle_of(effect.variant) if effect.effect == "gravity_compensator" else None
-    if triangle is not None:
-        found = spring(state, triangle)
-        return found if dict(found.location) == dict(effect.location) else None
-    key = (effect.effect, tuple(sorted(effect.location.items())), effect.variant)
-    if effect.effect == "thermal_growth":
-        offered = growths(state)
-    else:
-        offered = next(entry for entry in catalogue() if entry.name == effect.effect).candidates(state)
-    return next((found for found in offered if found.key == key), None)
 
 
 def applied_shift(effects: Sequence[AppliedEffect], state: State) -> Float2D:

@@ -17,6 +17,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float2D, Float3D
 
 REVERSAL = 2.0  # typical half widths that a joint must travel before it stands on the other side
@@ -56,6 +57,14 @@ def approach(state: State, joints: tuple[int, ...], location: Mapping[str, str |
     return Candidate(EFFECT.name, EFFECT.family, location, "sign", parameters, partial(_columns, joints=joints))
 
 
+def _restored(described: AppliedEffect, state: State) -> Candidate | None:
+    joints = state.chain.joints
+    names = [key.removeprefix("half_width").strip() or described.location.get("joint") for key in described.parameters]
+    if not names or any(name not in joints for name in names):
+        return None
+    return approach(state, tuple(joints.index(str(name)) for name in names), described.location)
+
+
 def _candidates(state: State) -> Iterator[Candidate]:
     sides = _sides(state)
     turning = tuple(j for j in range(state.chain.n) if np.any(sides[:, j]))
@@ -73,4 +82,5 @@ EFFECT = Effect(
     reveal="the same poses once more, every joint approached from the other side",
     candidates=_candidates,
     loaded=False,
+    restore=_restored,
 )

@@ -6,13 +6,13 @@ Source: definition of lost motion at +-3 % of the rated torque.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
-from calibration_core.model.effects.nonlinear_stiffness import carried, torques
+from calibration_core.model.effects.nonlinear_stiffness import all_torques, carried, torques
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
@@ -27,13 +27,13 @@ def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
     return stacked(state.joint_column(joint, np.clip(torque / edge, -1.0, 1.0) / 2))
 
 
-def _candidates(state: State) -> Iterator[Candidate]:
+def _forms(state: State, of: Callable[[State, int], tuple[str, ...]]) -> Iterator[Candidate]:
     parameter = Parameter("clearance", "rad", typical("backlash", state.rated_load), positive=True)
     for joint, name in enumerate(state.chain.joints):
-        for of in torques(state, joint):
+        for torque in of(state, joint):
             for width in WIDTHS:
-                columns = partial(_columns, joint=joint, of=of, width=width)
-                variant = f"{of}, within {100 * width:g} %"
+                columns = partial(_columns, joint=joint, of=torque, width=width)
+                variant = f"{torque}, within {100 * width:g} %"
                 yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, (parameter,), columns)
 
 
@@ -43,6 +43,6 @@ EFFECT = Effect(
     equation="theta = C tau + (b/2) clip(tau/tau_b, -1, 1)",
     source="lost motion at +-3 % of the rated torque",
     reveal="reversed loads, small loads, configurations without gravity torque on the joint",
-    candidates=_candidates,
-    absolute=False,
+    candidates=partial(_forms, of=torques),
+    forms=partial(_forms, of=all_torques),
 )

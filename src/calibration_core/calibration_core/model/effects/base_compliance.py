@@ -64,5 +64,4 @@ EFFECT = Effect(
     source="six springs in series with the chain",
     reveal="a target on the base: it moves, or it does not; spread joint 1",
     candidates=_candidates,
-    absolute=False,
 )

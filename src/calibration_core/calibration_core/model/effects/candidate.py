@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
 from calibration_core.model.effects.state import State
+from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float3D
 
 
@@ -77,6 +78,9 @@ class Effect:
         candidates: State -> hypotheses that this recording could test, with priors for this robot.
         loaded: Whether it can show in loaded-minus-unloaded data.
         absolute: Whether it can show in absolute positions.
+        forms: State -> every form that can be evaluated, offered to a search or not; None: those that are offered.
+        restore: Description in a model file -> its hypothesis, None where there is none; for effects with more forms
+            than can be listed.
     """
 
     name: str
@@ -87,3 +91,13 @@ class Effect:
     candidates: Callable[[State], Iterator[Candidate]]
     loaded: bool = True
     absolute: bool = True
+    forms: Callable[[State], Iterator[Candidate]] | None = None
+    restore: Callable[[AppliedEffect, State], Candidate | None] | None = None
+
+    def restored(self, described: AppliedEffect, state: State) -> Candidate | None:
+        """Return the hypothesis that a description means; None where this recording or effect has no such form."""
+        if self.restore is not None:
+            return self.restore(described, state)
+        key = (self.name, tuple(sorted(described.location.items())), described.variant)
+        offered = (self.forms or self.candidates)(state)
+        return next((found for found in offered if found.key == key), None)

@@ -1,10 +1,10 @@
-"""A spring or cylinder beside joint 2 carries part of the weight, and stiffens or softens the joint with its angle.
+"""A spring or cylinder beside a joint carries part of the weight of the arm.
 
-M = K_c (1 - s0/s) a L sin(alpha - q2), s^2 = a^2 + L^2 + 2 a L cos(alpha - q2); its slope adds to the joint's
-stiffness, so that the equivalent compliance follows q2.  To first harmonic it is a modulation of C2, which also a
-pose-dependent stiffness could be: the two are told apart by absolute sag only.  There the torque itself shows.  Its
-first harmonic hides behind the geometry and the weight; the others follow from the triangle, of which a few shapes are
-offered, each with its torque and a small turn of alpha; any other can be made (`spring`).
+M = K_c (1 - s0/s) a L sin(alpha - x), s^2 = a^2 + L^2 + 2 a L cos(alpha - x), at the link's angle x, deflection
+included: at rest it is a torque, and its slope adds to the joint's stiffness under load; both are one law, in one
+recording too.  Its first harmonic hides behind the geometry and the weight; the others follow from the triangle, of
+which a few shapes are offered, each with its torque and a small turn of alpha; any other can be made (`spring`).
+It is offered where the weight of the arm acts most, on joints that stand across gravity.
 Source: Klimchik, Pashkevich et al. on heavy robots with gravity compensators.
 """
 
@@ -23,9 +23,11 @@ from calibration_core.model.effects.pose_dependent_stiffness import modulated
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float3D
 
-JOINT = 1  # the second joint carries the arm
+HALF = 0.5  # of the largest torque of the weight: a joint that bears less has no compensator
+ACROSS = 0.3  # cosine between a joint's axis and gravity, below which the joint stands across
 ANCHORS = range(0, 360, 30)  # alpha, degrees
 FLATNESS = (0.3, 0.55)  # 2 a L / (a^2 + L^2)
 PRELOAD = (0.35, 0.65)  # s0 / sqrt(a^2 + L^2)
@@ -61,14 +63,32 @@ def triangle_of(variant: str) -> Triangle | None:
     return None if found is None else Triangle(*map(float, found.groups()))
 
 
-def spring(state: State, triangle: Triangle) -> Candidate:
-    """Return the hypothesis of a spring of one shape, as exactly as its variant tells it."""
+def carriers(state: State) -> tuple[int, ...]:
+    """Return the joints that a compensator could help: across gravity in all readings, and loaded most by the weight.
+
+    Where masses are not known it is the first joint across gravity.
+    """
+    gravity = state.chain.gravity
+    size = float(np.linalg.norm(gravity))
+    if size == 0.0:
+        return ()
+    upright = [float(np.abs(gravity @ state.at.axis(j)).max()) / size for j in range(state.chain.n)]
+    across = [j for j, cosine in enumerate(upright) if cosine < ACROSS and state.compliance[j] > 0]
+    weight = np.sqrt(np.mean(state.gravity_torque**2, axis=1))
+    if not weight.any():
+        return tuple(across[:1])
+    return tuple(j for j in across if weight[j] >= HALF * weight.max())
+
+
+def spring(state: State, joint: int, triangle: Triangle) -> Candidate:
+    """Return the hypothesis of a spring of one shape beside a joint, as exactly as its variant tells it."""
     told = triangle_of(triangle.variant)
     assert told is not None  # noqa: S101 - a variant can be read back
     torque = typical("gravity_compensator_torque", state.rated_load)
     pair = (Parameter("torque", "N*m", torque), Parameter("torque_turned", "N*m", torque))
-    place = {"joint": state.chain.joints[JOINT]}
-    return Candidate(EFFECT.name, EFFECT.family, place, told.variant, pair, partial(sag, triangle=told))
+    place = {"joint": state.chain.joints[joint]}
+    columns = partial(pull, joint=joint, triangle=told)
+    return Candidate(EFFECT.name, EFFECT.family, place, told.variant, pair, columns)
 
 
 def spring_torque(angle: Float1D, flatness: float, preload: float) -> Float1D:
@@ -80,34 +100,41 @@ def spring_torque(angle: Float1D, flatness: float, preload: float) -> Float1D:
     return np.asarray(torque(angle) / np.abs(torque(ALL_ROUND)).max())
 
 
-def sag(state: State, triangle: Triangle) -> Float3D:
+def pull(state: State, joint: int, triangle: Triangle) -> Float3D:
     """Return the movement per N*m, and what a turn of the anchor by `TURN` changes in it, (m, 3, 2)."""
-    beta = np.radians(triangle.anchor) - state.q[:, JOINT]
+    compliance = state.compliance[joint]
+    link = state.q[:, joint] + compliance * state.torque[joint]
+    beta = np.radians(triangle.anchor) - link
     torque, ahead, behind = (
         spring_torque(beta + turn, triangle.flatness, triangle.preload) for turn in (0.0, TURN, -TURN)
     )
     turned = (ahead - behind) / 2
-    return stacked(*(state.joint_column(JOINT, state.compliance[JOINT] * part) for part in (torque, turned)))
+    return stacked(*(state.joint_column(joint, compliance * part) for part in (torque, turned)))
+
+
+def _restored(described: AppliedEffect, state: State) -> Candidate | None:
+    name, joints, triangle = described.location.get("joint"), state.chain.joints, triangle_of(described.variant)
+    if name not in joints:
+        return None
+    if described.variant == "stiffness":  # what files of earlier versions say of loaded recordings
+        pair = (Parameter("modulation_cosine", "1", 1.0), Parameter("modulation_sine", "1", 1.0))
+        columns = partial(modulated, joint=joints.index(str(name)))
+        return Candidate(EFFECT.name, EFFECT.family, described.location, described.variant, pair, columns)
+    return None if triangle is None else spring(state, joints.index(str(name)), triangle)
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    if state.compliance[JOINT] <= 0:
-        return
-    if state.loaded:
-        size = typical("gravity_compensator", state.rated_load)
-        pair = (Parameter("modulation_cosine", "1", size), Parameter("modulation_sine", "1", size))
-        place = {"joint": state.chain.joints[JOINT]}
-        yield Candidate(EFFECT.name, EFFECT.family, place, "stiffness", pair, partial(modulated, joint=JOINT))
-    else:
+    for joint in carriers(state):
         for shape in itertools.product(ANCHORS, FLATNESS, PRELOAD):
-            yield spring(state, Triangle(*shape))
+            yield spring(state, joint, Triangle(*shape))
 
 
 EFFECT = Effect(
     name="gravity_compensator",
     family="structure",
-    equation="M = K_c (1 - s0/s) a L sin(alpha - q2)",
+    equation="M = K_c (1 - s0/s) a L sin(alpha - q)",
     source="Klimchik, Pashkevich et al., heavy robots with gravity compensators (arXiv 1311.6810)",
-    reveal="absolute positions over the range of joint 2; the same load at six values of its angle",
+    reveal="absolute positions over the range of the joint; the same load at six values of its angle",
     candidates=_candidates,
+    restore=_restored,
 )

@@ -1,8 +1,9 @@
 """Friction between motor and link: the deflection depends on where the torque came from.
 
-theta = C tau - sum_r h_r stop_r[tau]/r: elements that stick up to r and slip beyond (Prandtl-Ishlinskii, Maxwell slip).
-What happened before step 0 is unknown: a virgin start (elements relaxed) and a centred one (elements on the verge in
-the direction against the first load) are both tried.  The radii form one block.
+theta = C tau - sum_r h_r stop_r[tau]/r: elements that stick up to r and slip beyond (Prandtl-Ishlinskii, Maxwell slip),
+under load and weight.  What happened before step 0 is unknown.  Tried are elements that the weight alone has strained
+from nothing, relaxed ones (a virgin start), and ones on the verge in the direction against the first load (a centred
+start).  The radii form one block.
 Source: Al-Bender, Lampaert, Swevers on presliding; stop operators.
 """
 
@@ -22,16 +23,20 @@ from calibration_core.timeseries import Float2D, Float3D
 RADII = (0.02, 0.06, 0.15, 0.4)  # of the largest torque
 
 
-def stop(torque: Float2D, radius: float, start: float) -> Float2D:
+STARTS = {"virgin start": 0.0, "centred start": 1.0, "from the weight": None}
+
+
+def stop(torque: Float2D, radius: float, start: float | None) -> Float2D:
     """Return the stop operator along the steps, (s, k): what an element of strength `radius` carries.
 
     Args:
         torque: (s, k) N*m, steps in the order of time.
         radius: Strength, N*m.
-        start: What the element carries at step 0, as a fraction of its strength, against the first change of torque.
+        start: What the element carries at step 0, as a fraction of its strength, against the first change of torque;
+            None: the torque there, as far as it can.
     """
     direction = np.sign(torque[:, 1:2] - torque[:, :1]) if torque.shape[1] > 1 else np.zeros((len(torque), 1))
-    carried = -start * radius * direction[:, 0]
+    carried = np.clip(torque[:, 0], -radius, radius) if start is None else -start * radius * direction[:, 0]
     result = np.empty_like(torque)
     result[:, 0] = carried
     for k in range(1, torque.shape[1]):
@@ -40,8 +45,8 @@ def stop(torque: Float2D, radius: float, start: float) -> Float2D:
     return result
 
 
-def _columns(state: State, joint: int, start: float) -> Float3D:
-    torque = state.load_torque[joint]
+def _columns(state: State, joint: int, start: float | None) -> Float3D:
+    torque = state.torque[joint]
     scale = state.largest_torque(joint)
     return stacked(
         *(
@@ -53,13 +58,22 @@ def _columns(state: State, joint: int, start: float) -> Float3D:
     )
 
 
-def _candidates(state: State) -> Iterator[Candidate]:
+def _forms(state: State) -> Iterator[Candidate]:
     size = typical("hysteresis", state.rated_load)
     parameters = tuple(Parameter(f"half_width_{100 * r:g}_percent", "rad", size, positive=True) for r in RADII)
     for joint, name in enumerate(state.chain.joints):
-        for variant, start in (("virgin start", 0.0), ("centred start", 1.0)):
+        for variant, start in STARTS.items():
             columns = partial(_columns, joint=joint, start=start)
             yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, parameters, columns)
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    """Leave out starts that are the same: from a weight that is none; or all others, where there are no later steps."""
+    several = bool(np.any(state.step != state.step[:1]))
+    borne = {name for joint, name in enumerate(state.chain.joints) if state.bears_weight(joint)}
+    for candidate in _forms(state):
+        if candidate.location["joint"] in borne if candidate.variant == "from the weight" else several:
+            yield candidate
 
 
 EFFECT = Effect(
@@ -69,5 +83,5 @@ EFFECT = Effect(
     source="Prandtl-Ishlinskii stop operators, Maxwell slip (Al-Bender, Lampaert, Swevers)",
     reveal="unloading through the same levels; then holds, to tell it from creep",
     candidates=_candidates,
-    absolute=False,
+    forms=_forms,
 )

@@ -44,5 +44,4 @@ EFFECT = Effect(
     source="wrist gear trains and parallelograms; Maxwell-Betti reciprocity",
     reveal="loads that put a torque on one of the two joints only",
     candidates=_candidates,
-    absolute=False,
 )

@@ -20,8 +20,6 @@ from calibration_core.model.effects.state import State
 from calibration_core.model.statics import gravity_torque
 from calibration_core.timeseries import Float1D, Float3D
 
-UNLOADED = 1e-6  # N*m; gravity does not load this joint
-
 
 def _columns(state: State, joint: int) -> Float3D:
     return stacked(state.joint_column(joint, state.gravity_torque[joint]))
@@ -48,7 +46,7 @@ def turned(gravity: Float1D) -> tuple[Float1D, Float1D]:
 def _candidates(state: State) -> Iterator[Candidate]:
     size = typical("joint_elasticity", state.rated_load)
     for joint, name in enumerate(state.chain.joints):
-        if np.abs(state.gravity_torque[joint]).max() < UNLOADED:
+        if not state.bears_weight(joint):
             continue
         parameters = (Parameter("compliance", "rad/(N*m)", size),)
         columns = partial(_columns, joint=joint)

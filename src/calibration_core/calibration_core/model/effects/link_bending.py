@@ -85,5 +85,4 @@ EFFECT = Effect(
     source="Euler-Bernoulli beam theory, virtual work",
     reveal="a target at either end of the link; more configurations",
     candidates=_candidates,
-    absolute=False,
 )

@@ -58,5 +58,4 @@ EFFECT = Effect(
     source="virtual joint method with several springs per joint (Pashkevich, Klimchik, Chablat 2011)",
     reveal="a second target on the link before the joint, and loads across its axis",
     candidates=_candidates,
-    absolute=False,
 )

@@ -28,7 +28,7 @@ def _candidates(state: State) -> Iterator[Candidate]:
     size = typical("pose_dependent_stiffness", state.rated_load)
     pair = (Parameter("cosine", "1", size), Parameter("sine", "1", size))
     for joint, name in enumerate(state.chain.joints):
-        if state.compliance[joint] > 0:
+        if state.compliance[joint] > 0 and (state.bears_weight(joint) or state.bears_load(joint)):
             place = {"joint": name}
             yield Candidate(EFFECT.name, EFFECT.family, place, "one turn", pair, partial(modulated, joint=joint))
 
@@ -40,5 +40,4 @@ EFFECT = Effect(
     source="tooth contact and eccentricity over one turn of the joint",
     reveal="the same load at six or more values of the joint's angle",
     candidates=_candidates,
-    absolute=False,
 )

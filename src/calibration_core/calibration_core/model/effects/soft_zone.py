@@ -6,13 +6,13 @@ Source: makers' piecewise stiffness K1, K2, K3; Tuttle 1992.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
-from calibration_core.model.effects.nonlinear_stiffness import carried, torques
+from calibration_core.model.effects.nonlinear_stiffness import all_torques, carried, torques
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
@@ -32,21 +32,21 @@ def _several(state: State, joint: int, of: str) -> Float3D:
     return np.concatenate([_columns(state, joint, of, width) for width in WIDTHS], axis=2)
 
 
-def _candidates(state: State) -> Iterator[Candidate]:
+def _forms(state: State, of: Callable[[State, int], tuple[str, ...]]) -> Iterator[Candidate]:
     size = typical("soft_zone", state.rated_load)
     parameter = Parameter("extra_compliance", "1", size, positive=True)
     for joint, name in enumerate(state.chain.joints):
         if state.compliance[joint] > 0:
-            for of in torques(state, joint):
+            for torque in of(state, joint):
                 for width in WIDTHS:
-                    columns = partial(_columns, joint=joint, of=of, width=width)
-                    variant = f"{of}, below {100 * width:g} %"
+                    columns = partial(_columns, joint=joint, of=torque, width=width)
+                    variant = f"{torque}, below {100 * width:g} %"
                     yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, (parameter,), columns)
                 several = tuple(
                     Parameter(f"extra_compliance_{100 * width:g}_percent", "1", size, positive=True) for width in WIDTHS
                 )
-                columns = partial(_several, joint=joint, of=of)
-                yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, f"{of}, gradual", several, columns)
+                gradual = partial(_several, joint=joint, of=torque)
+                yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, f"{torque}, gradual", several, gradual)
 
 
 EFFECT = Effect(
@@ -55,6 +55,6 @@ EFFECT = Effect(
     equation="theta = C (tau + s clip(tau, -T1, T1))",
     source="strain-wave gear catalogues (K1, K2, K3); Tuttle 1992",
     reveal="steps at 5 and 10 % of the load",
-    candidates=_candidates,
-    absolute=False,
+    candidates=partial(_forms, of=torques),
+    forms=partial(_forms, of=all_torques),
 )

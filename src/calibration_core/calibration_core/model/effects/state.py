@@ -15,6 +15,8 @@ from calibration_core.model.statics import Load, gravity_torque, load_torque
 from calibration_core.model.virtual_joints import ExternalWrench, VirtualJoints
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
+UNLOADED = 1e-6  # N*m: a joint that carries less carries nothing
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class State:
@@ -86,13 +88,24 @@ class State:
         """Whether any external load acts."""
         return bool(np.any(self.force) or np.any(self.moment))
 
+    def bears_weight(self, joint: int) -> bool:
+        """Say whether the robot's own weight loads a joint."""
+        return bool(np.abs(self.gravity_torque[joint]).max(initial=0.0) > UNLOADED)
+
+    def bears_load(self, joint: int) -> bool:
+        """Say whether the external load loads a joint."""
+        return bool(np.abs(self.load_torque[joint]).max(initial=0.0) > UNLOADED)
+
     def largest_torque(self, joint: int, of: str = "load torque") -> float:
-        """Return the torque, N*m, that a joint's law refers to; at least a tiny number, so that it can divide."""
+        """Return the torque, N*m, that a joint's law refers to; at least a tiny number, so that it can divide.
+
+        Where nothing pulls at the joint, the load torque gives way to the total one.
+        """
         row = 1 if of == "total torque" else 0
         if self.reference_torque is not None:
             return float(self.reference_torque[row, joint])
-        values = self.torque[joint] if row else self.load_torque[joint]
-        return max(float(np.abs(values).max(initial=0.0)), 1e-12)
+        largest = [float(np.abs(torque[joint]).max(initial=0.0)) for torque in (self.load_torque, self.torque)]
+        return max(largest[row] or largest[1], 1e-12)
 
     def largest_torques(self) -> Float2D:
         """Return the (2, n) N*m that the laws of all joints refer to."""

@@ -68,4 +68,5 @@ EFFECT = Effect(
     reveal="one pose every few configurations while the robot warms up, link temperatures recorded",
     candidates=_candidates,
     loaded=False,
+    forms=growths,
 )

@@ -8,6 +8,7 @@ Source: Tuttle and Seering on kinematic error of strain-wave gears (1996); eccen
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from functools import partial
 
@@ -17,10 +18,12 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float3D
 
 HIGHEST = 320  # orders: twice the ratio of the common strain-wave gears
 LEAST_RANGE = 0.1  # rad; a joint that moves less shows no period
+ORDER = re.compile(r"order [1-9]\d{0,4}")
 SAME = 1e-3  # rad; closer angles are one sample
 
 
@@ -65,6 +68,13 @@ def order_of(variant: str) -> int:
     return int(variant.removeprefix("order "))
 
 
+def _restored(described: AppliedEffect, state: State) -> Candidate | None:
+    name, joints = described.location.get("joint"), state.chain.joints
+    if name not in joints or not ORDER.fullmatch(described.variant):
+        return None
+    return harmonic(joints.index(str(name)), str(name), order_of(described.variant), state.rated_load)
+
+
 def _columns(state: State, joint: int, order: int) -> Float3D:
     phase = order * state.q[:, joint]
     return stacked(state.joint_column(joint, np.sin(phase)), state.joint_column(joint, np.cos(phase)))
@@ -84,4 +94,5 @@ EFFECT = Effect(
     reveal="a slow turn of this joint alone over its whole range, in steps of less than half a period",
     candidates=_candidates,
     loaded=False,
+    restore=_restored,
 )

@@ -1,0 +1,207 @@
+"""Laws of joints under load and weight together, at rest and under load, against their full equilibrium."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from calibration_core.model.chain import Chain, rotation_x
+from calibration_core.model.effects import candidates, catalogue
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.creep import relaxed
+from calibration_core.model.effects.gravity_compensator import Triangle, carriers, spring, spring_torque
+from calibration_core.model.effects.hysteresis import stop
+from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
+from calibration_core.model.statics import Load
+from calibration_core.timeseries import Float1D, Float2D
+
+N = 6
+COMPLIANCE = 1 / np.array([1.4e6, 4.0e6, 9.4e5, 3.6e5, 3.7e5, 3.8e5])
+ROWS = ((0.35, -np.pi / 2, 0.75), (1.25, 0.0, 0.0), (0.041, -np.pi / 2, 0.0),
+        (0.0, np.pi / 2, 1.1), (0.0, -np.pi / 2, 0.0), (0.0, 0.0, 0.23))  # fmt: skip
+TIP = np.array([0.15, 0.05, 0.3])
+STEPS = 5  # of a loaded configuration: up and down
+LOADED, RESTING = 6, 12  # configurations: a mixed recording
+
+
+def a_chain(gravity: Float1D) -> Chain:
+    """Return a robot of the 240 kg class with masses."""
+    rotation, translation = np.empty((N, 3, 3)), np.empty((N, 3))
+    carried_r, carried_t = np.eye(3), np.zeros(3)
+    for i, (a, alpha, d) in enumerate(ROWS):
+        rotation[i], translation[i] = carried_r, carried_t
+        carried_r, carried_t = rotation_x(alpha), np.array([a, 0.0, d])
+    return Chain(
+        joints=tuple("ABCDEF"), rotation=rotation, translation=translation, offset=np.zeros(N),
+        flange_rotation=carried_r, flange_translation=carried_t, limits=np.tile([-3.0, 3.0], (N, 1)),
+        gravity=gravity, mass=np.array([400.0, 350.0, 200.0, 90.0, 40.0, 15.0]),
+        com=np.array([[0.2, 0, 0.4], [0.6, 0, 0.1], [0.05, 0.1, 0.2], [0, 0.3, 0.0], [0, 0, 0.05], [0, 0, 0.1]]),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    return a_chain(np.array([0.0, 0.0, -9.81]))
+
+
+def posture_and_load() -> tuple[Float2D, Load]:
+    rng = np.random.default_rng(11)
+    q = rng.uniform(-1.2, 1.2, (LOADED + RESTING, N))
+    pull = rng.normal(size=(LOADED, 6)) * [1500, 1500, 1500, 200, 200, 200]
+    steps = np.array([0.0, 0.5, 1.0, 0.5, 0.0])
+    wrench = np.concatenate([np.repeat(pull, STEPS, axis=0) * np.tile(steps, LOADED)[:, None], np.zeros((RESTING, 6))])
+    return np.concatenate([np.repeat(q[:LOADED], STEPS, axis=0), q[LOADED:]]), Load(
+        wrench[:, :3].T, wrench[:, 3:].T, TIP, None
+    )
+
+
+def mixed(chain: Chain) -> State:
+    q, load = posture_and_load()
+    m = len(q)
+    configuration = np.concatenate([np.repeat(np.arange(LOADED), STEPS), LOADED + np.arange(RESTING)])
+    return state_of(
+        chain, q, COMPLIANCE, load, np.tile(TIP[:, None], (1, m)), point_index=np.zeros(m, dtype=np.int64),
+        wrench=np.concatenate([load.force, load.torque]).T, configuration=configuration,
+        step=np.concatenate([np.tile(np.arange(STEPS), LOADED), np.zeros(RESTING, dtype=np.int64)]),
+        time=np.arange(m) * 40.0, temperature=np.full(m, 20.0), tracker=np.eye(4), rated_load=240.0,
+    )  # fmt: skip
+
+
+def solved(chain: Chain, law: Callable[[Equilibrium, Float2D], Float2D]) -> Float2D:
+    """Return the points of joints that deflect by C tau and by a law of torques and link angles, to equilibrium."""
+    q, load = posture_and_load()
+    extra = np.zeros((N, len(q)))
+    for _ in range(12):
+        rest = solve_equilibrium(chain, q + extra.T, COMPLIANCE, load)
+        extra = law(rest, (q + extra.T + rest.deflection.T).T)
+    return rest.at.point(TIP).T
+
+
+def chosen(state: State, effect: str, variant: str, joint: str) -> Candidate:
+    found = [c for e in catalogue() if e.name == effect for c in (e.forms or e.candidates)(state)]
+    found = [c for c in found if c.variant == variant and c.location["joint"] == joint]
+    assert len(found) == 1
+    return found[0]
+
+
+def check(chain: Chain, columns: Float2D, law: Callable[[Equilibrium, Float2D], Float1D], joint: int) -> None:
+    """Compare a column with the difference that a small share of the law makes to the full equilibrium."""
+
+    def only(share: float) -> Callable[[Equilibrium, Float2D], Float2D]:
+        def extra(rest: Equilibrium, link: Float2D) -> Float2D:
+            result = np.zeros((N, link.shape[1]))
+            result[joint] = share * law(rest, link)
+            return result
+
+        return extra
+
+    size = 1e-6 / np.abs(law(solve_equilibrium(chain, posture_and_load()[0], COMPLIANCE, posture_and_load()[1]),
+                             posture_and_load()[0].T)).max()  # fmt: skip
+    expected = (solved(chain, only(size)) - solved(chain, only(-size))) / (2 * size)
+    np.testing.assert_allclose(columns, expected, atol=1e-3 * np.abs(expected).max())
+    assert np.abs(expected[-RESTING:]).max() > 0  # it shows in postures at rest
+
+
+def test_a_compensator_is_one_law_at_rest_and_under_load(chain: Chain) -> None:
+    here = mixed(chain)
+    shape = Triangle(40.0, 0.4, 0.6)
+    columns = spring(here, 1, shape).columns(here)[:, :, 0]
+
+    def torque(link: Float1D) -> Float1D:
+        return spring_torque(np.radians(shape.anchor) - link, shape.flatness, shape.preload)
+
+    check(chain, columns, lambda _, link: COMPLIANCE[1] * torque(link[1]), 1)
+    # under load: the slope of the torque changes the stiffness of the joint
+    first, full = np.arange(LOADED) * STEPS, np.arange(LOADED) * STEPS + 2
+    turned = COMPLIANCE[1] * (here.torque[1][full] - here.torque[1][first])
+    slope = (torque(here.q[full, 1] + 1e-6) - torque(here.q[full, 1] - 1e-6)) / 2e-6
+    gained = COMPLIANCE[1] * (torque(here.q[full, 1] + COMPLIANCE[1] * here.torque[1][full])
+                              - torque(here.q[first, 1] + COMPLIANCE[1] * here.torque[1][first]))  # fmt: skip
+    np.testing.assert_allclose(gained, COMPLIANCE[1] * slope * turned, rtol=0.05)
+
+
+def test_a_compensator_stands_at_the_joints_that_the_weight_loads() -> None:
+    down = np.array([0.0, 0.0, -9.81])
+    assert carriers(mixed(a_chain(down))) == (1,)
+    assert carriers(mixed(a_chain(np.zeros(3)))) == ()
+    without = a_chain(down)
+    bare = Chain(**{f: getattr(without, f) for f in ("joints", "rotation", "translation", "offset", "flange_rotation",
+                                                    "flange_translation", "limits", "gravity")})  # fmt: skip
+    assert carriers(mixed(bare)) == (1,)
+    wall = mixed(a_chain(np.array([9.81, 0.0, 0.0])))  # mounted at a wall: joint A bears the arm
+    assert 0 in carriers(wall)
+    assert {c.location["joint"] for c in candidates(wall) if c.effect == "gravity_compensator"} == {
+        wall.chain.joints[j] for j in carriers(wall)
+    }
+
+
+@pytest.mark.parametrize("joint", [1, 2, 4])
+def test_joint_laws_act_on_load_and_weight_together(chain: Chain, joint: int) -> None:
+    here, name = mixed(chain), chain.joints[joint]
+    whole, pulled = np.abs(here.torque[joint]).max(), np.abs(here.load_torque[joint]).max()
+    c = COMPLIANCE[joint]
+    laws = {
+        ("nonlinear_stiffness", "total torque"): lambda t: -c * t * (t / whole) ** 2,
+        ("soft_zone", "total torque, below 30 %"): lambda t: c * np.clip(t, -0.3 * pulled, 0.3 * pulled),
+        ("backlash", "total torque, within 4 %"): lambda t: np.clip(t / (0.04 * pulled), -1, 1) / 2,
+    }
+    for (effect, variant), law in laws.items():
+        columns = chosen(here, effect, variant, name).columns(here)[:, :, 0]
+        check(chain, columns, lambda rest, _, law=law: law(rest.torque[joint]), joint)
+    offered = {c.variant for c in candidates(here) if c.effect in {"backlash", "nonlinear_stiffness"}
+               and c.location["joint"] == name}  # fmt: skip
+    assert not any(variant.startswith("load torque") for variant in offered)
+
+
+def test_guessed_masses_leave_open_on_which_torque_a_law_acts(chain: Chain) -> None:
+    guessed = Chain(**{**{f: getattr(chain, f) for f in chain.__dataclass_fields__}, "inertials_known": False})
+    offered = {c.variant for c in candidates(mixed(guessed)) if c.effect == "nonlinear_stiffness"}
+    assert offered == {"total torque", "load torque"}
+
+
+def test_friction_begins_with_what_the_weight_strained(chain: Chain) -> None:
+    torque = np.array([[5.0, 7.0, 9.0, 7.0, 5.0], [-1.0, 0.0, 1.0, 0.0, -1.0]])
+    np.testing.assert_allclose(stop(torque, 2.0, None), [[2, 2, 2, 0, -2], [-1, 0, 1, 0, -1]])
+    here = mixed(chain)
+    columns = chosen(here, "hysteresis", "from the weight", "B").columns(here)
+    scale = here.largest_torque(1)
+    at_rest = np.arange(here.m - RESTING, here.m)
+    law = -np.clip(here.torque[1], -0.4 * scale, 0.4 * scale) / (0.4 * scale)
+    np.testing.assert_allclose(columns[at_rest, :, 3], here.joint_column(1, law)[at_rest])
+    free = chosen(here, "hysteresis", "virgin start", "B").columns(here)
+    assert np.all(free[at_rest] == 0)
+
+
+def test_creep_of_the_weight_goes_on_from_posture_to_posture(chain: Chain) -> None:
+    here = mixed(chain)
+    constant = 150.0
+    torque = here.torque[1]
+    expected = np.zeros(here.m)
+    for k in range(here.m):  # the integral as it is defined
+        for j in range(1, k + 1):
+            since = here.time[k] - (here.time[j] + here.time[j - 1]) / 2
+            expected[k] += (torque[j] - torque[j - 1]) * (1 - np.exp(-since / constant))
+    np.testing.assert_allclose(relaxed(here, torque, constant, remembered=True), expected, atol=1e-9 * np.ptp(torque))
+    forgotten = relaxed(here, torque, constant)
+    assert np.all(forgotten[-RESTING:] == 0)
+    assert np.all(forgotten[: LOADED * STEPS : STEPS] == 0)
+
+
+def test_what_moves_nothing_at_rest_is_not_offered_there(chain: Chain) -> None:
+    here = mixed(chain)
+    rows = np.arange(here.m - RESTING, here.m)
+    q, _ = posture_and_load()
+    resting = state_of(
+        chain, q[rows], COMPLIANCE, None, np.tile(TIP[:, None], (1, RESTING)), point_index=here.point_index[rows],
+        wrench=None, configuration=here.configuration[rows], step=here.step[rows], time=here.time[rows],
+        temperature=here.temperature[rows], tracker=np.eye(4), rated_load=240.0,
+    )  # fmt: skip
+    assert not resting.loaded
+    for candidate in candidates(resting):
+        if candidate.family in {"structure", "joint law"}:
+            columns = candidate.columns(resting)
+            assert np.isfinite(columns).all()
+            assert np.abs(columns).max() > 0, candidate.key
