@@ -15,7 +15,6 @@ from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float1D, Float3D
 
-
 TORQUES = ("total torque", "load torque")
 
 

@@ -68,6 +68,7 @@ def inserted(chain: Chain, place: int, rotation: Float2D, translation: Float1D, 
         translation: (3,) m, its origin there.
         takes: Whether the weight of link `place` - 1 lies beyond the new joint.
     """
+
     def split(list_of: np.ndarray, value: object) -> np.ndarray:
         return np.insert(list_of, place, value, axis=0)
 
