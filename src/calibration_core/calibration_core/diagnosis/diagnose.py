@@ -136,6 +136,8 @@ def _diagnose(
         return diagnose_loaded(readings, cell, options, test, offers)
     loaded = diagnose_loaded(readings.select(~single), cell, options, test, offers)
     still = dataclasses.replace(readings.select(single | _unloaded_start(readings)), wrench=None)
+    if loaded.model is not None:  # what gives way under load gives way under the weight, too
+        still = without_effects(still, cell, GivenModel(loaded.model, "the loaded steps", ""))
     known = known_compliance(loaded, cell.robot.rated_load)
     return together(loaded, diagnose_absolute(still, cell, believed=options.start, known=known), tied=known is not None)
 
