@@ -146,7 +146,7 @@ def force_of(found: Diagnosis) -> np.ndarray:
 
 
 def test_an_ambiguous_finding_gets_a_proposal_that_the_sequencer_can_read(cell: Cell, tmp_path: Path) -> None:
-    readings = with_effect(cell, 11, "backlash", "load torque, within 4 %", [2e-4], joint="joint_4")
+    readings = with_effect(cell, 11, "backlash", "total torque, within 4 %", [2e-4], joint="joint_4")
     found = diagnose_loaded(readings, cell, offers=offers_for(readings, cell))
     ambiguous = [f for f in found.findings if f.cannot_be_told_from]
     assert ambiguous
