@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import Cell, DhRow, Robot
+from calibration_core.cell.urdf import urdf_bytes
 from calibration_core.errors import CellError, quoted
 from calibration_core.timeseries import Float1D, Float2D
 from calibration_sim.transforms import Placement, axis_rotation, fixed_axes, translation, turn
-
-MAX_URDF_BYTES = 16 << 20
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,9 +98,9 @@ def _from_urdf(cell: Cell) -> Chain:
     path = cell.urdf_path
     if path is None:
         raise cell.missing("robot.urdf", "simulating the robot")
-    root = _parse(path)
-    names = [element.get("name", "") for element in root.findall("link")]
     robot = cell.robot
+    root = _parse(path, robot.joints if robot.joint_limits is not None else ())
+    names = [element.get("name", "") for element in root.findall("link")]
     for key, name in (("base_link", robot.base_link), ("flange", robot.flange)):
         if name not in names:
             raise CellError(cell.path, f"robot.{key}", quoted(name), f"a link of {path.name}: {', '.join(names)}")
@@ -130,22 +129,8 @@ def _from_urdf(cell: Cell) -> Chain:
     return Chain(tuple(links), robot.joints, flange, np.array([limits[name] for name in robot.joints]))
 
 
-def _parse(path: Path) -> ET.Element:
-    try:
-        if path.stat().st_size > MAX_URDF_BYTES:
-            raise CellError(path, "", f"{path.stat().st_size} bytes", f"a URDF of at most {MAX_URDF_BYTES} bytes")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise CellError(path, "", error.strerror or str(error), "a readable URDF") from None
-    if b"<!ENTITY" in raw:
-        raise CellError(path, "", "an XML entity definition", "a plain URDF")
-    try:
-        root = ET.fromstring(raw)
-    except ET.ParseError as error:
-        raise CellError(path, f"line {error.position[0]}", "no XML", "a URDF") from None
-    if root.tag != "robot":
-        raise CellError(path, "", f"<{quoted(root.tag)}>", "<robot>")
-    return root
+def _parse(path: Path, own_limits: tuple[str, ...]) -> ET.Element:
+    return ET.fromstring(urdf_bytes(path, own_limits))
 
 
 def _link(

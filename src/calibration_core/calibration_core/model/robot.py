@@ -1,4 +1,4 @@
-"""From the cell file to a chain: DH rows directly, URDF through pinocchio.
+"""From the cell file to a chain: DH rows directly, URDF through yourdfpy.
 
 `pinocchio_model` gives the same chain as a pinocchio model, for whoever wants its algorithms; the two are tested
 against each other.
@@ -22,7 +22,7 @@ def chain_of(cell: Cell) -> Chain:
     """
     if cell.robot.dh is not None:
         return _from_dh(cell)
-    from calibration_core.model.urdf import chain_of_urdf  # pinocchio is slow to load, and DH rows do not need it
+    from calibration_core.model.urdf import chain_of_urdf  # yourdfpy is slow to load, and DH rows do not need it
 
     return chain_of_urdf(cell)
 

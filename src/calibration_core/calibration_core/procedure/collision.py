@@ -192,11 +192,11 @@ class _Builder:
     def _robot(self) -> bool:
         """Add the robot's bodies; tell whether they are those of a URDF."""
         if self.cell.robot.urdf is not None:
-            from calibration_core.model.urdf_bodies import urdf_bodies
+            from calibration_core.model.urdf import coal_shape, urdf_bodies
 
-            bodies = urdf_bodies(self.cell, self.chain)
+            bodies = urdf_bodies(self.cell)
             for body in bodies:
-                self._add(body.link, body.name, body.shape, self.pin.SE3(body.pose))
+                self._add(body.link, body.name, coal_shape(self.cell, body), self.pin.SE3(body.pose))
             if bodies:
                 return True
         chain, radius = self.chain, self.rules.body * self.chain.reach
