@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 from xml.etree import ElementTree as ET
 
 from calibration_core.errors import CellError, quoted
@@ -65,13 +66,13 @@ def urdf_bytes(path: Path, own_limits: tuple[str, ...] = ()) -> bytes:
 
 def _tree(path: Path, raw: bytes) -> ET.Element:
     """Parse, and end as soon as there is too much or too deep."""
-    parser = ET.XMLPullParser(("start", "end"))
+    parser: ET.XMLPullParser[ET.Element] = ET.XMLPullParser(("start", "end"))
     depth = count = 0
     root: ET.Element | None = None
     try:
         for begin in range(0, len(raw), 1 << 16):
             parser.feed(raw[begin : begin + (1 << 16)])
-            for event, element in parser.read_events():
+            for event, element in cast("Iterator[tuple[str, ET.Element]]", parser.read_events()):
                 root = element if root is None else root
                 depth += 1 if event == "start" else -1
                 count += event == "start"

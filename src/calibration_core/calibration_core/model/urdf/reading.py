@@ -90,6 +90,12 @@ def _path(cell: Cell, tree: Tree) -> list[str]:
             raise CellError(
                 cell.path, f"robot.joints.{i}", quoted(name), "a moving joint of the URDF: " + ", ".join(moving)
             )
+    for name in path:
+        if tree.joints[name].mimic is not None and tree.joints[name].type in MOVING:
+            found = f"a mimic joint between {robot.base_link!r} and {robot.flange!r}"
+            raise CellError(
+                cell.urdf_path or cell.path, f"joint {quoted(name)}", found, "joints of its own drive there"
+            )
     chain = [name for name in path if name in robot.joints]
     if chain != list(robot.joints):
         order = ", ".join(chain) or "none of them"

@@ -45,7 +45,7 @@ class Tree:
         return names[::-1]
 
     def standing(self, name: str) -> Float2D:
-        """Return the (4, 4) pose of what a joint carries in its parent link, the joint at zero (a mimic: its offset)."""
+        """Return the (4, 4) pose of what a joint carries in its parent link, at zero, a mimic joint at its offset."""
         joint = self.joints[name]
         pose = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=float)
         if joint.mimic is None or joint.type not in MOVING:
