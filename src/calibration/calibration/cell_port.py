@@ -6,19 +6,22 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from calibration_interfaces.msg import SessionEvent
+from calibration_interfaces.msg import Outcome, SessionEvent
 from rclpy.node import Node
 
 from calibration.clients import Instruments, LoadDevice, Measured
 from calibration.conversions import to_header, to_step
 from calibration.motion.arrival import Joints
+from calibration.reading_checks import ReadingChecks
 from calibration.readings import confirmed_readings, to_reading
 from calibration_core.procedure import messages as m
 from calibration_core.procedure.plan import REFERENCE_NUMBER
 from calibration_core.procedure.session import Session
 from calibration_core.recording.session_values import Decision, Event
-from calibration_core.timeseries import NANOSECONDS
+from calibration_core.timeseries import NANOSECONDS, Override
 
+LOAD_TIME = 3.0  # s by the cell's clock and by the steady one, a load may take to come to the sensor
+LOAD_OVERRIDE = "load"  # name under which an operator's word against the sensor stands in the session
 PATIENCE = 600.0  # s of wall time, for an instrument's answer; its own timeout ends it before
 SOURCE = "sequencer"
 ERRORS = frozenset({m.Kind.FAULT, m.Kind.ABORTED})
@@ -42,7 +45,9 @@ class CellPort:
         joints: Joints,
         instruments: Instruments,
         load_device: LoadDevice | None,
+        checks: ReadingChecks,
         *,
+        later: Callable[[Callable[[], None]], None],
         temperature: Callable[[], float],
         progress: Callable[[], None],
         scaling: Callable[[], float],
@@ -55,16 +60,19 @@ class CellPort:
             joints: The joint states.
             instruments: Tracker and force/torque sensor.
             load_device: None: an operator changes the load.
+            checks: What readings and loads are held against.
+            later: Has something done by the runner's thread.
             temperature: Returns the last temperature, degrees Celsius, or NaN.
             progress: Tells how far it is.
             scaling: Returns the controller's speed scaling, or NaN.
         """
         self._node, self.session, self._joints = node, session, joints
-        self._instruments, self._load_device = instruments, load_device
+        self._instruments, self._load_device, self._checks, self._later = instruments, load_device, checks, later
         self._temperature, self.progress, self.scaling = temperature, progress, scaling
         self._plan = session.plan_sha256
         self._attempt: tuple[int, int, int] | None = None  # row of the session, configuration, count
         self._awaited: tuple[m.RequestLoad, Callable[[bool, str], None]] | None = None
+        self._reached: tuple[m.RequestLoad, Callable[[bool, str], None], float, float] | None = None
         self.confirmed = 0
 
     def seconds(self) -> float:
@@ -75,23 +83,68 @@ class CellPort:
 
     def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
         """Change the load, or ask the operator to."""
+        self._checks.load_begins()
         if self._load_device is not None:
-            self._load_device.apply(command.wrench, self._node.value("load.timeout"), PATIENCE, answered)
+
+            def take(success: bool, text: str) -> None:  # as every answer to a load
+                if success and self._checks.checks_load:  # the device says so; the sensor has to agree
+                    self._reached = (command, answered, self.seconds(), time.monotonic())
+                else:
+                    answered(success, text)
+
+            self._load_device.apply(command.wrench, self._node.value("load.timeout"), PATIENCE, take)
             return
         self._awaited = (command, answered)
         force = ", ".join(f"{value:.0f}" for value in command.wrench[:3])
         self.ask(f"configuration {command.configuration}, step {command.step}: pull with ({force}) N, then confirm")
 
-    def load_applied(self, configuration: int, step: int) -> str:
-        """Take the operator's word that the load is on; return what is wrong with it, empty if nothing is."""
+    def load_applied(self, request: Any) -> tuple[int, str]:
+        """Take the operator's word that the load is on, if the sensor agrees, or against it by override.
+
+        Args:
+            request: Of the service `LoadApplied`.
+
+        Returns:
+            Code of the outcome, and what is wrong; empty if nothing is.
+        """
+        operator, reason = request.operator_name.strip(), request.reason.strip()
+        if not operator:
+            return Outcome.INPUT_UNUSABLE, "the name of who confirms is missing"
+        if request.override and not reason:
+            return Outcome.INPUT_UNUSABLE, "the reason is missing: say why the load counts although the sensor differs"
         if self._awaited is None:
-            return "no load is waited for"
+            return Outcome.INPUT_UNUSABLE, "no load is waited for"
         command, answered = self._awaited
-        if (command.configuration, command.step) != (configuration, step):
-            return f"the load of configuration {command.configuration}, step {command.step} is waited for"
+        if (command.configuration, command.step) != (request.configuration, request.step):
+            place = f"configuration {command.configuration}, step {command.step}"
+            return Outcome.INPUT_UNUSABLE, f"the load of {place} is waited for"
+        fault = self._checks.load(command.wrench)
+        if fault and not request.override:
+            return Outcome.NOT_REACHED, fault
         self._awaited = None
-        answered(True, "")
-        return ""
+        if fault:
+            self._later(lambda: self._override_load(command, operator, f"{reason} ({fault})"))
+        self._later(lambda: answered(True, ""))
+        return Outcome.OK, ""
+
+    def _override_load(self, command: m.RequestLoad, operator: str, text: str) -> None:
+        """Take a load that the sensor does not find, and record who answers for it."""
+        place = f"configuration {command.configuration}, step {command.step}"
+        self._checks.override(command.configuration, command.step)
+        self.session.override(self._node.now_ns(), Override(LOAD_OVERRIDE, operator, f"{place}: {text}"))
+        words = f"by {operator}: {text}"
+        self.carry_out(m.Record(m.Kind.LOAD_OVERRIDDEN, command.configuration, command.step, words))
+
+    def _look_at_load(self, now: float) -> None:
+        """Answer for a load device once the sensor agrees with it, or does not in time."""
+        if self._reached is None:
+            return
+        command, answered, cell, steady = self._reached
+        fault = self._checks.load(command.wrench)
+        if fault and min(self.seconds() - cell, now - steady) < LOAD_TIME:
+            return
+        self._reached = None
+        answered(not fault, f"the load device says that the load is on; {fault}" if fault else "")
 
     def measure(self, answered: Callable[[Measured], None]) -> None:
         """Average over one window."""
@@ -104,9 +157,10 @@ class CellPort:
         """Put the readings of one step on the disk, then announce them.
 
         Raises:
-            ReadingError: No joint states came while it was measured.
+            ReadingError: They are not what was planned: another posture, another load, or not known.
             SessionError: They are there already.
         """
+        self._checks.reading(command, measured)
         place = (command.configuration, command.step)
         temperature = self._temperature()
         rows = confirmed_readings(*place, measured.points, measured.wrench, self._joints, temperature)
@@ -134,6 +188,7 @@ class CellPort:
             case m.Mark():
                 self._node.steps.publish(to_step(now, command.configuration, command.step, command.phase))
             case m.BeginAttempt():
+                self._checks.begin()
                 row = self.session.begin_attempt(command.configuration, now)
                 self._attempt = (row, command.configuration, command.attempt)
             case m.EndAttempt():
@@ -178,6 +233,7 @@ class CellPort:
     def look(self, now: float) -> None:
         """Give up requests that are not answered."""
         self._instruments.tick(now)
+        self._look_at_load(now)
         if self._load_device is not None:
             self._load_device.port.tick(now)
 

@@ -21,6 +21,7 @@ from calibration.motion.arrival import Joints
 from calibration.motion.base import Backend, End
 from calibration.motion.ladder import StopLadder
 from calibration.permission import PermissionWatch
+from calibration.reading_checks import PostureError
 from calibration.readings import ReadingError
 from calibration_core.errors import SessionError, TrajectoryError
 from calibration_core.procedure import messages as m
@@ -252,13 +253,19 @@ class Runner:
             del self._reading[event.request]
             self._handle(m.ReadingFailed(now, event.request, event.measured.fault))
             return
-        behind = max(mean.end for mean in event.measured.points) > self._joints.until
+        means = [*event.measured.points, *filter(None, [event.measured.wrench])]
+        behind = max(mean.end for mean in means) > self._joints.until
         if behind and time.monotonic() - event.since < PATIENCE:
             self._behind = event  # joint states of the same window are still on their way
             return
         del self._reading[event.request]
         try:
             self._cell.confirm(command, event.measured)
+        except PostureError as error:  # somebody or something has moved the robot: nobody knows what else
+            self._cell.carry_out(m.AskOperator(f"{error}: the robot has been moved; resume when it may move back"))
+            self._handle(m.Pause(now))
+            self._handle(m.ReadingFailed(now, event.request, str(error), moved=True))
+            return
         except (ReadingError, SessionError) as error:
             self._handle(m.ReadingFailed(now, event.request, str(error)))
             return

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections.abc import Callable
 from collections.abc import Sequence as Arguments
 from pathlib import Path
 from typing import Any
@@ -41,12 +42,14 @@ from calibration.permission import PermissionWatch
 from calibration.plan_markers import plan_markers
 from calibration.preflight import joints_heard, missing, prepared, served
 from calibration.provenance import provenance
+from calibration.reading_checks import ReadingChecks
 from calibration.recorder_client import Recorder
 from calibration.robot_state.catalogue import load_type
 from calibration.runner import Call, Runner
 from calibration.sequencer_parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
 from calibration.stopper import RUNGS, Stopper
 from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, PLAN_MARKERS, READING, Quality, profile
+from calibration.wrench_watch import WrenchWatch
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError, SessionError
 from calibration_core.model.nominal import nominal_parameters
@@ -119,6 +122,7 @@ class SequencerNode(CalibrationNode):
         self._load_device = LoadDevice(self, self.value("load.interface")) if by_device else None
         self._instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
         self._conditions = ConditionsWatch(self)
+        self._wrench = WrenchWatch(self) if self.value("force_torque") else None
         self.feedback = Feedback(self, advise=self.value("progress"))
         self._speak()
         self._listen()
@@ -217,13 +221,8 @@ class SequencerNode(CalibrationNode):
 
     def _on_load_applied(self, request: Any, response: Any) -> Any:
         port = self._port
-        if not request.operator_name.strip():
-            fault = "the name of who confirms is missing"
-        else:
-            fault = (
-                "no plan is being measured" if port is None else port.load_applied(request.configuration, request.step)
-            )
-        response.outcome = to_outcome(Outcome.INPUT_UNUSABLE if fault else Outcome.OK, fault)
+        absent = (Outcome.INPUT_UNUSABLE, "no plan is being measured")
+        response.outcome = to_outcome(*(absent if port is None else port.load_applied(request)))
         return response
 
     def _on_override(self, request: Any, response: Any) -> Any:
@@ -327,6 +326,8 @@ class SequencerNode(CalibrationNode):
             self._joints,
             self._instruments,
             self._load_device,
+            ReadingChecks(self.cell, plan.tolerances, self._joints, self._wrench),
+            later=self._later,
             temperature=lambda: self._conditions.temperature,
             progress=self._progress,
             scaling=lambda: self._conditions.scaling,
@@ -344,6 +345,12 @@ class SequencerNode(CalibrationNode):
             rungs=RUNGS,
         )
         return self._runner
+
+    def _later(self, work: Callable[[], None]) -> None:
+        """Have something done by the runner's thread, if there is one."""
+        runner = self._runner
+        if runner is not None:
+            runner.post(Call(work))
 
     def _missing(self) -> str:
         """Look for everything that a run needs, before anything moves; return what is not there."""

@@ -98,11 +98,15 @@ class ReadingConfirmed:
 
 @dataclasses.dataclass(frozen=True)
 class ReadingFailed:
-    """No reading could be taken: a target not seen, too few samples, never at rest."""
+    """No reading could be taken: a target not seen, too few samples, never at rest, not what was planned.
+
+    Where the robot was `moved` from its posture, another try there tells nothing: it has to be sent there again.
+    """
 
     now: float
     request: int
     reason: str
+    moved: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,14 +188,19 @@ class AwaitSettled:
     step: int
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class TakeReading:
-    """Read all points and store them; answered by `ReadingConfirmed` once on the disk, or `ReadingFailed`."""
+    """Read all points and store them; answered by `ReadingConfirmed` once on the disk, or `ReadingFailed`.
+
+    The robot is to stand at `q` (n,) rad, under `wrench` (6,) N and N*m, base axes, at the wrench point.
+    """
 
     request: int
     configuration: int
     step: int
     attempt: int
+    q: Float1D
+    wrench: Float1D
 
 
 @dataclasses.dataclass(frozen=True)
@@ -254,6 +263,8 @@ class Kind(enum.IntEnum):
     CONDITION_VIOLATED = 20
     CONDITION_OVERRIDDEN = 21
     ENOUGH = 22
+    LOAD_OVERRIDDEN = 23
+    READING_REJECTED = 24
 
 
 @dataclasses.dataclass(frozen=True)

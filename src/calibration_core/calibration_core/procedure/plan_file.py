@@ -9,6 +9,7 @@
       - {number: 1001, phase: base_frame, q: [rad, ...]}
     startup_cycle: [[rad, ...], ...]
     reference: {q: [rad, ...], every: 4}   # or null
+    tolerances: {posture: rad, ...}        # may be missing: what a reading is held against, see `tolerances`
     expected: {efficiency: 0.95, ...}      # what the planner promised; passed over on reading where it is incomplete
 
 Wrenches are in N and N*m, base axes, at the wrench point, one per load step, the first without load.
@@ -29,6 +30,7 @@ from calibration_core.cell import Cell, too_deep
 from calibration_core.errors import PlanError, quoted
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.plan import PREPARATION, Expected, Plan, PlannedConfiguration, Reference
+from calibration_core.procedure.tolerances import read_tolerances
 from calibration_core.timeseries import Float1D, Float2D
 
 SCHEMA = 1
@@ -36,7 +38,17 @@ MAX_BYTES = 8 << 20
 MAX_CONFIGURATIONS = 10_000
 MAX_STEPS = 1000
 MAX_ALIASES = 100
-KEYS = ("schema", "robot", "joints", "configurations", "preparation", "startup_cycle", "reference", "expected")
+KEYS = (
+    "schema",
+    "robot",
+    "joints",
+    "configurations",
+    "preparation",
+    "startup_cycle",
+    "reference",
+    "tolerances",
+    "expected",
+)
 EXPECTED_ARRAYS = {"compliance_std", "stiffness_std"}
 EXPECTED_OPTIONAL = {"efficiency", "stiffness_std", "a_value", "e_value", "k_csm"}
 EXPECTED_MAPPINGS = {"observability", "duration"}
@@ -58,6 +70,7 @@ def plan_dict(plan: Plan) -> dict[str, Any]:
         **({"preparation": [_prepared_dict(c) for c in plan.preparation]} if plan.preparation else {}),
         "startup_cycle": plan.startup_cycle.tolist(),
         "reference": None if reference is None else {"q": reference.q.tolist(), "every": reference.every},
+        "tolerances": dataclasses.asdict(plan.tolerances),
         "expected": None if expected is None else _expected_dict(expected),
     }
 
@@ -103,6 +116,7 @@ def read_plan(path: str | Path, cell: Cell) -> Plan:
         reference=_reference(path, data.get("reference"), limits),
         expected=_expected(data.get("expected"), len(limits)),
         preparation=_preparation(path, data.get("preparation"), {c.number for c in configurations}, limits),
+        tolerances=read_tolerances(data.get("tolerances"), lambda *words: PlanError(path, *words)),
     )
 
 

@@ -145,7 +145,7 @@ class Sequence:
             case m.Settled(), State.SETTLING:
                 self._advance() if self.paused else self._read()
             case m.ReadingFailed(), State.SETTLING | State.READING:
-                self._failed(event.reason)
+                self._failed(event.reason, moved=event.moved)
 
     def _start(self) -> None:
         self._begun = self._now
@@ -286,7 +286,8 @@ class Sequence:
         self._mark(Phase.MEASURING)
         self._wait(State.READING, self._rules.reading_limit)
         self._readings.add(self._new())
-        self._out.append(m.TakeReading(self._request, self._present.number, self._number, self._attempt))
+        item, wrench = self._present, self._present.steps[self._step]
+        self._out.append(m.TakeReading(self._request, item.number, self._number, self._attempt, item.q, wrench))
 
     def _confirmed(self) -> None:
         self._readings.clear()
@@ -294,10 +295,11 @@ class Sequence:
         self._step += 1
         self._advance()
 
-    def _failed(self, reason: str) -> None:
+    def _failed(self, reason: str, *, moved: bool = False) -> None:
         """Try the reading again, or give the attempt up."""
         self._tries += 1
-        if self._tries >= self._rules.readings:
+        self._say(Kind.READING_REJECTED, reason)
+        if moved or self._tries >= self._rules.readings:
             self._give_up(reason)
         elif self.paused:
             self._advance()

@@ -14,6 +14,7 @@ from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
 from calibration_core.procedure.plan import Plan
 from calibration_core.procedure.plan_file import KEYS, plan_dict, plan_text, read_plan
+from calibration_core.procedure.tolerances import Tolerances
 
 
 def test_round_trip(plan: Plan, demo_cell: Cell, tmp_path: Path) -> None:
@@ -46,7 +47,23 @@ def _change(plan: Plan, *keys: object, value: object) -> str:
     return yaml.safe_dump(data)
 
 
+def test_tolerances(demo_cell: Cell, tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    least = "configurations: [{q: [0, 0, 0, 0, 0.5, 0], steps: [[0, 0, 0, 0, 0, 0]]}]\n"
+    path.write_text(least)
+    assert read_plan(path, demo_cell).tolerances == Tolerances()
+    path.write_text(least + "tolerances: {hold: 0.001, force_floor: 20}\n")
+    assert read_plan(path, demo_cell).tolerances == Tolerances(hold=0.001, force_floor=20)
+
+
 HOSTILE = [
+    ("tolerances", [1]),
+    ("tolerances", {"postures": 0.01}),
+    ("tolerances", {"posture": 0.0}),
+    ("tolerances", {"posture": float("nan")}),
+    ("tolerances", {"hold": "wide"}),
+    ("tolerances", {"force": True}),
+    ("tolerances", {"direction": 2.0}),
     ("configurations", 0, "q", [0.0] * 5),
     ("configurations", 0, "q", [0.0] * 5 + [float("nan")]),
     ("configurations", 0, "q", [0.0] * 5 + [99.0]),

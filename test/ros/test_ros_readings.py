@@ -1,0 +1,330 @@
+"""No reading is confirmed that is not what the plan says: posture and load, through the installed executables."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from calibration_core.cell import load_cell
+from calibration_core.model.chain import pose_matrix
+from calibration_core.model.kinematics import posture
+from calibration_core.model.robot import chain_of
+from calibration_core.procedure.plan_file import read_plan
+from calibration_core.procedure.session import Session
+from calibration_core.recording.session_values import ConfirmedReading
+from calibration_core.timeseries import Float1D
+
+ROOT = Path(__file__).resolve().parents[2]
+CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
+LONG = 60.0  # s, an answer may take on a busy machine
+POSTURE, HOLD, SHARE, DIRECTION = 5e-3, 5e-4, 0.1, 0.17  # as `calibration_core.procedure.tolerances` states them
+FLOOR = 0.02 * 240.0 * 9.80665  # N
+TRIALS = 500
+JOG_TIME = 2.0  # s of the cell's time
+
+
+def two_steps(plan: Path, name: str, count: int) -> Path:
+    """Write the first configurations of a plan, unloaded and fully loaded, and nothing besides."""
+    content = yaml.safe_load(plan.read_text(encoding="utf-8"))
+    rows = content["configurations"][:count]
+    for row in rows:
+        row["steps"] = [row["steps"][0], row["steps"][-1]]
+        row["spare"] = False
+    content |= {"configurations": rows, "startup_cycle": [], "reference": None, "expected": None}
+    path = plan.parent / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+class Bystander:
+    """Somebody in the cell: sees what is announced, jogs the robot, pulls, and is the operator."""
+
+    def __init__(self, suite: Any) -> None:
+        from calibration_interfaces.action import ApplyLoad
+        from calibration_interfaces.msg import MeasurementStep, SessionEvent
+        from rclpy.action import ActionClient
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from sensor_msgs.msg import JointState
+        from trajectory_msgs.msg import JointTrajectory
+
+        self.suite, node = suite, suite.client
+        kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.events: list[Any] = []
+        self.steps: list[Any] = []
+        self.q: Float1D | None = None
+        self.heard = threading.Condition()
+        node.create_subscription(SessionEvent, "calibration/event", self.events.append, kept)
+        node.create_subscription(MeasurementStep, "calibration/step", self._on_step, kept)
+        node.create_subscription(JointState, "joint_states", self._on_joints, 10)
+        self._trajectory = node.create_publisher(JointTrajectory, "driver/joint_trajectory", 10)
+        self._apply = ActionClient(node, ApplyLoad, "driver/apply_load")
+
+    def _on_step(self, message: Any) -> None:
+        with self.heard:
+            self.steps.append(message)
+            self.heard.notify_all()
+
+    def _on_joints(self, message: Any) -> None:
+        self.q = np.array(message.position)
+
+    def await_phase(self, configuration: int, step: int, phase: int) -> None:
+        """Wait until it is announced; a run that the guard has stopped on a busy machine is resumed."""
+
+        def there() -> bool:
+            return (configuration, step, phase) in [(one.configuration, one.step, one.phase) for one in self.steps]
+
+        end = time.monotonic() + LONG
+        while True:
+            with self.heard:
+                if self.heard.wait_for(there, 5.0):
+                    return
+            assert time.monotonic() < end, self.suite.log("sequencer")[-3000:]
+            self.resume()
+
+    def jog(self, joint: int, angle: float, seconds: float = JOG_TIME) -> None:
+        """Move one joint by an angle, as somebody at the pendant would."""
+        from builtin_interfaces.msg import Duration
+        from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+        assert self.q is not None
+        names = [f"joint_{i}" for i in range(1, 7)]
+        points = []
+        for share in (0.0, 1.0):
+            q = self.q.copy()
+            q[joint] += share * angle
+            when = Duration(sec=int(share * seconds), nanosec=int(share * seconds % 1 * 1e9))
+            points.append(JointTrajectoryPoint(positions=q.tolist(), velocities=[0.0] * 6, time_from_start=when))
+        self._trajectory.publish(JointTrajectory(joint_names=names, points=points))
+
+    def pull(self, wrench: Float1D) -> None:
+        """Apply a wrench, (6,) base axes at the wrench point, and wait until it is on."""
+        from calibration_interfaces.action import ApplyLoad
+        from geometry_msgs.msg import Wrench
+
+        target = Wrench()
+        target.force.x, target.force.y, target.force.z = wrench[:3].tolist()
+        assert self._apply.wait_for_server(LONG)
+        accepted = self._apply.send_goal_async(ApplyLoad.Goal(target=target, timeout=60.0))
+        self._done(accepted)
+        self._done(accepted.result().get_result_async())
+        time.sleep(0.3)  # until the sensor's samples of half a second are of this load alone
+
+    @staticmethod
+    def _done(future: Any) -> None:
+        end = time.monotonic() + LONG
+        while not future.done():
+            assert time.monotonic() < end
+            time.sleep(0.005)
+
+    def confirm(self, configuration: int, step: int, **more: Any) -> Any:
+        """Say that the load is on; return the outcome."""
+        from calibration_interfaces.srv import LoadApplied
+
+        place = {"configuration": configuration, "step": step}
+        fields = {"operator_name": "A. Smith", **place, **more}
+        return self.suite.call(LoadApplied, "sequencer/load_applied", **fields).outcome
+
+    def resume(self) -> None:
+        """Say that it may go on."""
+        from std_srvs.srv import Trigger
+
+        self.suite.call(Trigger, "sequencer/resume")
+
+    def texts(self, kind: int) -> list[str]:
+        """What was said of one kind of event."""
+        return [one.text for one in self.events if one.kind == kind]
+
+
+def start(suite: Any, **sequencer: Any) -> None:
+    """Start the cell; the sequencer with other parameters where given."""
+    suite.start_fast()
+    if sequencer:
+        suite.end("sequencer")
+        suite.start("sequencer", ROOT / "config" / "simulation.yaml", **sequencer)
+
+
+def outside(session_directory: Path, plan: Path, overridden: frozenset[tuple[int, int]] = frozenset()) -> list[str]:
+    """Return every confirmed reading that is not in posture or load of the plan, as the session has it."""
+    cell = load_cell(CELL)
+    planned = {one.number: one for one in read_plan(plan, cell).configurations}
+    with Session.look(session_directory) as session:
+        rows = session.confirmed(all_attempts=True)
+    assert rows
+    firsts: dict[tuple[int, str], ConfirmedReading] = {}
+    wrong = []
+    for row in rows:
+        place = f"configuration {row.configuration}, step {row.step}, {row.point}"
+        wanted = planned[row.configuration]
+        if row.step == 0:
+            firsts[row.configuration, row.point] = row
+        first = firsts[row.configuration, row.point]
+        if np.abs(row.q - wanted.q).max() > POSTURE:
+            wrong.append(f"{place}: off the plan by {np.abs(row.q - wanted.q).max():.5f} rad")
+        if np.abs(row.q - first.q).max() > HOLD:
+            wrong.append(f"{place}: off step 0 by {np.abs(row.q - first.q).max():.5f} rad")
+        if (row.configuration, row.step) in overridden:
+            continue
+        found = force_in_base(row) - force_in_base(first)
+        target = wanted.steps[row.step][:3] - wanted.steps[0][:3]
+        size, seen = np.linalg.norm(target), np.linalg.norm(found)
+        angle = np.arctan2(np.linalg.norm(np.cross(target, found)), target @ found)
+        if abs(seen - size) > max(SHARE * size, FLOOR) or (size > FLOOR and angle > DIRECTION):
+            wrong.append(f"{place}: {np.round(found)} N in place of {np.round(target)} N")
+    return wrong
+
+
+def force_in_base(row: ConfirmedReading) -> Float1D:
+    """Turn the force that the sensor says to base axes."""
+    cell = load_cell(CELL)
+    sensor = cell.frames.force_torque
+    assert sensor is not None
+    assert row.wrench is not None
+    flange = posture(chain_of(cell), row.q[None, :]).flange[:, :, 0].T
+    return np.asarray(flange @ pose_matrix(np.array(sensor.xyz), np.array(sensor.rpy))[:3, :3] @ row.wrench[:3])
+
+
+def test_a_jogged_robot_is_not_read_and_a_load_device_not_believed(suite: Any, plan: Path) -> None:
+    """Joint 2 is jogged between the unloaded and the loaded step: rejected with the figure, and read anew in place.
+
+    At last the device says that the load is on, and then that it is off, while the sensor finds something else: nothing
+    moves on that.
+    """
+    from calibration_interfaces.msg import MeasurementStep, Outcome, SessionEvent
+    from calibration_interfaces.srv import SetFault
+
+    path = two_steps(plan, "jogged", 3)
+    first, second, third = (one.number for one in read_plan(path, load_cell(CELL)).configurations)
+    start(suite)
+    somebody = Bystander(suite)
+    run = suite.run(path)
+    for number, angle, words in ((first, 0.05, "of the plan"), (second, 2e-3, "of step 0")):
+        before = len(somebody.texts(SessionEvent.READING_REJECTED))
+        somebody.await_phase(number, 1, MeasurementStep.LOADING)
+        somebody.jog(1, angle)
+        end = time.monotonic() + LONG
+        while len(rejected := somebody.texts(SessionEvent.READING_REJECTED)) == before:
+            assert time.monotonic() < end, suite.log("sequencer")[-3000:]
+            time.sleep(0.05)
+        assert rejected[before].startswith("joint_2: found ")
+        assert rejected[before].endswith(words)
+        time.sleep(0.5)
+        somebody.resume()
+    assert somebody.texts(SessionEvent.PAUSED)
+    somebody.await_phase(third, 1, MeasurementStep.LOADING)
+    suite.call(SetFault, "simulated_cell/set_fault", kind=SetFault.Request.WRENCH_OFFSET, value=500.0)
+    result = run.result(LONG)
+    assert (result.outcome.code, result.configurations_done) == (Outcome.FAULT, 2)
+    assert "the load cannot be released: the load device says that the load is on; force: wanted" in result.outcome.text
+    assert outside(suite.session, path) == []
+
+
+def test_a_load_that_is_not_there_is_refused(suite: Any, plan: Path) -> None:
+    """Wanted against found; released, too; a named operator may say otherwise, and that is recorded."""
+    from calibration_interfaces.msg import MeasurementStep, Outcome, SessionEvent
+
+    path = two_steps(plan, "by_hand", 2)
+    first, second = read_plan(path, load_cell(CELL)).configurations
+    start(suite, load__by="operator")
+    somebody = Bystander(suite)
+    run = suite.run(path)
+    somebody.await_phase(first.number, 1, MeasurementStep.LOADING)
+    answer = somebody.confirm(first.number, 1)
+    assert answer.code == Outcome.NOT_REACHED, answer.text
+    wanted = ", ".join(f"{value:.0f}" for value in first.steps[1][:3])
+    assert answer.text.startswith(f"force: wanted ({wanted}) N, found (")
+    assert answer.text.endswith("apply the load as wanted, or look at wrench point, sensor frame and tare")
+    somebody.pull(0.5 * first.steps[1])
+    assert somebody.confirm(first.number, 1).code == Outcome.NOT_REACHED
+    somebody.pull(first.steps[1])
+    assert somebody.confirm(first.number, 1).code == Outcome.OK
+    somebody.await_phase(first.number, 1, MeasurementStep.UNLOADING)
+    answer = somebody.confirm(first.number, 1)
+    assert (answer.code, "release the load" in answer.text) == (Outcome.NOT_REACHED, True)
+    somebody.pull(np.zeros(6))
+    assert somebody.confirm(first.number, 1).code == Outcome.OK
+    somebody.await_phase(second.number, 1, MeasurementStep.LOADING)
+    assert somebody.confirm(second.number, 1).code == Outcome.NOT_REACHED
+    assert somebody.confirm(second.number, 1, override=True).code == Outcome.INPUT_UNUSABLE
+    assert somebody.confirm(second.number, 1, override=True, reason="sensor away").code == Outcome.OK
+    somebody.await_phase(second.number, 1, MeasurementStep.UNLOADING)
+    assert somebody.confirm(second.number, 1).code == Outcome.OK
+    result = run.result(LONG)
+    assert (result.outcome.code, result.configurations_done) == (Outcome.OK, 2), result.outcome.text
+    (told,) = somebody.texts(SessionEvent.LOAD_OVERRIDDEN)
+    assert told.startswith("by A. Smith: sensor away (force: wanted (")
+    with Session.look(suite.session) as session:
+        (one,) = session.overrides
+    assert (one.condition, one.operator) == ("load", "A. Smith")
+    assert one.reason.startswith(f"configuration {second.number}, step 1: sensor away (force: wanted (")
+    assert outside(suite.session, path, frozenset({(second.number, 1)})) == []
+    assert len(outside(suite.session, path)) == 3
+
+
+@pytest.mark.slow
+def test_500_random_jogs_and_loads(suite: Any, plan: Path) -> None:
+    """Whatever is jogged or pulled at random: nothing that is confirmed is outside the bands."""
+    from calibration_interfaces.msg import MeasurementStep, Outcome, SessionEvent
+
+    rng = np.random.default_rng(12)
+    path = two_steps(plan, "random", 18)
+    planned = {one.number: one for one in read_plan(path, load_cell(CELL)).configurations}
+    start(suite, load__by="operator", attempts=20)
+    somebody = Bystander(suite)
+    jogs = loads = sessions = rejected = refused = confirmed = 0
+    directory = suite.directory
+    while jogs + loads < TRIALS:
+        suite.directory = directory / str(sessions)
+        suite.directory.mkdir()
+        sessions += 1
+        somebody.steps.clear()
+        somebody.events.clear()
+        somebody.pull(np.zeros(6))
+        run = suite.run(path)
+        done = 0
+        while not run.over:
+            with somebody.heard:
+                somebody.heard.wait_for(lambda done=done: len(somebody.steps) > done, 0.5)
+                new, done = somebody.steps[done:], len(somebody.steps)
+            for step in new:
+                if step.phase in (MeasurementStep.SETTLING, MeasurementStep.MEASURING) and rng.random() < 0.15:
+                    size = 10.0 ** rng.uniform(-3.7, -1.2) * rng.choice([-1.0, 1.0])
+                    time.sleep(rng.uniform(0.0, 0.15))
+                    somebody.jog(int(rng.integers(6)), size)
+                    jogs += 1
+            if somebody.steps and somebody.steps[-1].phase in (MeasurementStep.LOADING, MeasurementStep.UNLOADING):
+                last = somebody.steps[-1]
+                loading = last.phase == MeasurementStep.LOADING
+                wanted = planned[last.configuration].steps[1] if loading else np.zeros(6)
+                loads += 1
+                turned = 0.15 * np.linalg.norm(wanted[:3]) * rng.standard_normal(3) if loading else np.zeros(3)
+                share = rng.choice([1.0, 1.0, rng.uniform(0.0, 1.3)])
+                tried = share * wanted[:3] + rng.choice([0.0, 0.0, 1.0]) * turned
+                tried = tried + rng.choice([0.0, 1.0]) * rng.standard_normal(3) * 20.0
+                somebody.pull(np.concatenate([tried, np.zeros(3)]))
+                answer = somebody.confirm(last.configuration, last.step)
+                if answer.code == Outcome.NOT_REACHED:
+                    refused += 1
+                    somebody.pull(wanted)
+                    somebody.confirm(last.configuration, last.step)
+            elif not new:
+                somebody.resume()
+        run.result(1.0)
+        rejected += len(somebody.texts(SessionEvent.READING_REJECTED))
+        assert outside(suite.session, path) == []
+        with Session.look(suite.session) as session:
+            rows = session.confirmed(all_attempts=True)
+        confirmed += len(rows)
+    print(
+        f"\n{jogs} jogs, {loads} loads in {sessions} sessions: {rejected} readings rejected, {refused} loads refused,"
+    )
+    print(f"{confirmed} readings confirmed, none outside posture or load band")
+    assert rejected > 20
+    assert refused > 20
