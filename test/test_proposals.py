@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 import calibration_sim.realise as simulator
 from calibration_core.cell import Cell, load_cell
@@ -26,6 +25,7 @@ from calibration_core.diagnosis.extended import design_at, loaded_state
 from calibration_core.diagnosis.finding import Diagnosis
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.next_offers import Offer, alternating
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.loaded import Options, prepare_loaded
 from calibration_core.model.effects import candidates
 from calibration_core.recording.table import read_table, write_table
@@ -134,7 +134,7 @@ def more(scenario: Scenario, measured: Sequence[Offer], cell: Cell, folder: Path
 def written(content: Mapping[str, Any], folder: Path) -> Cell:
     """Write a cell file and read it."""
     path = folder / "cell.yaml"
-    path.write_text(yaml.safe_dump(dict(content)))
+    path.write_text(yaml_text(dict(content)))
     return load_cell(path)
 
 

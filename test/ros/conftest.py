@@ -16,6 +16,8 @@ from typing import Any
 import pytest
 import yaml
 
+from calibration_core.files.yaml_file import yaml_text
+
 ROOT = Path(__file__).resolve().parents[2]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 FAST = ROOT / "config" / "simulation.yaml"
@@ -243,5 +245,5 @@ def changed(plan: Path, name: str, configurations: int | None = None, **other: A
     content |= {"startup_cycle": content["startup_cycle"][-1:], **other}
     content["configurations"] = content["configurations"][:configurations]
     path = plan.parent / f"{name}.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    path.write_text(yaml_text(content), encoding="utf-8")
     return path

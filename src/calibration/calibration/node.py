@@ -15,12 +15,10 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import rclpy
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
@@ -32,9 +30,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from calibration_core.errors import InputError, quoted
+from calibration_core.files.yaml_file import read_yaml
 
 NODE_NAMES = ("force_torque", "guard", "identification", "recorder", "sequencer", "simulated_cell", "tracker")
 BUILT_IN = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+MAX_PARAMETER_BYTES = 1 << 20
 POLL = 0.1  # s between looks at the flag that ends the process
 
 Value = bool | int | float | str | list[str] | list[float] | list[int] | list[bool]
@@ -227,11 +227,7 @@ def check_parameter_files(arguments: Sequence[str]) -> None:
     """
     files = [value for flag, value in itertools.pairwise(arguments) if flag == "--params-file"]
     for file in files:
-        try:
-            data = yaml.safe_load(Path(file).read_text("utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise ParameterError(file, "", type(error).__name__, "a parameter file (YAML)") from None
-        for key in _sections(data):
+        for key in _sections(read_yaml(file, MAX_PARAMETER_BYTES, "parameter file (YAML)", ParameterError).data):
             last = key.rstrip("/").rpartition("/")[2]
             if last not in NODE_NAMES and "*" not in last:
                 raise ParameterError(file, key, "an unknown node", f"one of {', '.join(NODE_NAMES)}, or /**")

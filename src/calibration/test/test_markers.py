@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
@@ -28,6 +27,7 @@ from calibration.markers import Look, to_markers
 from calibration.sequencer import SequencerNode
 from calibration.topics import MARKERS, PLAN_MARKERS
 from calibration_core.cell import load_cell
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.report.scene import Scene
@@ -109,7 +109,7 @@ def a_plan(folder: Path) -> Path:
     ]
     joints = [f"joint_{i}" for i in range(1, 7)]
     path = folder / "plan.yaml"
-    path.write_text(yaml.safe_dump({"schema": 1, "joints": joints, "configurations": configurations}), "utf-8")
+    path.write_text(yaml_text({"schema": 1, "joints": joints, "configurations": configurations}), "utf-8")
     return path
 
 

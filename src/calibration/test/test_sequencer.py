@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 pytest.importorskip("rclpy")
 pytest.importorskip("calibration_interfaces")
@@ -41,6 +40,7 @@ from calibration.sequencer_parameters import PARAMETERS, motion_limits
 from calibration.topics import EVENT, PERMISSION, READING, Quality, profile
 from calibration_core.cell import Safety, load_cell
 from calibration_core.errors import InputError
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.observations.average import Average
 from calibration_core.procedure.session import Session
 
@@ -158,7 +158,7 @@ def operator(spinning: Any) -> Operator:
 def plan(tmp_path: Path) -> Path:
     path = tmp_path / "plan.yaml"
     configurations = [{"number": 7, "q": GOAL, "steps": [[0.0] * 6, PULL]}]
-    path.write_text(yaml.safe_dump({"schema": 1, "joints": JOINTS, "configurations": configurations}))
+    path.write_text(yaml_text({"schema": 1, "joints": JOINTS, "configurations": configurations}))
     return path
 
 

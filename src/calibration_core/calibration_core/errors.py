@@ -11,6 +11,7 @@ import reprlib
 import shutil
 import sqlite3
 from pathlib import Path
+from typing import Self
 
 
 class CalibrationError(Exception):
@@ -22,23 +23,42 @@ class InputError(CalibrationError):
 
     Attributes:
         file: The file or directory at fault, or a name for what has no file.
-        place: Line, field, topic or configuration within it; empty if it is the file as a whole.
+        place: Field, topic or configuration within it; empty if it is the file as a whole.
         found: What is there, the offending value quoted.
         expected: What would have been accepted, with the valid choices where there are some.
+        line: Line of the place, from 1, where it is known.
+        column: Column of the place, from 1, where it is known.
+        further: Errors of the same file that were found together with this one.
     """
 
-    def __init__(self, file: str | Path, place: str, found: str, expected: str) -> None:
-        """Keep the four fields; newlines are folded, so that the text stays one line."""
+    further: tuple[InputError, ...] = ()
+
+    def __init__(
+        self,
+        file: str | Path,
+        place: str,
+        found: str,
+        expected: str,
+        line: int | None = None,
+        column: int | None = None,
+    ) -> None:
+        """Keep the fields; newlines are folded and file names cut, so that the text stays one line."""
         self.file = str(file)
         self.place = _one_line(place)
         self.found = _one_line(found)
         self.expected = _one_line(expected)
-        where = f"{self.file}: {self.place}" if self.place else self.file
+        self.line, self.column = line, column
+        where = ":".join([shown_path(file), *(str(number) for number in (line, column) if number is not None)])
+        where = f"{where}: {self.place}" if self.place else where
         super().__init__(f"{where}: found {self.found}, expected {self.expected}")
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
-        """Pickle by the four fields (errors cross process borders in the batch programs)."""
-        return type(self), (self.file, self.place, self.found, self.expected)
+    def at(self, line: int, column: int) -> Self:
+        """Return the same error with line and column."""
+        return type(self)(self.file, self.place, self.found, self.expected, line, column)
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str, int | None, int | None]]:
+        """Pickle by the fields (errors cross process borders in the batch programs)."""
+        return type(self), (self.file, self.place, self.found, self.expected, self.line, self.column)
 
 
 class CellError(InputError):
@@ -120,5 +140,13 @@ def quoted(value: object, limit: int = 60) -> str:
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+def shown_path(path: str | Path, limit: int = 200) -> str:
+    """Return a path for a message: one line, cut in the middle, unprintable characters escaped."""
+    text = "".join(char if char.isprintable() else ascii(char)[1:-1] for char in str(path))
+    return text if len(text) <= limit else f"{text[: limit // 2]}…{text[-limit // 2 + 1 :]}"
+
+
+def _one_line(text: str, limit: int = 600) -> str:
+    line = " ".join(text.split())
+    line = "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line)
+    return line if len(line) <= limit else f"{line[: limit - 1]}…"

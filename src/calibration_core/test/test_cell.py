@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration_core.cell import Cell, load_cell, too_deep
+from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import CellError
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "cells"
@@ -113,7 +113,7 @@ def test_values_are_frozen(tmp_path: Path) -> None:
         ("sigma: 2.0e-5", "", "instruments.tracker", "no uncertainty"),
         ("sigma: 2.0e-5", "sigma_range: 1.0e-5", "instruments.tracker.sigma_angle", "nothing"),
         ("name: a cell", "name: a cell\npath: other", "path", "an unknown key"),
-        ("name: a cell", "name: a cell\nname: twice", "line 2", "key 'name' twice"),
+        ("name: a cell", "name: a cell\nname: twice", "", "key 'name' twice"),
         ("name: a cell", "name: [", "", ""),
         ("name: a cell", "safety: {speed_limit: 0.3, source: me}\nname: a cell", "safety.speed_limit", "0.3"),
         ("name: a cell", "safety: {speed_limit: 0, source: me}\nname: a cell", "safety.speed_limit", "0"),
@@ -148,16 +148,15 @@ def test_what_is_needed_and_missing(tmp_path: Path) -> None:
     assert str(error).endswith("frames.wrench_point: found nothing, expected a value, needed for the load")
 
 
-@pytest.mark.parametrize(
-    ("text", "deep"),
-    [
-        ("", False), (TEXT, False), ("[" * 101, True), ("{a: " * 101, True), ("[]" * 1000, False),
-        ("]" * 1000 + "[" * 50, False), ("]" * 1000 + "[" * 101, True), ("- " * 300, True), (" " * 500 + "a: 1", True),
-        ("a: " + "-" * 1000, False), ("größe: [1]", False),
-    ],
-)  # fmt: skip
-def test_nesting(text: str, deep: bool) -> None:
-    assert too_deep(text) is deep
+def test_all_faults_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
+    text = TEXT.replace("a: 0.45", "a: long").replace("rated_load: 10", "rated_load: -1\n  colour: red")
+    with pytest.raises(CellError) as caught:
+        load(tmp_path, text.replace("{sigma: 2.0e-5}", "{}"))
+    faults = [caught.value, *caught.value.further]
+    assert [(fault.line, fault.place) for fault in faults] == [
+        (4, "robot.dh.1.a"), (7, "robot.rated_load"), (8, "robot.colour"), (12, "instruments.tracker"),
+    ]  # fmt: skip
+    assert str(faults[0]).startswith(f"{tmp_path / 'cell.yaml'}:4:47: robot.dh.1.a: found 'long', expected")
 
 
 def test_gravity_of_a_robot_on_the_wall(tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ import math
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike
 
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError, quoted
+from calibration_core.files.yaml_file import read_yaml
 from calibration_core.timeseries import Float2D, read_only
 
 STANDARD_ACCELERATION = 9.80665  # m/s^2, turns a rated load in kg into N
@@ -86,8 +86,12 @@ def read_plan(path: str | Path, cell: Cell) -> Protocol:
     Raises:
         PlanError: The file is missing, malformed, or does not fit the cell.
     """
-    path = Path(path)
-    data = _load(path)
+    file = read_yaml(path, MAX_PLAN_BYTES, "plan (YAML)", PlanError)
+    with file.locating():
+        return _protocol(file.path, file.data, cell)
+
+
+def _protocol(path: Path, data: object, cell: Cell) -> Protocol:
     rows = data.get("configurations") if isinstance(data, dict) else None
     if not isinstance(rows, list) or not rows:
         raise PlanError(path, "configurations", quoted(rows), "a list of at least one configuration")
@@ -112,20 +116,6 @@ def read_plan(path: str | Path, cell: Cell) -> Protocol:
     if not configurations:
         raise PlanError(path, "configurations", "spares only", "at least one configuration to measure")
     return Protocol(tuple(configurations))
-
-
-def _load(path: Path) -> object:
-    try:
-        if path.stat().st_size > MAX_PLAN_BYTES:
-            raise PlanError(path, "", f"{path.stat().st_size} bytes", f"a plan of at most {MAX_PLAN_BYTES} bytes")
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PlanError(path, "", error.strerror or str(error), "a readable plan (YAML)") from None
-    except UnicodeDecodeError as error:
-        raise PlanError(path, f"byte {error.start}", "no UTF-8", "UTF-8") from None
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        raise PlanError(path, f"line {mark.line + 1}" if mark else "", "no YAML", "YAML") from None
 
 
 def _numbers(path: Path, place: str, values: object, count: int) -> list[float]:

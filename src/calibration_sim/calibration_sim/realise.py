@@ -6,8 +6,8 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-import yaml
 
+from calibration_core.files.yaml_file import read_yaml
 from calibration_core.timeseries import Readings
 from calibration_sim.influence import Background, background, signal_to_noise
 from calibration_sim.laws.effect import Effect
@@ -137,7 +137,7 @@ def _clutter(scenario: Scenario, known: Background) -> list[Effect]:
 
 def _file(world: World, scenario: Scenario, played: Played) -> dict[str, Any]:
     """Return the cell file that the diagnosis reads."""
-    cell: dict[str, Any] = yaml.safe_load(world.cell.path.read_text(encoding="utf-8"))
+    cell: dict[str, Any] = read_yaml(world.cell.path, 1 << 18, "cell file (YAML)").data
     noise: Noise = scenario.noise
     if noise.spherical_claim:
         claim = spherical_tracker(world.cell, played.points)

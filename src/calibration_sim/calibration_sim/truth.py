@@ -12,9 +12,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-import yaml
 
 from calibration_core.cell import Cell
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.timeseries import Float1D, Float2D, read_only
 from calibration_sim.sensors import SOUND, Sensors
 from calibration_sim.transforms import Placement, placement, rotation_vector
@@ -176,7 +176,7 @@ def write_truth(path: Path, truth: Truth, cell: Cell, *, seed: int) -> None:
         "measurement_points": {name: value.tolist() for name, value in truth.points.items()},
         "sensors": dataclasses.asdict(truth.sensors),
     }
-    path.write_text(yaml.safe_dump(_lists(content), sort_keys=False), encoding="utf-8")
+    path.write_text(yaml_text(_lists(content)), encoding="utf-8")
 
 
 def _plain(frame: Placement) -> dict[str, object]:

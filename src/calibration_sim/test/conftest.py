@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from calibration_core.cell import Cell, load_cell
+from calibration_core.files.yaml_file import yaml_text
 from calibration_sim.chain import Chain, Link
 from calibration_sim.transforms import translation
 
@@ -44,7 +45,7 @@ def changed(tmp_path: Path) -> Callable[..., Cell]:
             else:
                 place[target] = value
         path = tmp_path / "changed.cell.yaml"
-        path.write_text(yaml.safe_dump(data, sort_keys=False))
+        path.write_text(yaml_text(data))
         return load_cell(path)
 
     return change

@@ -11,6 +11,7 @@ import yaml
 from rosbags.rosbag2 import Reader
 
 from calibration_core.cell import Cell
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.recording.bag import read_bag
 from calibration_core.recording.table import read_table
 from calibration_sim.cli import main
@@ -77,7 +78,7 @@ def test_record_follows_a_plan(
     steps = [[0.0] * 6, [0.0, 300.0, -900.0, 0.0, 0.0, 0.0]]
     rows = [{"number": n, "q": [0.1 * n, 0.2, -0.3, 0.4, 0.5, 0.6], "steps": steps} for n in (3, 8)]
     plan = tmp_path / "plan.yaml"
-    plan.write_text(yaml.safe_dump({"configurations": rows}))
+    plan.write_text(yaml_text({"configurations": rows}))
     options = ["--storage", storage, "--compression", compression, "--no-markers", "--imperfect"]
     bag = tmp_path / "deep" / "bag"
     assert main(["record", "--cell", str(demo.path), "--out", str(bag), "--plan", str(plan), *options]) == 0

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from calibration_core.cell import load_cell
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.recording.table import read_table, write_table
 from calibration_sim.influence import background, signal
 from calibration_sim.look import Noise, look
@@ -79,7 +79,7 @@ def test_a_recording_is_reproduced_to_the_bit_and_read_by_the_core(tmp_path: Pat
     assert np.array_equal(first.readings.position, again.readings.position)
     assert first.label == again.label
     write_table(tmp_path / "measurements.csv", first.readings)
-    (tmp_path / "cell.yaml").write_text(yaml.safe_dump(first.cell))
+    (tmp_path / "cell.yaml").write_text(yaml_text(first.cell))
     cell = load_cell(tmp_path / "cell.yaml")
     back = read_table(tmp_path / "measurements.csv", cell)
     assert np.array_equal(back.position, first.readings.position)

@@ -7,16 +7,15 @@ field.  Angles are rad, lengths m, masses kg, as in the file.
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from calibration_core.cell.surroundings import Box, EndEffector
 from calibration_core.cell.values import (
@@ -32,12 +31,12 @@ from calibration_core.cell.values import (
     field_error,
 )
 from calibration_core.errors import CellError, quoted
+from calibration_core.files.yaml_file import YamlFile, read_yaml
 
-__all__ = ["Box", "Cell", "EndEffector", "Pose", "load_cell", "too_deep"]
+__all__ = ["Box", "Cell", "EndEffector", "Pose", "load_cell"]
 
 MAX_BYTES = 1 << 18
-MAX_ALIASES = 100
-MAX_NESTING = 100  # brackets; far beyond any real file, far below what stops a YAML parser
+MAX_FAULTS = 100
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 REDUCED_SPEED = 0.25  # m/s, safety-rated reduced speed (CWA 17384, 5.1; ISO 10218-1)
 
@@ -284,90 +283,48 @@ def load_cell(path: str | Path) -> Cell:
     """Read and validate a cell file.
 
     Raises:
-        CellError: The file is missing, not YAML, or a field is missing, unknown, of wrong length or not finite.
+        CellError: The file is missing, not YAML, or a field is missing, unknown, of wrong length or not finite; it
+            names the first fault in the file with line and column, and carries the others as `further`.
     """
     path = Path(path)
-    raw = _read(path)
-    data = _parse(path, raw)
-    reserved = {"path", "sha256"} & data.keys()
-    if reserved:
-        raise CellError(path, min(reserved), "an unknown key", _choices(Cell))
+    file = read_yaml(path, MAX_BYTES, "cell file (YAML)", CellError)
+    if not isinstance(file.data, dict):
+        raise CellError(path, "", quoted(file.data), f"a mapping with the keys {_choices(Cell)}")
+    reserved = {"path", "sha256"} & file.data.keys()
+    with file.locating():
+        if reserved:
+            raise CellError(path, min(reserved), "an unknown key", _choices(Cell))
     try:
-        return Cell.model_validate({**data, "path": path, "sha256": hashlib.sha256(raw).hexdigest()})
+        return Cell.model_validate({**file.data, "path": path, "sha256": hashlib.sha256(file.raw).hexdigest()})
     except ValidationError as error:
-        raise _first_error(path, error) from None
+        raise _all_faults(file, error) from None
 
 
-def _read(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CellError(path, "", f"{path.stat().st_size} bytes", f"a YAML file of at most {MAX_BYTES} bytes")
-        return path.read_bytes()
-    except OSError as error:
-        raise CellError(path, "", error.strerror or str(error), "a readable cell file (YAML)") from None
+def _all_faults(file: YamlFile, error: ValidationError) -> CellError:
+    """Return the first fault of the file, with the others as `further`."""
+    faults: list[CellError] = []
+    for entry in error.errors()[:MAX_FAULTS]:
+        fault = _fault(file.path, entry)
+        mark = file.where(fault.place)
+        faults.append(fault if mark is None else fault.at(*mark))
+    faults.sort(key=lambda fault: (fault.line or 0, fault.column or 0))
+    faults[0].further = tuple(faults[1:])
+    return faults[0]
 
 
-class _UniqueKeyLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # the fast one, if any
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode):
-                if key.value in seen:
-                    raise yaml.constructor.ConstructorError(None, None, f"key {key.value!r} twice", key.start_mark)
-                seen.add(key.value)
-        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
-        return mapping
-
-
-def too_deep(text: str) -> bool:
-    """Tell whether YAML text is nested so deeply that parsing it would take forever or end the process.
-
-    Counted are open brackets, and what can open levels at the beginning of a line (indentation, `-`, `?`).
-    """
-    data = np.frombuffer(text.encode("utf-8", "replace"), np.uint8)
-    change = np.isin(data, list(b"[{")).astype(np.int32) - np.isin(data, list(b"]}"))
-    open_brackets = np.cumsum(change)
-    if len(data) and int((open_brackets - np.minimum.accumulate(np.minimum(open_brackets, 0))).max()) > MAX_NESTING:
-        return True
-    return re.search(rf"^[ \-?]{{{4 * MAX_NESTING}}}", text, re.MULTILINE) is not None
-
-
-def _parse(path: Path, raw: bytes) -> dict[str, Any]:
-    try:
-        text = raw.decode("utf-8")
-        if too_deep(text):
-            raise CellError(path, "", f"more than {MAX_NESTING} levels of nesting", "plain YAML")
-        aliases = sum(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=_UniqueKeyLoader))
-        if aliases > MAX_ALIASES:
-            raise CellError(path, "", f"{aliases} YAML aliases", f"at most {MAX_ALIASES}")
-        data = yaml.load(text, Loader=_UniqueKeyLoader)
-    except UnicodeDecodeError as error:
-        raise CellError(path, f"byte {error.start}", quoted(raw[error.start : error.start + 1]), "UTF-8") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"line {mark.line + 1}" if mark is not None else ""
-        raise CellError(path, place, getattr(error, "problem", None) or "no YAML", "YAML") from None
-    except (RecursionError, ValueError) as error:
-        raise CellError(path, "", f"unreadable YAML ({type(error).__name__})", "plain YAML") from None
-    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
-        raise CellError(path, "", quoted(data), f"a mapping with the keys {_choices(Cell)}")
-    return data
-
-
-def _first_error(path: Path, error: ValidationError) -> CellError:
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"])
-    cause = first.get("ctx", {}).get("error")
+def _fault(path: Path, entry: ErrorDetails) -> CellError:
+    place = ".".join(str(part) for part in entry["loc"])
+    cause = entry.get("ctx", {}).get("error")
     if isinstance(cause, FieldError):
         place = ".".join(part for part in (place, cause.place) if part)
         return CellError(path, place, cause.found, cause.expected)
-    kind = first["type"]
+    kind = entry["type"]
     if kind == "extra_forbidden":
-        return CellError(path, place, "an unknown key", _choices(_owner(first["loc"])))
+        return CellError(path, place, "an unknown key", _choices(_owner(entry["loc"])))
     if kind == "missing":
         return CellError(path, place, "nothing", "a value")
-    expected = str(cause) if cause is not None else first["msg"].removeprefix("Input should be ").strip()
-    return CellError(path, place, quoted(first["input"]), expected)
+    expected = str(cause) if cause is not None else entry["msg"].removeprefix("Input should be ").strip()
+    return CellError(path, place, quoted(entry["input"]), expected)
 
 
 def _owner(location: tuple[int | str, ...]) -> type[BaseModel]:

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from calibration_core.cell import Cell, too_deep
+from calibration_core.cell import Cell
 from calibration_core.errors import ModelFileError, quoted
+from calibration_core.files.yaml_file import YamlFile, read_yaml, yaml_text
 from calibration_core.model.chain import pose_matrix, rpy_of
 from calibration_core.model.effects import catalogue
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 
 SCHEMA = 1
-MAX_BYTES = 16 << 20
+MAX_BYTES = 1 << 20
 KEYS = (
     "schema",
     "robot",
@@ -62,7 +62,7 @@ def model_dict(parameters: ModelParameters, cell: Cell) -> dict[str, Any]:
 def model_text(parameters: ModelParameters, cell: Cell) -> str:
     """Return the file's text; every float keeps all its digits."""
     head = "# Identified model: SI units; geometry is the correction to the nominal geometry of the cell file.\n"
-    return head + yaml.safe_dump(model_dict(parameters, cell), sort_keys=False, allow_unicode=True, width=120)
+    return head + yaml_text(model_dict(parameters, cell))
 
 
 def read_model(path: str | Path, cell: Cell) -> ModelParameters:
@@ -71,8 +71,12 @@ def read_model(path: str | Path, cell: Cell) -> ModelParameters:
     Raises:
         ModelFileError: It is missing, malformed, or belongs to another robot: another name, or other joints.
     """
-    path = Path(path)
-    data = _parse(path)
+    file = read_yaml(path, MAX_BYTES, "model file (YAML)", ModelFileError)
+    with file.locating():
+        return _parameters(file.path, _content(file), cell)
+
+
+def _parameters(path: Path, data: dict[str, Any], cell: Cell) -> ModelParameters:
     joints = cell.robot.joints
     if data.get("joints") != list(joints):
         raise ModelFileError(path, "joints", quoted(data.get("joints")), f"the cell's joints {list(joints)}")
@@ -102,25 +106,14 @@ def read_model(path: str | Path, cell: Cell) -> ModelParameters:
     )
 
 
-def _parse(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ModelFileError(path, "", f"{path.stat().st_size} bytes", f"at most {MAX_BYTES} bytes")
-        text = path.read_bytes().decode("utf-8")
-        if too_deep(text):
-            raise ModelFileError(path, "", "YAML nested too deeply", "a model file")
-        data = yaml.safe_load(text)
-    except OSError as error:
-        raise ModelFileError(path, "", error.strerror or str(error), "a readable model file (YAML)") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        place = "" if mark is None else f"line {mark.line + 1}"
-        raise ModelFileError(path, place, getattr(error, "problem", None) or "no YAML", "YAML") from None
+def _content(file: YamlFile) -> dict[str, Any]:
+    """Return the mapping that a model file holds; only its keys and its schema are checked."""
+    path, data = file.path, file.data
     if not isinstance(data, dict):
         raise ModelFileError(path, "", quoted(data), f"a mapping with the keys {', '.join(KEYS)}")
     if data.get("schema") != SCHEMA:
         raise ModelFileError(path, "schema", quoted(data.get("schema")), str(SCHEMA))
-    unknown = [str(key) for key in data if key not in KEYS]
+    unknown = [key for key in data if key not in KEYS]
     if unknown:
         raise ModelFileError(path, unknown[0], "an unknown key", f"one of {', '.join(KEYS)}")
     return data

@@ -24,10 +24,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from calibration_core.cell import Cell, too_deep
+from calibration_core.cell import Cell
 from calibration_core.errors import PlanError, quoted
+from calibration_core.files.yaml_file import YamlFile, read_yaml, yaml_text
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.plan import PREPARATION, Expected, Plan, PlannedConfiguration, Reference
 from calibration_core.procedure.tolerances import read_tolerances
@@ -37,7 +37,6 @@ SCHEMA = 1
 MAX_BYTES = 8 << 20
 MAX_CONFIGURATIONS = 10_000
 MAX_STEPS = 1000
-MAX_ALIASES = 100
 KEYS = (
     "schema",
     "robot",
@@ -82,9 +81,7 @@ def _prepared_dict(configuration: PlannedConfiguration) -> dict[str, Any]:
 def plan_text(plan: Plan) -> str:
     """Return the file's text; every float keeps all its digits."""
     head = "# Measurement plan: q in rad, wrenches in N and N*m in base axes at the wrench point, one per load step.\n"
-    return head + yaml.safe_dump(
-        plan_dict(plan), default_flow_style=None, sort_keys=False, allow_unicode=True, width=400
-    )
+    return head + yaml_text(plan_dict(plan), width=400, flow=None)
 
 
 def read_plan(path: str | Path, cell: Cell) -> Plan:
@@ -95,8 +92,12 @@ def read_plan(path: str | Path, cell: Cell) -> Plan:
             forces beyond the rated load, numbers that repeat.
         CellError: The robot cannot be read.
     """
-    path = Path(path)
-    data = _parse(path)
+    file = read_yaml(path, MAX_BYTES, "plan (YAML)", PlanError)
+    with file.locating():
+        return _plan(file.path, _content(file), cell)
+
+
+def _plan(path: Path, data: dict[str, Any], cell: Cell) -> Plan:
     joints = data.get("joints")
     if joints is not None and joints != list(cell.robot.joints):
         raise PlanError(path, "joints", quoted(joints), f"the cell's joints {list(cell.robot.joints)}")
@@ -134,32 +135,15 @@ def _plain(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _parse(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise PlanError(path, "", f"{path.stat().st_size} bytes", f"a plan of at most {MAX_BYTES} bytes")
-        text = path.read_text(encoding="utf-8")
-        if too_deep(text):
-            raise PlanError(path, "", "YAML nested too deeply", "a plan")
-        if sum(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=_Loader)) > MAX_ALIASES:
-            raise PlanError(path, "", "YAML aliases", f"at most {MAX_ALIASES}")
-        data = yaml.load(text, Loader=_Loader)
-    except OSError as error:
-        raise PlanError(path, "", error.strerror or str(error), "a readable plan (YAML)") from None
-    except UnicodeDecodeError as error:
-        raise PlanError(path, f"byte {error.start}", "no UTF-8", "UTF-8") from None
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        raise PlanError(path, "" if mark is None else f"line {mark.line + 1}", "no YAML", "YAML") from None
+def _content(file: YamlFile) -> dict[str, Any]:
+    """Return the mapping that a plan file holds; only its keys and its schema are checked."""
+    path, data = file.path, file.data
     if not isinstance(data, dict):
         raise PlanError(path, "", quoted(data), f"a mapping with the keys {', '.join(KEYS)}")
     _known_keys(path, "", data, KEYS)
     if data.get("schema", SCHEMA) != SCHEMA:
         raise PlanError(path, "schema", quoted(data.get("schema")), str(SCHEMA))
     return data
-
-
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def _configurations(path: Path, rows: object, cell: Cell, limits: Float2D) -> tuple[PlannedConfiguration, ...]:

@@ -9,9 +9,8 @@ import typing
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from calibration_core.errors import PlanError, TrajectoryError, quoted
+from calibration_core.files.yaml_file import read_yaml
 from calibration_core.procedure.agenda import SequenceRules
 from calibration_core.procedure.criteria import CRITERIA
 from calibration_core.procedure.guard import GuardRules
@@ -56,31 +55,17 @@ def read_settings(path: str | Path) -> ProcedureSettings:
     Raises:
         PlanError: The file is missing or malformed, a key is unknown, or a value makes no sense.
     """
-    path = Path(path)
-    data = _parse(path)
-    for name in data:
-        if name not in SECTIONS:
-            raise PlanError(path, str(name), "an unknown key", f"one of {', '.join(SECTIONS)}")
-    parts = {name: _section(path, name, kind, data.get(name)) for name, kind in SECTIONS.items()}
+    file = read_yaml(path, MAX_BYTES, "file of settings (YAML)", PlanError)
+    data = {} if file.data is None else file.data
+    if not isinstance(data, dict):
+        raise PlanError(file.path, "", quoted(data), f"a mapping with the keys {', '.join(SECTIONS)}")
+    with file.locating():
+        for name in data:
+            if name not in SECTIONS:
+                raise PlanError(file.path, name, "an unknown key", f"one of {', '.join(SECTIONS)}")
+        parts = {name: _section(file.path, name, kind, data.get(name)) for name, kind in SECTIONS.items()}
     planning = dataclasses.replace(parts["planning"], space=parts["space"], load=parts["load"])
     return ProcedureSettings(planning, parts["motion"], parts["sequence"], parts["guard"])
-
-
-def _parse(path: Path) -> dict[Any, Any]:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise PlanError(path, "", f"{path.stat().st_size} bytes", f"at most {MAX_BYTES} bytes")
-        data = yaml.safe_load(path.read_bytes())
-    except OSError as error:
-        raise PlanError(path, "", error.strerror or str(error), "a readable file of settings (YAML)") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        raise PlanError(path, "" if mark is None else f"line {mark.line + 1}", "no YAML", "YAML") from None
-    if data is None:
-        return {}
-    if not isinstance(data, dict):
-        raise PlanError(path, "", quoted(data), f"a mapping with the keys {', '.join(SECTIONS)}")
-    return data
 
 
 def _section(path: Path, name: str, kind: type[Any], values: object) -> Any:

@@ -10,14 +10,15 @@ from typing import Any, Literal
 
 import lz4.frame
 import numpy as np
-import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from calibration_core.cell import Cell
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.recording.definitions import STEP_TYPE, TEXT_TYPE
 from calibration_core.recording.encode import encode
 from calibration_core.recording.kinds import Kind
+from calibration_core.recording.metadata import METADATA, read_metadata
 from calibration_core.recording.typed import standard_types
 from calibration_core.timeseries import NANOSECONDS, Recording, StepMarkers, TimeSeries
 
@@ -94,7 +95,7 @@ def _joined(path: Path, parts: list[Path]) -> Path:
     path.mkdir()
     whole: dict[str, Any] = {}
     for part in parts:
-        one = yaml.safe_load((part / "metadata.yaml").read_text("utf-8"))["rosbag2_bagfile_information"]
+        one = read_metadata(part / METADATA)
         for name in one["relative_file_paths"]:
             shutil.move(part / name, path / name)
         if not whole:
@@ -109,8 +110,8 @@ def _joined(path: Path, parts: list[Path]) -> Path:
         whole["files"] += one["files"]
         for mine, other in zip(whole["topics_with_message_count"], one["topics_with_message_count"], strict=True):
             mine["message_count"] += other["message_count"]
-    text = yaml.safe_dump({"rosbag2_bagfile_information": whole}, sort_keys=False)
-    (path / "metadata.yaml").write_text(text, "utf-8")
+    text = yaml_text({"rosbag2_bagfile_information": whole})
+    (path / METADATA).write_text(text, "utf-8")
     return path
 
 

@@ -10,21 +10,19 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-import yaml
 
-from calibration_core.cell import too_deep
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.batch import Batch, Channel, Storage
 from calibration_core.recording.compression import decompress_file, decompress_message
 from calibration_core.recording.mcap import McapStorage
+from calibration_core.recording.metadata import METADATA, information, metadata_file
 from calibration_core.recording.plan_hash import plan_of_metadata
 from calibration_core.recording.source import BAG_SUFFIXES
 from calibration_core.recording.sqlite import SqliteStorage
 from calibration_core.timeseries import Note
 
-MAX_METADATA = 1 << 20
 MAX_FILES = 10_000
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+MAX_NAME = 255
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +54,7 @@ def bag_files(path: Path) -> BagFiles:
     """
     if not path.is_dir():
         return BagFiles(path, (path,), None, per_message=False, notes=())
-    metadata = path / "metadata.yaml"
+    metadata = path / METADATA
     if metadata.is_file():
         return _from_metadata(path, metadata)
     try:
@@ -79,56 +77,45 @@ def _storage_suffix(path: PurePath) -> str:
     return PurePath(path.stem).suffix if compressed else path.suffix
 
 
-def _from_metadata(path: Path, metadata: Path) -> BagFiles:
-    information = _metadata(metadata)
-    names = information.get("relative_file_paths")
+def _from_metadata(path: Path, file: Path) -> BagFiles:
+    content = metadata_file(file)
+    with content.locating():
+        return _listed(path, file, information(content))
+
+
+def _listed(path: Path, file: Path, about: dict[str, Any]) -> BagFiles:
+    names = about.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
-        raise RecordingError(metadata, "relative_file_paths", quoted(names), "a list of file names")
+        raise RecordingError(file, "relative_file_paths", quoted(names), "a list of file names")
     if len(names) > MAX_FILES:
-        raise RecordingError(metadata, "relative_file_paths", f"{len(names)} files", f"at most {MAX_FILES}")
-    files = [path / PurePath(name).name for name in names]
-    for file in files:
-        if _storage_suffix(file) not in BAG_SUFFIXES:
-            raise RecordingError(metadata, "relative_file_paths", quoted(file.name), ".mcap or .db3 files")
-    mode = str(information.get("compression_mode") or "none").lower()
-    form = str(information.get("compression_format") or "").lower()
+        raise RecordingError(file, "relative_file_paths", f"{len(names)} files", f"at most {MAX_FILES}")
+    files: dict[Path, None] = {}
+    for i, name in enumerate(names):
+        place = f"relative_file_paths.{i}"
+        if len(name) > MAX_NAME or not name.isprintable():
+            raise RecordingError(file, place, quoted(name), f"a file name of at most {MAX_NAME} printable characters")
+        one = path / PurePath(name).name
+        if _storage_suffix(one) not in BAG_SUFFIXES:
+            raise RecordingError(file, place, quoted(one.name), ".mcap or .db3 files")
+        if one in files:
+            raise RecordingError(file, place, f"{quoted(one.name)} twice", "every file once")
+        files[one] = None
+    mode = str(about.get("compression_mode") or "none").lower()
+    form = str(about.get("compression_format") or "").lower()
     if mode not in ("none", "file", "message"):
-        raise RecordingError(metadata, "compression_mode", quoted(mode), "one of NONE, FILE, MESSAGE")
+        raise RecordingError(file, "compression_mode", quoted(mode), "one of NONE, FILE, MESSAGE")
     if mode != "none" and form != "zstd":
-        raise RecordingError(metadata, "compression_format", quoted(form), "zstd")
-    there = [file for file in files if file.is_file()]
+        raise RecordingError(file, "compression_format", quoted(form), "zstd")
+    there = [one for one in files if one.is_file()]
+    missing = [one.name for one in files if one not in there]
     if not there:
         raise RecordingError(
-            metadata, "relative_file_paths", f"{files[0].name}, which does not exist", "the bag's files"
+            file, "relative_file_paths", f"{quoted(missing[0])}, which does not exist", "the bag's files"
         )
-    missing = [file.name for file in files if file not in there]
     text = f"{len(missing)} of {len(files)} storage files do not exist: {', '.join(missing[:3])}"
     notes = (Note("missing_file", path.name, text, len(missing)),) if missing else ()
-    plan = plan_of_metadata(metadata, information.get("custom_data"))
-    return BagFiles(path, tuple(there), metadata, per_message=mode == "message", notes=notes, plan_sha256=plan)
-
-
-def _metadata(file: Path) -> dict[str, Any]:
-    try:
-        size = file.stat().st_size
-        if size > MAX_METADATA:
-            raise RecordingError(file, "", f"{size} bytes", f"at most {MAX_METADATA}")
-        text = file.read_text("utf-8")
-        if too_deep(text):
-            raise RecordingError(file, "", "endless nesting", "metadata as rosbag2 writes it")
-        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, Loader=_LOADER)):
-            raise RecordingError(file, "", "YAML aliases", "metadata as rosbag2 writes it")
-        data = yaml.load(text, Loader=_LOADER)
-    except OSError as error:
-        raise RecordingError(file, "", error.strerror or str(error), "a readable file") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"line {mark.line + 1}" if mark is not None else ""
-        raise RecordingError(file, place, "no YAML", "metadata as rosbag2 writes it") from None
-    information = data.get("rosbag2_bagfile_information") if isinstance(data, dict) else None
-    if not isinstance(information, dict):
-        raise RecordingError(file, "rosbag2_bagfile_information", "nothing", "metadata as rosbag2 writes it")
-    return information
+    plan = plan_of_metadata(file, about.get("custom_data"))
+    return BagFiles(path, tuple(there), file, per_message=mode == "message", notes=notes, plan_sha256=plan)
 
 
 class BagStorage:

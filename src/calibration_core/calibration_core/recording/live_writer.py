@@ -17,9 +17,10 @@ from typing import Any, Literal
 import yaml
 from mcap.writer import CompressionType, Writer
 
-from calibration_core.errors import OutputError, storage_fault
+from calibration_core.errors import InputError, OutputError, storage_fault
+from calibration_core.recording.metadata import METADATA, read_metadata
 
-METADATA = "metadata.yaml"
+
 CHUNK = 4 << 20
 Compression = Literal["none", "lz4", "zstd"]
 _COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
@@ -218,8 +219,7 @@ def _earlier(path: Path) -> list[tuple[str, str, str]]:
 def _old_files(path: Path) -> list[dict[str, Any]]:
     """Return what the metadata so far says of its files; nothing if there is none that can be read."""
     try:
-        data = yaml.safe_load((path / METADATA).read_text("utf-8"))
-        files = data["rosbag2_bagfile_information"]["files"]
+        files = read_metadata(path / METADATA)["files"]
         return [entry for entry in files if int(entry["starting_time"]["nanoseconds_since_epoch"]) >= 0]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError):
+    except (InputError, KeyError, TypeError, ValueError):
         return []

@@ -12,6 +12,7 @@ import yaml
 from program import result_of, run
 
 from calibration_core.cell import load_cell
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.model.model_file import model_dict
 from calibration_core.model.nominal import nominal_parameters
 
@@ -52,7 +53,7 @@ def written(path: Path, cell_path: Path, *effects: dict[str, Any], **changes: ob
     """Write the cell file's own model with these effects."""
     cell = load_cell(cell_path)
     content = {**model_dict(nominal_parameters(cell), cell), "effects": list(effects), **changes}
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(yaml_text(content))
     return path
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from calibration_core.cell import Cell, load_cell
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.problem import load_of
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
@@ -59,7 +59,7 @@ def write_cell(folder: Path, **changes: dict) -> Cell:
     for section, values in changes.items():
         content[section] = {**content.get(section, {}), **values}
     path = folder / "cell.yaml"
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(yaml_text(content))
     return load_cell(path)
 
 

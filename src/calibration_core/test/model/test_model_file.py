@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from robots import write_cell
 
 from calibration_core.errors import ModelFileError
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.model.model_file import model_dict, model_text, read_model
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -70,7 +70,7 @@ def test_a_rigid_joint_has_no_stiffness(tmp_path: Path) -> None:
 def test_every_fault_is_named(tmp_path: Path, key: str, value: object, place: str) -> None:
     parameters, cell = _parameters(tmp_path)
     path = tmp_path / "model.yaml"
-    path.write_text(yaml.safe_dump({**model_dict(parameters, cell), key: value}))
+    path.write_text(yaml_text({**model_dict(parameters, cell), key: value}))
     with pytest.raises(ModelFileError) as caught:
         read_model(path, cell)
     assert caught.value.place == place

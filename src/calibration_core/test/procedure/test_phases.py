@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.sweeps import single_joint_sweeps, wrist_sweep
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
@@ -129,7 +129,7 @@ def test_a_phase_that_cannot_be_used_is_refused(
         "preparation": [{"number": 1001, "phase": "base_frame", "q": [0.0] * 6} | change],
     }
     path = tmp_path / "plan.yaml"
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(yaml_text(content))
     with pytest.raises(PlanError) as error:
         read_plan(path, demo_cell)
     assert error.value.place == place

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.procedure.plan import Plan
 from calibration_core.procedure.plan_file import KEYS, plan_dict, plan_text, read_plan
 from calibration_core.procedure.tolerances import Tolerances
@@ -44,7 +44,7 @@ def _change(plan: Plan, *keys: object, value: object) -> str:
     for key in keys[:-1]:
         place = place[key]
     place[keys[-1]] = value
-    return yaml.safe_dump(data)
+    return yaml_text(data)
 
 
 def test_tolerances(demo_cell: Cell, tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_all_spares(plan: Plan, demo_cell: Cell, tmp_path: Path) -> None:
     for row in data["configurations"]:
         row["spare"] = True
     path = tmp_path / "plan.yaml"
-    path.write_text(yaml.safe_dump(data))
+    path.write_text(yaml_text(data))
     with pytest.raises(PlanError, match="spares only"):
         read_plan(path, demo_cell)
 
@@ -149,7 +149,7 @@ def test_any_value_is_read_or_refused(
 ) -> None:
     data = {"configurations": [{"q": [0.0] * 6, "steps": [[0.0] * 6]}], key: value}
     path = tmp_path_factory.mktemp("plans") / "plan.yaml"
-    path.write_text(yaml.safe_dump(data))
+    path.write_text(yaml_text(data))
     text, plan = "", None
     try:
         plan = read_plan(path, demo_cell)

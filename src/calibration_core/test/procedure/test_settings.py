@@ -77,7 +77,7 @@ def test_empty_file_is_all_defaults(tmp_path: Path) -> None:
         ("load: {directions: 0}", "load.directions"),
         ("planning: {space: {}}", "planning.space"),
         ("[1, 2]", ""),
-        ("{", "line"),
+        ("{", ""),
     ],
 )
 def test_faults(text: str, place: str, tmp_path: Path) -> None:

@@ -13,9 +13,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import yaml
 from tqdm import tqdm
 
+from calibration_core.files.yaml_file import yaml_text
 from calibration_core.recording.table import write_table
 from calibration_sim.realise import realise
 from calibration_sim.scenarios import Scenario, recording_name
@@ -106,6 +106,6 @@ def _write(task: tuple[str, Scenario, Path]) -> None:
     folder = folder_of(out, name)
     folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / TABLE, made.readings)
-    (folder / CELL).write_text(yaml.safe_dump(made.cell, sort_keys=False), encoding="utf-8")
+    (folder / CELL).write_text(yaml_text(made.cell), encoding="utf-8")
     label = {**made.label, "sha256": recording_digest(folder)}
     (out / "sealed" / f"{name}.json").write_text(json.dumps(label, sort_keys=True), encoding="utf-8")

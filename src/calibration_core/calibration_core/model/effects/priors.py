@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
+
+from calibration_core.files.yaml_file import read_yaml
 
 SMALL, LARGE = 10.0, 240.0  # kg
+MAX_BYTES = 1 << 20
 FILE = Path(__file__).with_name("priors.yaml")
 
 
@@ -26,5 +28,5 @@ def typical(name: str, rated_load: float) -> float:
 
 @functools.cache
 def _table() -> dict[str, dict[str, Any]]:
-    table: dict[str, dict[str, Any]] = yaml.safe_load(FILE.read_text(encoding="utf-8"))
+    table: dict[str, dict[str, Any]] = read_yaml(FILE, MAX_BYTES, "table of typical magnitudes (YAML)").data
     return table
