@@ -44,7 +44,7 @@ class InputError(CalibrationError):
     ) -> None:
         """Keep the fields; newlines are folded and file names cut, so that the text stays one line."""
         self.file = str(file)
-        self.place = _one_line(place)
+        self.place = _one_line(place, 200)
         self.found = _one_line(found)
         self.expected = _one_line(expected)
         self.line, self.column = line, column
@@ -126,7 +126,7 @@ def storage_fault(path: str | Path, error: OSError | sqlite3.Error, expected: st
         text, full = str(error), getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
     if not full:
         return text, expected
-    there = next(one for one in (Path(path), *Path(path).absolute().parents) if one.exists())
+    there = next(one for one in (Path(path).absolute(), *Path(path).absolute().parents) if one.exists())
     room = shutil.disk_usage(there)
     return f"a full disk: {room.free / 1024:.0f} kB of {room.total / 1024:.0f} kB left ({text})", "room to write"
 

@@ -11,15 +11,29 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration_core.errors import RecordingError
+from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.batch import Batch, Channel
+from calibration_core.recording.compression import MAX_MESSAGE
 from calibration_core.recording.sqlite_pages import is_cut, message_rows
 from calibration_core.timeseries import Int1D, Note
 
 MAGIC = b"SQLite format 3\x00"
 ROWS = 8192  # messages of all topics per block
 MAX_VALUE = 64 << 20
+MAX_BLOCK = 64 << 20  # bytes of messages that are held at a time
+MAX_TOPICS = 10_000
+COLUMNS = {
+    "topics": {"id", "name", "type", "serialization_format"},
+    "messages": {"id", "topic_id", "timestamp", "data"},
+    "message_definitions": {"topic_type", "encoding", "encoded_message_definition"},
+}
+DEFINITIONS = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+TOPICS = "SELECT id, name, type, serialization_format FROM topics"
 BLOCK_END = "SELECT max(id), count(*) FROM (SELECT id FROM messages WHERE id > ? ORDER BY id LIMIT ?)"
+SIZES = (
+    "SELECT sum(length(data)), max(length(data)), sum(typeof(data) <> 'blob' OR typeof(timestamp) <> 'integer') "
+    "FROM messages NOT INDEXED WHERE topic_id = ? AND id > ? AND id <= ?"
+)
 JOINED = (
     "SELECT count(*), min(length(data)), max(length(data)), group_concat(data, ''), group_concat(timestamp, ',') "
     "FROM messages NOT INDEXED WHERE topic_id = ? AND id > ? AND id <= ?"
@@ -74,6 +88,7 @@ class SqliteStorage:
                 database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
                 # Without this sqlite refuses a file that is shorter than its header says, whole pages included.
                 database.execute("PRAGMA writable_schema=ON")
+                database.execute("PRAGMA trusted_schema=OFF")
                 self._topics(database)
                 database.text_factory = bytes  # joined blobs come as text
                 yield from self._messages(database, topics)
@@ -81,31 +96,63 @@ class SqliteStorage:
             raise RecordingError(self.path, "", f"an unusable database ({error})", "a rosbag2 sqlite3 file") from None
 
     def _topics(self, database: sqlite3.Connection) -> None:
-        definitions: dict[str, tuple[str, str]] = {}
-        tables = {str(name) for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type='table'")}
-        if not {"topics", "messages"} <= tables:
+        tables = {
+            str(name): str(text)
+            for name, text in database.execute("SELECT name, sql FROM sqlite_master WHERE type='table' LIMIT 1000")
+        }
+        if not {"topics", "messages"} <= tables.keys():
             found = "the tables " + ", ".join(sorted(tables)[:8]) if tables else "no tables"
             raise RecordingError(self.path, "", found, "the tables topics and messages of rosbag2")
+        for name in COLUMNS.keys() & tables.keys():
+            self._require_plain(database, name, tables[name])
+        definitions: dict[str, tuple[str, str]] = {}
         if "message_definitions" in tables:
-            for kind, form, text in database.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            ):
-                definitions[str(kind)] = (str(text), str(form))
-        for key, topic, kind, encoding in database.execute("SELECT id, name, type, serialization_format FROM topics"):
-            text, form = definitions.get(str(kind), ("", ""))
-            self.channels[int(key)] = Channel(str(topic), str(kind), str(encoding), text, form)
+            for kind, form, text in self._texts(database, "message_definitions", DEFINITIONS):
+                definitions[kind] = (text, form)
+        for key, topic, kind, encoding in self._texts(database, "topics", TOPICS, numbered=True):
+            text, form = definitions.get(kind, ("", ""))
+            self.channels[int(key)] = Channel(topic, kind, encoding, text, form)
+
+    def _require_plain(self, database: sqlite3.Connection, table: str, text: str) -> None:
+        """Refuse a table that is computed while it is read: virtual, or with generated columns.
+
+        Raises:
+            RecordingError: It is, or lacks a column.
+        """
+        place, expected = f"table {table}", "a plain table as rosbag2 makes it"
+        if not text.lstrip().upper().startswith("CREATE TABLE"):
+            raise RecordingError(self.path, place, quoted(text), expected)
+        columns = database.execute(f"PRAGMA table_xinfo({table})").fetchall()
+        if any(column[6] != 0 for column in columns):
+            raise RecordingError(self.path, place, "generated columns", expected)
+        lacking = COLUMNS[table] - {str(column[1]) for column in columns}
+        if lacking:
+            raise RecordingError(self.path, place, f"no column {min(lacking)}", expected)
+
+    def _texts(
+        self, database: sqlite3.Connection, table: str, query: str, *, numbered: bool = False
+    ) -> list[tuple[str, ...]]:
+        """Return the rows of a small table of texts, the first column a number where `numbered`."""
+        rows = database.execute(f"{query} LIMIT {MAX_TOPICS}").fetchall()
+        for row in rows:
+            if (numbered and not isinstance(row[0], int)) or not all(isinstance(x, str) for x in row[numbered:]):
+                raise RecordingError(self.path, f"table {table}", quoted(row), "text as rosbag2 writes it")
+        return [tuple(map(str, row)) for row in rows]
 
     def _messages(self, database: sqlite3.Connection, topics: Collection[str]) -> Iterator[Batch]:
         wanted = [key for key, channel in self.channels.items() if channel.topic in topics]
-        last, count, cut = -(1 << 63), 0, is_cut(self.path)
+        last, count, cut, limit = -(1 << 63), 0, is_cut(self.path), ROWS
         while wanted:
             try:
                 if cut:
                     msg = "it is shorter than its header says"
                     raise sqlite3.DatabaseError(msg)
-                end, rows = database.execute(BLOCK_END, (last, ROWS)).fetchone()
+                end, rows = database.execute(BLOCK_END, (last, limit)).fetchone()
                 if end is None:
                     return
+                if sum(self._size(database, key, last, end) for key in wanted) > MAX_BLOCK and rows > 1:
+                    limit = max(1, rows // 8)
+                    continue
                 batches = [batch for key in wanted if (batch := self._block(database, key, last, end)) is not None]
             except sqlite3.DatabaseError as error:
                 for batch in self._from_pages(wanted, last):
@@ -117,16 +164,27 @@ class SqliteStorage:
             count += sum(map(len, batches))
             last = end
             yield from batches
-            if rows < ROWS:
+            if rows < limit:
                 return
+
+    def _size(self, database: sqlite3.Connection, key: int, after: int, last: int) -> int:
+        """Return the bytes of one topic's messages with ids in (after, last].
+
+        Raises:
+            RecordingError: Some are no blobs, or larger than any message.
+        """
+        size, longest, wrong = database.execute(SIZES, (key, after, last)).fetchone()
+        if wrong:
+            raise self._no_messages()
+        if longest is not None and longest > MAX_MESSAGE:
+            place, expected = self.channels[key].topic, f"messages of at most {MAX_MESSAGE} bytes"
+            raise RecordingError(self.path, place, f"a message of {longest} bytes", expected)
+        return size or 0
 
     def _block(self, database: sqlite3.Connection, key: int, after: int, last: int) -> Batch | None:
         """Messages of one topic with ids in (after, last]: joined by sqlite where all have the same length."""
         bounds = (key, after, last)
-        try:
-            count, shortest, longest, joined, stamps = database.execute(JOINED, bounds).fetchone()
-        except sqlite3.DataError:  # longer than sqlite's limit for one value
-            return self._batch(key, database.execute(ROWWISE, bounds).fetchall())
+        count, shortest, longest, joined, stamps = database.execute(JOINED, bounds).fetchone()
         if count == 0:
             return None
         received = _times(stamps)
@@ -142,10 +200,13 @@ class SqliteStorage:
             buffer = np.frombuffer(b"".join(blobs), np.uint8)
             received = np.array(stamps, np.int64)
         except (TypeError, ValueError, OverflowError):
-            found = "messages that are no blobs with integer time stamps"
-            raise RecordingError(self.path, "table messages", found, "messages as rosbag2 writes them") from None
+            raise self._no_messages() from None
         length = np.fromiter(map(len, blobs), np.int64, len(blobs))
         return Batch(self.channels[key], buffer, np.cumsum(length) - length, length, received)
+
+    def _no_messages(self) -> RecordingError:
+        found = "messages that are no blobs with integer time stamps"
+        return RecordingError(self.path, "table messages", found, "messages as rosbag2 writes them")
 
     def _from_pages(self, wanted: list[int], after: int) -> Iterator[Batch]:
         """Messages with ids above `after` from the whole pages of a damaged file."""

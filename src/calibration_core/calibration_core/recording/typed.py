@@ -1,4 +1,4 @@
-"""The typed reader: any message that the definitions in the bag describe, one at a time (rosbags)."""
+"""The typed reader: any message that the definitions in the bag describe, one at a time."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from calibration_core.errors import RecordingError
+from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.batch import Batch, Channel
+from calibration_core.recording.cdr import read_message
+from calibration_core.recording.definition_text import Types, parse_definition
 from calibration_core.recording.definitions import STEP_DEFINITION, STEP_TYPE
 from calibration_core.recording.kinds import Kind, Samples
 from calibration_core.timeseries import NANOSECONDS, Int1D
 
 Deserialize = Callable[[bytes], Any]
 FAULTS = (SerdeError, struct.error, ValueError, IndexError, AssertionError, TypeError, AttributeError, OverflowError)
-_SEPARATOR = "=" * 80 + "\n"
 
 
 @functools.cache
@@ -31,57 +31,58 @@ def standard_types() -> Any:
     return store
 
 
+@functools.cache
+def _bundled(name: str) -> Types:
+    """Return the fields of a type as ROS 2 Jazzy has it; none if it has none of this name."""
+    if name not in standard_types().fielddefs:
+        return {}
+    text, _ = standard_types().generate_msgdef(name, ros_version=2)
+    return parse_definition(text, name, "ros2msg")
+
+
 @functools.lru_cache(maxsize=64)
-def _types(channel: Channel) -> Any:
-    """Type store with the definitions that the bag itself carries, or the standard ones if it carries none."""
+def _own(channel: Channel) -> Types:
+    """Return the fields as the bag defines them.
+
+    Raises:
+        ValueError: It defines none, or in no way that can be read.
+    """
     if not channel.definition:
-        return standard_types()
-    store = get_typestore(Stores.EMPTY)
-    if channel.definition_format == "ros2idl":
-        for part in channel.definition.split(_SEPARATOR):
-            text = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
-            if text.strip():
-                store.register(get_types_from_idl(text))
-    else:
-        store.register(get_types_from_msg(channel.definition, channel.type))
-    store.get_msgdef(channel.type)
-    return store
+        msg = "none in the bag, and none known"
+        raise ValueError(msg)
+    return parse_definition(channel.definition, channel.type, channel.definition_format, _bundled)
 
 
 def deserializer(file: str, channel: Channel) -> Deserialize:
     """Return the function that turns a message of the channel into an object.
 
+    Types that the bag defines as ROS 2 Jazzy does are read by generated code; others field by field, as their
+    definition says: what stands in a bag is never made into code.
+
     Raises:
         RecordingError: The definition in the bag cannot be read, or the encoding is not CDR.
     """
     if channel.encoding != "cdr":
-        raise RecordingError(file, channel.topic, f"messages encoded as {channel.encoding!r}", "cdr")
+        raise RecordingError(file, channel.topic, f"messages encoded as {quoted(channel.encoding)}", "cdr")
     try:
-        store = _types(channel)
-        store.get_msgdef(channel.type)
-    except (TypesysError, KeyError, ValueError, AssertionError, RecursionError, IndexError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:80]
-        found = f"a definition of {channel.type} that cannot be read ({reason})"
+        if is_standard(channel):
+            return lambda payload: standard_types().deserialize_cdr(payload, channel.type)
+        types = _own(channel)
+    except ValueError as error:
+        found = f"a definition of {quoted(channel.type)} that cannot be read ({error})"
         raise RecordingError(file, channel.topic, found, "a message definition (ros2msg or ros2idl)") from None
-    return lambda payload: store.deserialize_cdr(payload, channel.type)
+    return lambda payload: read_message(payload, types, channel.type)
 
 
 @functools.lru_cache(maxsize=64)
 def is_standard(channel: Channel) -> bool:
-    """Tell whether the bag's definition of the type has the fields of ROS 2 Jazzy, all the way down."""
-    if not channel.definition:
-        return True
-    own, standard = _types(channel).fielddefs, standard_types().fielddefs
-    todo, seen = [channel.type], set[str]()
-    while todo:
-        name = todo.pop()
-        if name in seen:
-            continue
-        seen.add(name)
-        if name not in own or name not in standard or own[name][1] != standard[name][1]:
-            return False
-        todo += [str(node[1]) for _, node in own[name][1] if node[0] == Nodetype.NAME]
-    return True
+    """Tell whether the bag's definition of the type has the fields of ROS 2 Jazzy, all the way down.
+
+    Raises:
+        ValueError: The bag's definition cannot be read.
+    """
+    bundled = _bundled(channel.type)
+    return bool(bundled) and (not channel.definition or _own(channel) == bundled)
 
 
 def stamp_of(header: Any) -> int:

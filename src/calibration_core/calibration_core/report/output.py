@@ -1,17 +1,36 @@
-"""Files appear whole or not at all."""
+"""A result is one unit: all the files of a command appear together, or nothing changes.
+
+They are made in a folder beside the output folder, and the two change places by one rename, under a lock on the folder
+above.  Two writers never mix; of one that was killed the old result stays whole, and the next one clears what it left.
+What a command does not write stays: files of others are carried into the new folder.
+"""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
-from calibration_core.errors import OutputError, storage_fault
+from calibration_core.errors import InputError, OutputError, storage_fault
+from calibration_core.files.regular import read_regular
+from calibration_core.report import swap
 
 RESULT, REPORT_HTML, REPORT_PDF = "result.json", "report.html", "report.pdf"
+ALWAYS = frozenset({RESULT, REPORT_HTML, REPORT_PDF})
+IDENTIFIED = ALWAYS | {"model.yaml", "table1.csv", "table2.csv", "residuals.csv"}
+WRITTEN: Mapping[str, frozenset[str]] = {
+    "plan": ALWAYS | {"plan.yaml", "table1.csv", "table1.yaml"},
+    "simulate": ALWAYS | {"plan.yaml", "table1.csv", "table1.yaml", "recording", "measurements.csv"},
+    "identify": IDENTIFIED,
+    "diagnose": IDENTIFIED | {"next.yaml"},
+    "predict": ALWAYS | {"predictions.csv"},
+}
+"""What each command may write: with a new result, whatever of it stands there from an earlier one goes."""
+MAX_RESULT = 1 << 28
 
 Content = bytes | Callable[[Path], None]
 """What a file holds, or a function that makes a file or directory at the path that it is given."""
@@ -20,8 +39,9 @@ Content = bytes | Callable[[Path], None]
 def write_files(directory: Path, files: Mapping[str, Content]) -> None:
     """Write a set of files into a directory, which is made if missing: all of them, or none.
 
-    Each is made under a temporary name beside its place and then renamed.  If anything fails, what was there before is
-    put back.
+    With `result.json` among them, what the earlier result there consisted of is replaced as a whole; otherwise files
+    are added.  Where the directory cannot change places with another (it is a mount point, holds the working
+    directory, or the one above cannot be written), files are renamed one by one, `result.json` last.
 
     Args:
         directory: Where to.
@@ -30,31 +50,22 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
     Raises:
         OutputError: The directory cannot be made or a file cannot be written.
     """
-    staged: dict[Path, Path] = {}
-    saved: dict[Path, Path] = {}
-    placed: list[Path] = []
+    target = directory
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            staged[directory / name] = _stage(directory, name, content)
-        for target, temporary in staged.items():
-            if target.exists():
-                _require_alike(target, temporary)
-                saved[target] = temporary.with_suffix(".old")
-                target.replace(saved[target])
-            temporary.replace(target)
-            placed.append(target)
+        target = directory.resolve()
+        if target.exists() and not target.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with swap.Place(target) as place:
+            for name, content in files.items():
+                _stage(place.new, name, content)
+            place.commit(lambda: _carried(target, place.new, files))
     except OSError as error:
-        _undo(staged, saved, placed)
-        place = Path(str(error.filename)).name if error.filename else ""
-        raise OutputError(
-            directory, place, *storage_fault(directory, error, "a directory that can be written")
-        ) from None
-    except BaseException:
-        _undo(staged, saved, placed)
-        raise
-    for backup in saved.values():
-        _remove(backup)
+        name = Path(str(error.filename)).name if error.filename else ""
+        fault = storage_fault(target, error, "a directory that can be written")
+        raise OutputError(directory, name, *fault) from None
+    except (ValueError, RuntimeError) as error:  # a zero byte in the name; links that go round in circles
+        raise OutputError(directory, "", str(error), "a directory that can be written") from None
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -66,60 +77,40 @@ def write_atomically(path: Path, content: bytes) -> None:
     write_files(path.parent, {path.name: content})
 
 
-def _stage(directory: Path, name: str, content: Content) -> Path:
-    if not isinstance(content, bytes):
-        return _stage_made(directory, name, content)
-    handle, temporary = tempfile.mkstemp(prefix=f".{name}.", suffix=".tmp", dir=directory)
-    path = Path(temporary)
+def _carried(target: Path, new: Path, files: Mapping[str, Content]) -> Collection[str]:
+    """Return the names in the target that stay: neither written anew nor part of the earlier result."""
+    there = {entry.name: entry for entry in target.iterdir()}
+    for name in files.keys() & there.keys():
+        old_is, new_is = there[name].is_dir(), (new / name).is_dir()
+        if old_is != new_is:
+            code = errno.EISDIR if old_is else errno.ENOTDIR
+            raise OSError(code, os.strerror(code), str(there[name]))
+    gone = _earlier(target) if RESULT in files else frozenset()
+    return [name for name in there if name not in files and name not in gone]
+
+
+def _earlier(target: Path) -> frozenset[str]:
+    """Return the names that the result in a directory may consist of."""
     try:
-        with os.fdopen(handle, "wb") as file:
+        content = json.loads(read_regular(target / RESULT, MAX_RESULT, "result"))
+    except (InputError, ValueError, RecursionError):
+        return ALWAYS
+    command = content.get("command") if isinstance(content, dict) else None
+    return WRITTEN.get(command, ALWAYS) if isinstance(command, str) else ALWAYS
+
+
+def _stage(directory: Path, name: str, content: Content) -> None:
+    path = directory / name
+    if isinstance(content, bytes):
+        with path.open("xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        path.chmod(0o666 & ~_umask())
-    except BaseException:
-        path.unlink()
-        raise
-    return path
-
-
-def _stage_made(directory: Path, name: str, make: Callable[[Path], None]) -> Path:
-    """Let something be made under its own name (which may be written into it), then take it out."""
-    folder = Path(tempfile.mkdtemp(prefix=f".{name}.", suffix=".tmp", dir=directory))
+        return
+    # made under its own name (which may be written into it), and away from what it leaves beside itself
+    folder = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=directory))
     try:
-        make(folder / name)
-        path = folder.with_suffix(".made")
+        content(folder / name)
         (folder / name).replace(path)
     finally:
         shutil.rmtree(folder)
-    return path
-
-
-def _require_alike(target: Path, temporary: Path) -> None:
-    if target.is_dir() and not temporary.is_dir():
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
-    if temporary.is_dir() and not target.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target))
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-def _undo(staged: Mapping[Path, Path], saved: Mapping[Path, Path], placed: list[Path]) -> None:
-    for target in placed:
-        _remove(target)
-    for target, backup in saved.items():
-        if backup.exists():
-            backup.replace(target)
-    for temporary in staged.values():
-        _remove(temporary)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import errno
+import json
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from calibration_core.commands import NAMES
 from calibration_core.errors import InputError, OutputError
-from calibration_core.report import output
+from calibration_core.report import output, swap
 from calibration_core.report.output import write_atomically, write_files
 
 
 def contents(directory: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in directory.iterdir() if path.is_file()}
+
+
+def everything(directory: Path) -> list[str]:
+    return sorted(str(path.relative_to(directory)) for path in directory.rglob("*"))
 
 
 def test_all_files_are_written_and_replaced(tmp_path: Path) -> None:
@@ -32,19 +43,28 @@ def test_nothing_changes_when_one_place_is_taken_by_a_directory(tmp_path: Path) 
     assert "\n" not in str(caught.value)
 
 
-def test_nothing_changes_when_a_rename_fails_half_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_files(tmp_path, {"x": b"old", "y": b"old"})
-    replace = Path.replace
+@pytest.mark.parametrize("inside", [False, True])
+def test_nothing_changes_when_a_rename_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, inside: bool) -> None:
+    out = tmp_path / "out"
+    write_files(out, {"x": b"old", "y": b"old"})
+    rename = Path.rename
 
     def failing(self: Path, target: Path) -> Path:
-        if Path(target).name == "y" and self.suffix == ".tmp":
+        if Path(target) == out / "y" and self.parent.suffix == ".new":
             raise OSError(28, "No space left on device", str(target))
-        return replace(self, target)
+        return rename(self, target)
 
-    monkeypatch.setattr(Path, "replace", failing)
+    def nowhere(one: Path, other: Path) -> None:
+        raise OSError(28, "No space left on device", str(other))
+
+    monkeypatch.setattr(swap, "_change_places", nowhere)
+    monkeypatch.setattr(Path, "rename", failing)
+    if inside:
+        monkeypatch.chdir(out)
     with pytest.raises(OutputError, match="No space left on device"):
-        write_files(tmp_path, {"w": b"new", "x": b"new", "y": b"new"})
-    assert contents(tmp_path) == {"x": b"old", "y": b"old"}
+        write_files(out, {"w": b"new", "x": b"new", "y": b"new"})
+    assert contents(out) == {"x": b"old", "y": b"old"}
+    assert everything(tmp_path) == ["out", "out/x", "out/y"]
 
 
 def test_nothing_is_left_when_writing_is_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,3 +123,131 @@ def test_a_directory_never_replaces_a_file(tmp_path: Path) -> None:
     with pytest.raises(OutputError):
         write_files(tmp_path, {"recording": Path.mkdir})
     assert contents(tmp_path) == {"recording": b"mine"}
+
+
+def result(command: str) -> bytes:
+    return json.dumps({"schema": 1, "command": command}).encode()
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_new_result_takes_the_place_of_the_whole_earlier_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, inside: bool
+) -> None:
+    out = tmp_path / "out"
+    write_files(out, {"result.json": result("identify"), "report.html": b"A", "model.yaml": b"A", "table2.csv": b"A"})
+    (out / "notes.txt").write_bytes(b"mine")
+    (out / "measurements.csv").write_bytes(b"mine")  # a result of another command would have it
+    (out / "recording").mkdir()
+    (out / "recording" / "a.mcap").write_bytes(b"mine")
+    if inside:
+        monkeypatch.chdir(out / "recording")
+    write_files(out, {"result.json": result("predict"), "predictions.csv": b"B"})
+    mine = ["measurements.csv", "notes.txt", "recording", "recording/a.mcap"]
+    assert everything(out) == sorted([*mine, "predictions.csv", "result.json"])
+    assert contents(out)["notes.txt"] == b"mine"
+    write_files(out, {"report.html": b"B"})  # no result: it is added to the one that stands
+    assert everything(out) == sorted([*mine, "predictions.csv", "report.html", "result.json"])
+    assert everything(tmp_path)[0] == "out"
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_every_command_says_what_it_writes() -> None:
+    assert set(output.WRITTEN) == set(NAMES)
+    assert all(names >= output.ALWAYS for names in output.WRITTEN.values())
+
+
+WRITER = """
+import json, sys
+from pathlib import Path
+from calibration_core.report.output import write_files
+out, name, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+for i in range(count):
+    mark = f"{name}{i}".encode()
+    result = json.dumps({"command": "identify", "mark": mark.decode()}).encode()
+    write_files(out, {"result.json": result, "report.html": mark, "model.yaml": mark, "table1.csv": b"x" * 100_000})
+print("done")
+"""
+
+
+def started(out: Path, name: str, count: int) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, "-c", WRITER, str(out), name, str(count)], stdout=subprocess.PIPE)
+
+
+def mark_of(out: Path) -> str:
+    """Return the mark that all files of the unit bear."""
+    handle = os.open(out, os.O_RDONLY)  # one look at one folder, whichever is put in its place meanwhile
+    try:
+        texts = []
+        for name in ("result.json", "report.html", "model.yaml"):
+            with os.fdopen(os.open(name, os.O_RDONLY, dir_fd=handle)) as file:
+                texts.append(file.read())
+    finally:
+        os.close(handle)
+    assert json.loads(texts[0])["mark"] == texts[1] == texts[2]
+    return texts[1]
+
+
+def test_two_writers_never_mix(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write_files(out, {"result.json": result("identify")})
+    writers = [started(out, name, 20) for name in "AB"]
+    for writer in writers:
+        assert writer.wait(timeout=60) == 0
+    assert mark_of(out) in ("A19", "B19")
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_killed_writer_leaves_a_whole_result_and_the_next_clears_up(tmp_path: Path, seed: int) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_bytes(b"mine")
+    writer = started(out, "A", 100_000)
+    while not (out / "result.json").exists():
+        time.sleep(0.01)
+    time.sleep(0.1 + 0.05 * seed)
+    writer.kill()
+    writer.wait()
+    assert mark_of(out).startswith("A")
+    write_files(out, {"result.json": result("identify"), "model.yaml": b"B"})
+    assert contents(out) == {"result.json": result("identify"), "model.yaml": b"B", "notes.txt": b"mine"}
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_a_writer_killed_between_two_renames_is_made_good(tmp_path: Path) -> None:
+    """Where names cannot be exchanged, the old folder is renamed away first: the next writer puts it back."""
+    (tmp_path / ".out.abc.old").mkdir()
+    (tmp_path / ".out.abc.old" / "notes.txt").write_bytes(b"mine")
+    (tmp_path / ".out.abc.new").mkdir()
+    (tmp_path / ".out.abc.new" / "model.yaml").write_bytes(b"half")
+    write_files(tmp_path / "out", {"result.json": b"B"})
+    assert everything(tmp_path) == ["out", "out/notes.txt", "out/result.json"]
+
+
+def test_a_file_system_that_cannot_exchange(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def cannot(one: Path, other: Path) -> None:
+        raise OSError(errno.EINVAL, "Invalid argument", str(other))
+
+    monkeypatch.setattr(swap, "_change_places", cannot)
+    for mark in (b"1", b"2"):
+        write_files(tmp_path / "out", {"result.json": result("plan"), "plan.yaml": mark})
+        assert contents(tmp_path / "out") == {"result.json": result("plan"), "plan.yaml": mark}
+    assert list(tmp_path.iterdir()) == [tmp_path / "out"]
+
+
+def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    (tmp_path / "out").symlink_to("real")
+    write_files(tmp_path / "out", {"result.json": b"1"})
+    assert (tmp_path / "out").is_symlink()
+    assert contents(tmp_path / "real") == {"result.json": b"1"}
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a\x00b", "file/below"])
+def test_folders_that_cannot_be(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").write_bytes(b"mine")
+    with pytest.raises(OutputError) as caught:
+        write_files(tmp_path / name, {"x": b"1"})
+    assert len(str(caught.value)) < 600
+    assert len(str(caught.value).splitlines()) == 1
+    assert everything(tmp_path) == ["file"]
