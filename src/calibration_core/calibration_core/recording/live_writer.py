@@ -20,7 +20,6 @@ from mcap.writer import CompressionType, Writer
 from calibration_core.errors import InputError, OutputError, storage_fault
 from calibration_core.recording.metadata import METADATA, read_metadata
 
-
 CHUNK = 4 << 20
 Compression = Literal["none", "lz4", "zstd"]
 _COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
