@@ -55,7 +55,7 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
         target = directory.resolve()
         if target.exists() and not target.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target))
-        target.parent.mkdir(parents=True, exist_ok=True)
+        target.mkdir(parents=True, exist_ok=True)
         with swap.Place(target) as place:
             for name, content in files.items():
                 _stage(place.new, name, content)

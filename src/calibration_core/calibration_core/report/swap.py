@@ -41,7 +41,7 @@ class Place:
     """
 
     def __init__(self, target: Path) -> None:
-        """Remember the folder; its parent must exist."""
+        """Remember the folder, which must exist."""
         self.target = target
         self.new = target
         self._inside = not _can_change_places(target)
@@ -49,8 +49,6 @@ class Place:
 
     def __enter__(self) -> Self:
         """Clear what killed writers left, and make the folder for the new content."""
-        if self._inside:
-            self.target.mkdir(exist_ok=True)
         with _locked(self._home):
             self._clear()
             self.new = Path(tempfile.mkdtemp(prefix=self._prefix, suffix=NEW, dir=self._home))
@@ -77,10 +75,7 @@ class Place:
             OSError: It cannot be done; the old folder is as it was.
         """
         with _locked(self._home):
-            if not self.target.exists():
-                self.new.chmod(0o777 & ~_umask())
-                self.new.rename(self.target)
-            elif self._inside:
+            if self._inside:
                 self._one_by_one(carried())
             else:
                 self._exchange(carried())
@@ -132,7 +127,7 @@ class Place:
     def _clear(self) -> None:
         """Put in order what writers left that did not live to do it themselves."""
         for old in self._home.glob(f"{_escaped(self._prefix)}*{OLD}"):
-            if not self.target.exists() and not self._inside:
+            if not self._inside and not any(self.target.iterdir()):  # an empty folder may be renamed over
                 old.rename(self.target)
         for new in self._home.glob(f"{_escaped(self._prefix)}*{NEW}"):
             with _abandoned(new) as is_abandoned:
@@ -227,9 +222,3 @@ def _sync(directory: Path) -> None:
             raise
     finally:
         os.close(handle)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
