@@ -1,7 +1,6 @@
 """The command line: arguments in, core called, summary printed (contract, section 1).
 
-Exit code 0: done, whatever the verdict.  2: the input cannot be used, one line on stderr says why.  1: a defect of
-ours.
+How a command ends, and with which exit code, stands in `commands.outcome`.
 """
 
 from __future__ import annotations
@@ -11,32 +10,27 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from calibration_core import __version__
-from calibration_core.errors import EquilibriumError, InputError
+from calibration_core.commands.outcome import carry_out, tolerate
+from calibration_core.errors import InputError
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads cost time on these small problems
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
+    tolerate(sys.stdout, sys.stderr)
     options = parse(arguments)
-    from calibration_core import commands  # imported late: `--help` needs no numerics
 
-    try:
-        summary = commands.command(options.command)(options)
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except EquilibriumError as error:
-        source = options.recording or getattr(options, "plan", None) or options.cell
-        named = InputError(source, "wrench", str(error), "a load within the robot's capacity, in N and N·m")
-        print(named, file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        return 0
-    print(summary)
-    return 0
+    def action() -> str:
+        from calibration_core import commands  # imported late: `--help` needs no numerics
+
+        return commands.command(options.command)(options)
+
+    source = options.recording or getattr(options, "plan", None) or options.cell or options.command
+    return carry_out(options.command, source, options.out, action)
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
@@ -46,8 +40,15 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     return options
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong with the arguments."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{InputError(self.prog, '', message, f'arguments as in {self.prog} --help')}\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser: argparse.ArgumentParser = _Parser(
         prog="calibration", description="Elastostatic compliance calibration of industrial robots (CWA 17384)."
     )
     parser.add_argument("--version", action="version", version=f"calibration {__version__}")

@@ -8,10 +8,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from calibration_core.commands.common import digest_of
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.files.yaml_file import read_yaml
 from calibration_core.recording.foreign.join import Imported, import_files
 from calibration_core.recording.foreign.mapping import ImportMap, import_map
 from calibration_core.recording.foreign.source import Source
@@ -63,12 +62,9 @@ def _columns(source: Source) -> list[str]:
 def _map(path: Path | None) -> ImportMap | None:
     if path is None:
         return None
-    try:
-        if path.stat().st_size > MAX_MAP:
-            raise RecordingError(path, "", f"{path.stat().st_size} bytes", f"a map of at most {MAX_MAP} bytes")
-        return import_map(path, yaml.safe_load(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeError, yaml.YAMLError) as error:
-        raise RecordingError(path, "", str(error).splitlines()[0], "a readable map (YAML)") from None
+    file = read_yaml(path, MAX_MAP, "map (YAML)", RecordingError)
+    with file.locating():
+        return import_map(file.path, file.data)
 
 
 def _result(imported: Imported, arguments: argparse.Namespace) -> dict[str, Any]:

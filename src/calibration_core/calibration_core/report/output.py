@@ -28,6 +28,7 @@ WRITTEN: Mapping[str, frozenset[str]] = {
     "identify": IDENTIFIED,
     "diagnose": IDENTIFIED | {"next.yaml"},
     "predict": ALWAYS | {"predictions.csv"},
+    "import": frozenset({RESULT, "measurements.csv"}),
 }
 """What each command may write: with a new result, whatever of it stands there from an earlier one goes."""
 MAX_RESULT = 1 << 28
