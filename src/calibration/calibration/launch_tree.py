@@ -6,16 +6,15 @@ node.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_package_share_directory
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from calibration.process_tree import Argument, Given, Process, Tree, files_of, parameters_of, values_of
+from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from launch import LaunchDescription
 
@@ -79,12 +78,12 @@ def _transforms(values: dict[str, str]) -> list[Any]:
     """Return robot_state_publisher with the URDF of the cell, or why there is none."""
     if values["transforms"] != "true":
         return []
-    robot = yaml.safe_load(Path(values["cell"]).read_text("utf-8")).get("robot", {})
+    file = load_cell(values["cell"]).urdf_path
     package = "robot_state_publisher"
-    if "urdf" not in robot or not _installed(package):
-        why = f"{package} is not installed" if "urdf" in robot else "the cell file names no URDF"
+    if file is None or not _installed(package):
+        why = f"{package} is not installed" if file is not None else "the cell file names no URDF"
         return [LogInfo(msg=f"no transforms are published: {why}")]
-    urdf = (Path(values["cell"]).parent / robot["urdf"]).read_text("utf-8")
+    urdf = file.read_text("utf-8")
     return [
         Node(
             package=package,

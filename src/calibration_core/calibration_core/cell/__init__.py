@@ -19,8 +19,10 @@ from pydantic_core import ErrorDetails
 
 from calibration_core.cell.surroundings import Box, EndEffector
 from calibration_core.cell.values import (
+    Angle,
     FieldError,
     Interval,
+    Length,
     Name,
     NonNegative,
     Number,
@@ -70,7 +72,7 @@ class Robot(Strict):
     joint_limits: tuple[Interval, ...] | None = None
     inertials: tuple[Inertial, ...] | None = None
     inertials_known: bool = True
-    rated_load: Positive
+    rated_load: Annotated[Positive, Field(ge=1e-3, le=1e5)]
     stiffness: tuple[Positive, ...] | None = None
     gravity: Vector = STANDARD_GRAVITY
 
@@ -126,10 +128,10 @@ class Tracker(Strict):
     Besides: the angle (rad) to its normal within which a target is seen, and the nearest and farthest distance (m).
     """
 
-    sigma: Positive | None = None
-    sigma_range: NonNegative | None = None
-    sigma_range_per_m: NonNegative = 0.0
-    sigma_angle: Positive | None = None
+    sigma: Length | None = None
+    sigma_range: Annotated[NonNegative, Field(le=1.0)] | None = None
+    sigma_range_per_m: Annotated[NonNegative, Field(le=1.0)] = 0.0
+    sigma_angle: Angle | None = None
     acceptance_angle: Annotated[Positive, Field(lt=np.pi)] | None = None
     range: Interval | None = None
     name: str = ""
@@ -155,8 +157,8 @@ class Tracker(Strict):
 class ForceTorque(Strict):
     """Standard deviation of one averaged force/torque reading, N and N*m per axis."""
 
-    sigma_force: NonNegative
-    sigma_torque: NonNegative
+    sigma_force: Annotated[NonNegative, Field(le=1e5)]
+    sigma_torque: Annotated[NonNegative, Field(le=1e5)]
     name: str = ""
     serial: str = ""
     calibrated: str = ""

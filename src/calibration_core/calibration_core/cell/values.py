@@ -7,6 +7,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
+LARGEST = 1e12  # in SI units: stiffer or larger is nothing that a cell has
+
 
 def _number(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -14,6 +16,9 @@ def _number(value: object) -> object:
         raise ValueError(msg)
     if not math.isfinite(value):
         msg = "a finite number"
+        raise ValueError(msg)
+    if abs(value) > LARGEST:
+        msg = f"a number of at most {LARGEST:g}"
         raise ValueError(msg)
     return float(value)
 
@@ -28,6 +33,8 @@ def _not_empty(value: str) -> str:
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
+Length = Annotated[Positive, Field(ge=1e-9, le=1.0)]  # m, a standard deviation of positions
+Angle = Annotated[Positive, Field(ge=1e-9, le=1.0)]  # rad, one of directions
 Name = Annotated[str, AfterValidator(_not_empty)]
 Vector = tuple[Number, Number, Number]
 Interval = tuple[Number, Number]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.errors import ModelFileError
 from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.identification.space import operating_space
 from calibration_core.model.chain import pose_matrix
@@ -35,6 +37,15 @@ def tell(arguments: argparse.Namespace, share: float, text: str) -> None:
     listener: Callable[[float, str], None] | None = getattr(arguments, "tell", None)
     if listener is not None:
         listener(share, text)
+
+
+@contextlib.contextmanager
+def naming_model(model: Path | None) -> Iterator[None]:
+    """Let errors about a given model that are raised inside name its file."""
+    try:
+        yield
+    except ModelFileError as error:
+        raise ModelFileError(model or error.file, error.place, error.found, error.expected) from None
 
 
 def report_line(arguments: argparse.Namespace) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.arcs import arcs_told
 from calibration_core.commands.clearance import clearance
-from calibration_core.commands.common import digest_of, report_line, scheduled_space
+from calibration_core.commands.common import digest_of, naming_model, report_line, scheduled_space
 from calibration_core.commands.plan_geometry import (
     GeometryPromise,
     geometry_result,
@@ -66,7 +66,8 @@ def run(arguments: argparse.Namespace) -> str:
     if arguments.purpose == "geometry":
         plan, geometry = plan_geometry(cell, parameters, rules, task=task, **sized)
     else:
-        plan = make_plan(cell, rules=rules, parameters=parameters, task=task, **sized)
+        with naming_model(arguments.model):
+            plan = make_plan(cell, rules=rules, parameters=parameters, task=task, **sized)
     if arguments.phases:
         phase_rules = PhaseRules(space=rules.space)
         plan, duration, unclear = with_phases(plan, cell, phase_rules, seed=arguments.seed, parameters=parameters)

@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.commands.common import digest_of, report_line
-from calibration_core.errors import ModelFileError
+from calibration_core.commands.common import digest_of, naming_model, report_line
 from calibration_core.identification.estimate import OperatingSpace, Residuals
 from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.predict import from_step_zero, predict_readings
@@ -123,10 +122,8 @@ def predict(cell: Cell, model: Path, readings: Readings) -> Prediction:
         EquilibriumError: The load is beyond what the joints can carry.
     """
     parameters = read_model(model, cell)
-    try:
+    with naming_model(model):
         predicted = predict_readings(readings, cell, parameters)
-    except ModelFileError as wrong:
-        raise ModelFileError(model, wrong.place, wrong.found, wrong.expected) from None
     error = readings.position - predicted
     displacement = cell.measurements.points == "displacement"
     counted_rows = ~references(readings) if displacement else np.ones(len(readings), dtype=bool)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.commands.common import digest_of, report_line, scheduled_space
+from calibration_core.commands.common import digest_of, naming_model, report_line, scheduled_space
 from calibration_core.commands.plan import PLAN, plan_files
-from calibration_core.errors import ModelFileError, OutputError
+from calibration_core.errors import OutputError
 from calibration_core.identification.estimate import OperatingSpace
 from calibration_core.model.model_file import read_model
 from calibration_core.model.nominal import nominal_parameters
@@ -112,16 +112,15 @@ def simulate(cell: Cell, plan: Path | None, model: Path | None, seed: int | None
         EquilibriumError: A load is beyond what the joints can carry.
     """
     parameters = nominal_parameters(cell) if model is None else read_model(model, cell)
-    chosen = make_plan(cell, parameters=parameters) if plan is None else read_plan(plan, cell)
+    with naming_model(model):
+        chosen = make_plan(cell, parameters=parameters) if plan is None else read_plan(plan, cell)
     schedule = Schedule.of(chosen.primary)
     if np.any(schedule.wrench) and not np.any(parameters.compliance):
         raise cell.missing("robot.stiffness", "simulating deflections (or an identified model, --model)")
     files = {"plan": plan, "model": model}
     measured = (*chosen.preparation, *chosen.primary)
-    try:
+    with naming_model(model):
         readings = simulate_plan(measured, cell, parameters, seed)
-    except ModelFileError as error:
-        raise ModelFileError(model or error.file, error.place, error.found, error.expected) from None
     return Simulated(
         plan=chosen,
         made=plan is None,

@@ -138,8 +138,8 @@ class _Search:
                     undecided.append(_name(self.recorded.candidates[choice.candidate]))
                 else:
                     measurements.append(found)
-        while len(measurements) < PROPOSED:
-            measurements.append(self._sharpening())
+        while len(measurements) < PROPOSED and (sharper := self._sharpening()) is not None:
+            measurements.append(sharper)
         text = ""
         if undecided:
             text = (
@@ -218,11 +218,16 @@ class _Search:
         )
         return measurement_of(offer, why, gain, usual, "nats")
 
-    def _sharpening(self) -> Measurement:
-        """Return the offer that makes what is known worst more certain: a finding's parameters, else a stiffness."""
+    def _sharpening(self) -> Measurement | None:
+        """Return the offer that makes what is known worst more certain: a finding's parameters, else a stiffness.
+
+        None where nothing is known: no joint gives way in this recording.
+        """
         accepted = self.selection.accepted
         known = self._knowledge(accepted, accepted)
         words, chosen, value = self._uncertain(known)
+        if not words:
+            return None
         before = np.sqrt(np.diag(known.covariance)[chosen])
         worst = int(np.argmax(before / value))
 

@@ -11,6 +11,7 @@ from calibration_core.identification.estimate import OperatingSpace, Preconditio
 from calibration_core.timeseries import Condition, Override, Readings
 
 MIN_CONFIGURATIONS = 12
+STANDARD_GRAVITY = 9.80665  # m/s^2, where the cell file states none
 AMBIENT, TOLERANCE = 20.0, 2.0  # degrees Celsius
 TEST_UNCERTAINTY_RATIO = 5.0
 NEAR_SINGULAR = 0.02  # smallest singular value of the scaled Jacobian
@@ -107,7 +108,7 @@ def _temperature(readings: Readings) -> Precondition:
 def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
     assert space.force is not None  # noqa: S101 - asked for only with a load
     largest = float(np.linalg.norm(space.force, axis=1).max())
-    rated = cell.robot.rated_load * float(np.linalg.norm(cell.gravity))
+    rated = cell.robot.rated_load * (float(np.linalg.norm(cell.gravity)) or STANDARD_GRAVITY)
     sensor = cell.instruments.force_torque
     expanded = 2 * np.sqrt(3) * (0.0 if sensor is None else sensor.sigma_force)  # k = 2, three axes
     found = f"largest force {largest:.0f} N, {100 * largest / rated:.1f} %"

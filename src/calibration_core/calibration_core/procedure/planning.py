@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import PlanError
+from calibration_core.errors import ModelFileError, PlanError
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
@@ -100,6 +100,7 @@ def make_plan(
 
     Raises:
         CellError: The robot cannot be read, or the cell has no wrench point.
+        ModelFileError: The given parameters have no wrench point.
         PlanError: Too few configurations are asked for, or too few can be reached and seen under the rules.
     """
     rules = rules or PlanningRules()
@@ -107,6 +108,8 @@ def make_plan(
     if cell.frames.wrench_point is None:
         raise cell.missing("frames.wrench_point", "planning loads")
     parameters = parameters or nominal_parameters(cell)
+    if parameters.wrench_point is None:
+        raise ModelFileError("the given model", "wrench_point", "nothing", "a point in the flange frame, to plan loads")
     ground = ground_of(cell, parameters, rules.space, task)
     chain = ground.site.chain
     more = math.ceil(spares * configurations)

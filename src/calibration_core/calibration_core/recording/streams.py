@@ -10,6 +10,7 @@ import numpy as np
 from calibration_core.recording.kinds import Samples
 from calibration_core.timeseries import NANOSECONDS, Bool1D, Float2D, Int1D, Note, TimeSeries
 
+LARGEST = 1e9  # m, rad, N, °C: numbers beyond come from damaged bytes
 GAP_FACTOR = 5.0  # a pause of more than so many sampling intervals ...
 GAP_SECONDS = 0.05  # ... and of more than this is a gap
 
@@ -34,10 +35,11 @@ def to_series(samples: Samples, topic: str) -> tuple[TimeSeries, TimeSeries | No
     if missing:
         text = f"{missing} of {len(time)} messages have no stamp: their receive time is used"
         notes.append(Note("missing_stamp", topic, text, missing))
-    finite: Bool1D = np.logical_and.reduce(np.isfinite(samples.values), axis=1)
+    finite: Bool1D = np.logical_and.reduce(np.abs(samples.values) < LARGEST, axis=1)  # False for NaN
     lost = int(len(finite) - np.count_nonzero(finite))
     if lost:
-        notes.append(Note("non_finite", topic, f"{lost} messages with numbers that are not finite are left out", lost))
+        text = f"{lost} messages with numbers that are not finite, or beyond {LARGEST:g}, are left out"
+        notes.append(Note("non_finite", topic, text, lost))
     rows = np.flatnonzero(finite) if lost else np.arange(len(time))
     time = time[rows]
     repeats = _repeats(time)
