@@ -19,6 +19,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/calibration"]),
         ("share/calibration", ["package.xml"]),
         ("share/calibration/launch", sorted(glob("launch/*.launch.py"))),  # noqa: PTH207
+        ("share/calibration/security", sorted(glob("security/*.xml"))),  # noqa: PTH207
         ("share/calibration/config", CONFIG),
     ],
     install_requires=["setuptools"],

@@ -55,6 +55,7 @@ def _node(process: Process, tree: Tree, values: dict[str, str], files: tuple[str
         package=process.package,
         executable=process.name,
         namespace=values["namespace"],
+        ros_arguments=["--enclave", process.enclave],
         output="screen",
         sigterm_timeout=str(process.sigterm_after),
         sigkill_timeout=str(process.sigkill_after),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import os
 import signal
 import sys
 import threading
@@ -21,6 +22,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException, ParameterException
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
@@ -262,13 +264,19 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
     given = list(sys.argv[1:] if arguments is None else arguments)
-    rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     try:
         try:
+            rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
             check_parameter_files(given)
             node = make()
         except InputError as error:
             print(error, file=sys.stderr)
+            return 2
+        except RCLError as error:
+            if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+                raise
+            text = " ".join(str(error).split())
+            print(f"ROS_SECURITY_ENABLE is true, and the node does not run without it: {text}", file=sys.stderr)
             return 2
         return _until(node, stop)
     finally:

@@ -71,6 +71,11 @@ class Process:
     sigterm_after: float = SIGTERM_AFTER
     sigkill_after: float = SIGKILL_AFTER
 
+    @property
+    def enclave(self) -> str:
+        """Where SROS2 finds what the node may do and who it is; without security it is a name and no more."""
+        return f"/calibration/{self.name}"
+
 
 @dataclasses.dataclass(frozen=True)
 class Tool:

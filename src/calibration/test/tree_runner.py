@@ -45,7 +45,7 @@ class TreeRunner:
     def command(self, process: Process) -> list[str]:
         """Return the command line that launch would make."""
         words = [str(INSTALL / process.package / "lib" / process.package / process.name), "--ros-args"]
-        words += ["-r", f"__ns:=/{self._values['namespace'].strip('/')}"]
+        words += ["--enclave", process.enclave, "-r", f"__ns:=/{self._values['namespace'].strip('/')}"]
         for file in self._files:
             words += ["--params-file", str(file)]
         given = {**parameters_of(self.tree, process, self._values), **self._more.get(process.name, {})}
