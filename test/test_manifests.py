@@ -40,7 +40,7 @@ KEYS = {
     "yourdfpy": "python3-yourdfpy-pip",
 }
 # Modules for which rosdep has no key; pyproject.toml names their packages, and pip installs them.
-NO_KEY = {"lz4", "markupsafe", "mcap", "mcap_ros2", "plotly", "pyarrow", "typst", "zstandard"}
+NO_KEY = {"lz4", "markupsafe", "mcap", "mcap_ros2", "plotly", "pyarrow", "pydantic_core", "typst", "zstandard"}
 # Packages of jazzy/distribution.yaml, same commit.
 JAZZY = {
     "action_msgs", "ament_cmake", "ament_index_python", "builtin_interfaces", "coal", "control_msgs", "diagnostic_msgs",
