@@ -52,6 +52,7 @@ prove: setup
 	@$(PYTEST) -m slow $(STILL) src/calibration/test --ignore=test/ros
 	@$(PYTEST) test/ros
 	@$(BIN)/calibration-prove --seed $(PROVE_SEED) --out build/prove/$(PROVE_SEED) --jobs $(JOBS) --batch
+	@$(BIN)/calibration-prove --kinds all --seed $(PROVE_SEED) --out build/prove/$(PROVE_SEED)-second --jobs $(JOBS) --batch
 
 demo: setup
 	@set +u; source install/setup.bash; exec $(BIN)/python .ci/demo.py $(DEMO)

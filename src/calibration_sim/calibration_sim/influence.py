@@ -15,8 +15,10 @@ import numpy as np
 from calibration_core.timeseries import Float1D, Float2D
 from calibration_sim.protocol import Protocol
 from calibration_sim.world import Played, World, play
+from calibration_sim.yielding import yielding
 
 STIFFNESS_STEP = 0.05
+DEPENDENT = 1e-6  # of the largest singular value of columns of length one: below that, nothing of its own
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,8 +42,8 @@ class Background:
     compliance: Float2D
 
 
-def background(world: World, protocol: Protocol, sigma: float) -> Background:
-    """Play a world and find what is refitted anyway."""
+def background(world: World, protocol: Protocol, sigma: float, *, geometry: bool = False) -> Background:
+    """Play a world and find what is refitted anyway; with single steps, the geometry, too, where that is asked for."""
     played = play(world, protocol)
     columns = []
     for j in range(len(world.truth.stiffness)):
@@ -51,7 +53,10 @@ def background(world: World, protocol: Protocol, sigma: float) -> Background:
         columns.append((play(softer, protocol).points - played.points).ravel() / STIFFNESS_STEP)
     if _singles(played).any():
         columns += _frames(played) + _points(world, played)
-    nuisance = np.linalg.qr(_without_offsets(np.array(columns).T, played))[0]
+        if geometry:
+            columns += list(yielding(world, protocol).geometry.T)
+    refitted = _without_offsets(np.array(columns).T, played)
+    nuisance = span(refitted) if geometry else np.linalg.qr(refitted)[0]
     return Background(world, protocol, played, sigma, nuisance, _by_wrench(world, played))
 
 
@@ -60,8 +65,20 @@ def signal(known: Background, played: Played) -> Float1D:
     moved = played.points - known.played.points
     shown = played.wrench - known.played.wrench
     predicted = np.einsum("sij,sj->si", known.compliance, shown).reshape(moved.shape)
-    rest = _without_offsets((moved - predicted).reshape(-1, 1), known.played)[:, 0] / known.sigma
+    return beyond(known, (moved - predicted).reshape(-1, 1))[:, 0]
+
+
+def beyond(known: Background, columns: Float2D) -> Float2D:
+    """Return what columns (r, k) of moved points (m) show beyond all that is refitted anyway, in units of sigma."""
+    rest = _without_offsets(columns, known.played) / known.sigma
     return np.asarray(rest - known.nuisance @ (known.nuisance.T @ rest))
+
+
+def span(columns: Float2D) -> Float2D:
+    """Return orthonormal columns (r, k) that span columns (r, m), of which some may depend on others."""
+    length = np.linalg.norm(columns, axis=0)
+    left, size, _ = np.linalg.svd(columns[:, length > 0.0] / length[length > 0.0], full_matrices=False)
+    return np.asarray(left[:, size > DEPENDENT * size[0]]) if len(size) else np.zeros((len(columns), 0))
 
 
 def signal_to_noise(known: Background, played: Played) -> float:

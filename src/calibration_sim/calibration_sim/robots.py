@@ -1,7 +1,7 @@
-"""The two robots on which the diagnosis is proved, and what is typical of their class.
+"""The robots on which the diagnosis is proved, and what is typical of their class.
 
-The magnitudes are those of `docs/physics.md` (A1-A4), chosen within its ranges for robots of 240 kg and of 10 kg; an
-effect of amplitude one has them.
+The magnitudes of the robots of 240 kg and of 10 kg are those of `docs/physics.md` (A1-A4), chosen within its ranges;
+those of 3, 60 and 500 kg are set one by one and follow no power of the load.  An effect of amplitude one has them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from calibration_core.cell import Cell, load_cell
 
 CELLS = Path(__file__).with_name("cells")
 ROBOTS = ("heavy", "light")
+MORE_ROBOTS = ("tiny", "middle", "giant")  # 3, 60 and 500 kg
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Magnitudes:
         wrist_coupling: rad/rad.
         warm_up: K.
         approach: rad.
+        beams: Links (index) that are long enough to bend.
     """
 
     bearing: float
@@ -97,6 +99,7 @@ class Magnitudes:
     zero: float = 1e-3
     angle: float = 5e-4
     warm_up: float = 6.0
+    beams: tuple[int, ...] = (0, 1, 3)
 
 
 MAGNITUDES = {
@@ -144,10 +147,99 @@ MAGNITUDES = {
         wrist_coupling=1e-3,
         approach=3e-4,
     ),
+    "tiny": Magnitudes(
+        bearing=1 / 7e4,
+        wrist_bearing=1 / 4e4,
+        bending=1 / 3e4,
+        base_rotation=1 / 3e5,
+        base_translation=1 / 9e6,
+        tool_rotation=1 / 6e4,
+        tool_translation=1 / 9e6,
+        compensator=(0.05, 0.16, 2.4e3, 0.10),
+        clearance=(1.6e-4, 2.2e-4),
+        friction=(1.6e-4, 2.4e-4),
+        rated_torque=(18.0, 24.0, 14.0, 5.0, 5.0, 2.5),
+        drift=(0.2 / 3600.0, 0.02 / 3600.0),
+        wrench_point=1.5e-3,
+        tool_mass=0.4,
+        cable=1.2,
+        point=8e-4,
+        length=2.5e-4,
+        transmission=4e-4,
+        wrist_coupling=1.2e-3,
+        approach=2.5e-4,
+        coupling=0.08,
+        modulation=0.07,
+        hardening=0.13,
+        soft=0.8,
+        soft_torque=0.16,
+        creep=0.028,
+        creep_time=40.0,
+        beams=(1, 2),
+    ),
+    "middle": Magnitudes(
+        bearing=1 / 1.6e6,
+        wrist_bearing=1 / 5e5,
+        bending=1 / 1.1e6,
+        base_rotation=1 / 9e6,
+        base_translation=1 / 1.2e8,
+        tool_rotation=1 / 9e5,
+        tool_translation=1 / 1.1e8,
+        compensator=(0.14, 0.52, 6.5e4, 0.31),
+        clearance=(1.1e-4, 2.1e-4),
+        friction=(8e-5, 1.3e-4),
+        rated_torque=(900.0, 1500.0, 800.0, 180.0, 180.0, 80.0),
+        drift=(2.0 / 3600.0, 0.2 / 3600.0),
+        wrench_point=3e-3,
+        tool_mass=4.0,
+        cable=14.0,
+        point=1.5e-3,
+        length=4e-4,
+        transmission=2e-4,
+        wrist_coupling=5e-4,
+        approach=1.6e-4,
+        coupling=0.13,
+        modulation=0.06,
+        hardening=0.08,
+        soft=0.5,
+        soft_torque=0.10,
+        creep=0.015,
+        creep_time=110.0,
+        beams=(0, 1, 2),
+    ),
+    "giant": Magnitudes(
+        bearing=1 / 2.2e7,
+        wrist_bearing=1 / 5e6,
+        bending=1 / 1.3e7,
+        base_rotation=1 / 5e7,
+        base_translation=1 / 9e8,
+        tool_rotation=1 / 6e6,
+        tool_translation=1 / 6e8,
+        compensator=(0.26, 0.9, 3.1e5, 0.52),
+        clearance=(1.3e-4, 2.6e-4),
+        friction=(4e-5, 8e-5),
+        rated_torque=(12000.0, 21000.0, 13000.0, 3200.0, 3200.0, 1300.0),
+        drift=(9.0 / 3600.0, 1.0 / 3600.0),
+        wrench_point=6e-3,
+        tool_mass=22.0,
+        cable=60.0,
+        point=2.5e-3,
+        length=6e-4,
+        transmission=1.2e-4,
+        wrist_coupling=1.5e-4,
+        approach=8e-5,
+        coupling=0.09,
+        modulation=0.04,
+        hardening=0.12,
+        soft=0.6,
+        soft_torque=0.09,
+        creep=0.012,
+        creep_time=150.0,
+    ),
 }
 
 
 @functools.cache
 def robot_cell(name: str) -> Cell:
-    """Return the cell of a robot, `heavy` or `light`, as its file states it."""
+    """Return the cell of a robot, one of `ROBOTS` or `MORE_ROBOTS`, as its file states it."""
     return load_cell(CELLS / f"{name}.cell.yaml")

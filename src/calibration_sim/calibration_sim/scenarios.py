@@ -108,13 +108,16 @@ class Scenario:
 
     Attributes:
         number: In the grid, from 0.
-        group: single, besides, nothing, clutter, pair, triple, outside, alias or anomaly.
-        robot: heavy or light.
+        group: single, besides, nothing, clutter, pair, triple, outside, alias or anomaly; or a kind of `second_grid`.
+        robot: See `robots`.
         protocol: See `protocols`.
         seed: Of truth, protocol, places and noise.
         planned: Effects.
         clutter: Signal-to-noise ratio of each of fifty small effects; 0: none.
         noise: How the instruments err.
+        names: How joints and points are called, see `names`.
+        second: Whether it is one of `second_grid`: what an effect shows is counted beyond the geometry, stiffnesses
+            differ more from the file, and the label lists what looks alike.
     """
 
     number: int
@@ -125,6 +128,8 @@ class Scenario:
     planned: tuple[Planned, ...]
     clutter: float
     noise: Noise
+    names: str = "plain"
+    second: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

@@ -104,6 +104,7 @@ class Mechanism:
             springs: What gives way besides the joints.
         """
         stiffness = np.asarray(stiffness, dtype=np.float64)
+        self.chain = chain
         text = build_mjcf(chain, stiffness, np.asarray(gravity, dtype=np.float64), joint_frame_errors, springs)
         self.model = mujoco.MjModel.from_xml_string(text)
         self.data = mujoco.MjData(self.model)
@@ -130,6 +131,29 @@ class Mechanism:
         linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
         mujoco.mj_jac(self.model, self.data, linear, angular, place.apply(point), self._flange)
         return np.asarray(np.vstack([linear, angular])[:, self._dofs])
+
+    def freedoms(self, angles: ArrayLike, wrench: ArrayLike, points: Float2D) -> tuple[Float3D, Float1D]:
+        """Return how points move with every coordinate, joint or spring, and what loads each, nothing having given way.
+
+        Args:
+            angles: (n,) rad, of the links.
+            wrench: (6,) N and N*m, base axes, at the wrench point.
+            points: (p, 3) m, flange frame.
+
+        Returns:
+            (p, 3, nv) m/rad or m/m, base axes, and (nv,) N*m or N of weight and wrench, coordinates from the base on.
+        """
+        place = self.forward(angles)
+        model, data = self.model, self.data
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+        load = np.zeros(model.nv)
+        w = np.asarray(wrench, dtype=np.float64)
+        mujoco.mj_applyFT(model, data, w[:3], w[3:], place.apply(self._wrench_point), self._flange, load)
+        motion = np.empty((len(points), 3, model.nv))
+        for row, point in zip(motion, points, strict=True):
+            mujoco.mj_jac(model, data, row, None, place.apply(point), self._flange)
+        return motion, load - np.array(data.qfrc_bias)
 
     def origins(self, angles: ArrayLike) -> Float2D:
         """Return the origins (links, 3) of all links in the base frame, m, with the links at `angles` (n,) rad."""

@@ -36,6 +36,7 @@ class Label:
         equivalent: Exact aliases: [{"effect": ..., "location": ...}, ...].
         same_law: Whether the diagnosis knows this very law, so that its parameters can be compared with these.
         configurations: Numbers of the configurations concerned; empty: all.
+        kinds: Of a law in another shape than the catalogue's: the effects that say its kind; else empty.
     """
 
     family: str
@@ -46,10 +47,12 @@ class Label:
     equivalent: tuple[Mapping[str, Any], ...] = ()
     same_law: bool = False
     configurations: tuple[int, ...] = ()
+    kinds: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {
+        kinds = {"kinds": list(self.kinds)} if self.kinds else {}
+        return kinds | {
             "family": self.family,
             "effect": self.effect,
             "location": dict(self.location),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from calibration_sim.laws.effect import Effect
-from calibration_sim.makers import absolute, anomalies, chains, joint_law, outside, structure
+from calibration_sim.makers import absolute, anomalies, chains, everywhere, joint_law, other_shapes, outside, structure
 from calibration_sim.makers.draw import Draw
 
 Maker = Callable[[Draw], Effect]
@@ -66,4 +66,18 @@ OUTSIDE = _by_name(
     outside.rig_stick_slip,
     outside.turning_tool,
 )
-MAKERS: Mapping[str, Maker] = MappingProxyType({**CATALOGUE, **ANOMALIES, **OUTSIDE})
+OTHER_SHAPES = _by_name(
+    other_shapes.wedge_friction,
+    other_shapes.dahl_friction,
+    other_shapes.power_law,
+    other_shapes.lost_preload,
+    other_shapes.one_sided,
+    other_shapes.other_wave,
+)
+EVERYWHERE = _by_name(
+    everywhere.every_gear,
+    everywhere.every_friction,
+    everywhere.every_soft_zone,
+    everywhere.every_spring,
+)
+MAKERS: Mapping[str, Maker] = MappingProxyType({**CATALOGUE, **ANOMALIES, **OUTSIDE, **OTHER_SHAPES, **EVERYWHERE})

@@ -8,8 +8,6 @@ from calibration_sim.laws import structure
 from calibration_sim.laws.effect import Effect, Label
 from calibration_sim.makers.draw import NAMES, Draw, at_joint
 
-BEAMS = (0, 1, 3)  # links of these robots that are long enough to bend
-
 
 def off_axis_compliance(draw: Draw) -> Effect:
     """Bearings that tilt, anisotropic."""
@@ -37,7 +35,7 @@ def off_axis_compliance(draw: Draw) -> Effect:
 
 def link_bending(draw: Draw) -> Effect:
     """A beam, with unequal sides and torsion."""
-    link = draw.among(*BEAMS)
+    link = draw.among(*draw.size.beams)
     ratio = draw.uneven()
     size = draw.amplitude * draw.size.bending
     pair = (size * np.sqrt(ratio), size / np.sqrt(ratio))

@@ -15,8 +15,10 @@ from calibration_core.errors import CalibrationError
 from calibration_sim.proving.measures import Case, markdown, measures, power, wrong
 from calibration_sim.proving.running import Settings, read_run, result_path, run_all
 from calibration_sim.proving.scoring import score
+from calibration_sim.proving.second_measures import second_markdown, second_measures
 from calibration_sim.proving.writing import open_labels, write_recordings
 from calibration_sim.scenarios import grid, sample
+from calibration_sim.second_grid import KINDS, second_grid
 
 ENTRY = "calibration_core.cli:main"
 
@@ -33,8 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _prove(options: argparse.Namespace) -> str:
-    scenarios = grid(options.seed)
-    chosen = sample(scenarios, options.count, options.only)
+    scenarios = second_grid(options.seed) if options.kinds else grid(options.seed)
+    kinds = [] if options.kinds == ["all"] else options.kinds
+    chosen = sample(scenarios, options.count, [*options.only, *kinds])
     if not chosen:
         raise ValueError(f"--only {' '.join(options.only)}: found nothing of that name, expected a group or an effect")
     names, digest = write_recordings(chosen, len(scenarios), options.out, jobs=options.jobs)
@@ -50,14 +53,14 @@ def _prove(options: argparse.Namespace) -> str:
         outcome = score(labels[name], json.loads(path.read_text(encoding="utf-8"))) if done else None
         cases.append(Case(name, labels[name], outcome, run))
     head = f"Seed {options.seed}, {len(cases)} of {len(scenarios)} recordings, labels {digest}"
-    text = markdown(cases, head)
+    text = second_markdown(cases, head) if options.kinds else markdown(cases, head)
     (options.out / "table.md").write_text(text, encoding="utf-8")
     content = {
         "seed": options.seed,
         "labels": digest,
         "recordings": len(cases),
-        "measures": [dataclasses.asdict(measure) for measure in measures(cases)],
-        "power": power(cases),
+        "measures": list(map(dataclasses.asdict, second_measures(cases) if options.kinds else measures(cases))),
+        "power": [] if options.kinds else power(cases),
         "wrong": wrong(cases),
     }
     (options.out / "table.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -83,6 +86,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time (default 2)")
     parser.add_argument("--count", type=int, help="so many recordings, spread over the grid (default: all)")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="groups or effects alone")
+    parser.add_argument(
+        "--kinds",
+        nargs="+",
+        default=[],
+        choices=["all", *KINDS],
+        metavar="KIND",
+        help=f"of the second grid, instead of the first: all, or some of {', '.join(KINDS)}",
+    )
     parser.add_argument("--limit", type=float, default=120.0, help="s for one diagnosis (default 120)")
     parser.add_argument("--command", help="program to run instead of `calibration diagnose`")
     parser.add_argument("--batch", action="store_true", help="a process takes many recordings, one after another")

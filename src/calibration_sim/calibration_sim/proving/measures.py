@@ -59,37 +59,37 @@ Flags = Callable[[Case, Outcome], Iterable[bool]]
 
 def measures(cases: Sequence[Case]) -> list[Measure]:
     """Return the whole table.  A recording without a result counts as one in which nothing is right."""
-    typical = _both(_group("single"), lambda case: case.label["effects"][0]["amplitude"] == 1.0)
-    seen = _both(typical, lambda case: case.outcome is not None and case.outcome.found > 0)
-    loads = {kind: _both(typical, _protocol(kind)) for kind in "LR"}
-    cluttered = _both(_group("clutter"), lambda case: case.label["clutter"] == 3.0)
-    several = _group("pair")
+    typical = both(of_group("single"), lambda case: case.label["effects"][0]["amplitude"] == 1.0)
+    seen = both(typical, lambda case: case.outcome is not None and case.outcome.found > 0)
+    loads = {kind: both(typical, _protocol(kind)) for kind in "LR"}
+    cluttered = both(of_group("clutter"), lambda case: case.label["clutter"] == 3.0)
+    several = of_group("pair")
     return [
-        _most("nothing missing: a finding", cases, _group("nothing"), lambda _, o: [o.found > 0], 0.01),
-        _most("nothing missing: verdict not `consistent`", cases, _group("nothing"), _inconsistent, None),
-        _most("fifty small effects, SNR 3: a finding above 10 µm", cases, cluttered, lambda _, o: [o.large > 0], 0.10),
-        _least("effect right, given something found, typical", cases, seen, _first, 0.97),
-        _least("place right, given the effect is right, typical", cases, typical, _placed, 0.95),
-        _least("effect right, typical, with unloading", cases, loads["L"], _first, 0.85),
-        _least("effect right, typical, with reversed load", cases, loads["R"], _first, 0.90),
-        _least("effect right, typical, with unloading, 240 kg", cases, _both(loads["L"], _heavy), _first, None),
-        _least("effect right, typical, with reversed load, 240 kg", cases, _both(loads["R"], _heavy), _first, None),
+        most("nothing missing: a finding", cases, of_group("nothing"), lambda _, o: [o.found > 0], 0.01),
+        most("nothing missing: verdict not `consistent`", cases, of_group("nothing"), _inconsistent, None),
+        most("fifty small effects, SNR 3: a finding above 10 µm", cases, cluttered, lambda _, o: [o.large > 0], 0.10),
+        least("effect right, given something found, typical", cases, seen, first_right, 0.97),
+        least("place right, given the effect is right, typical", cases, typical, placed, 0.95),
+        least("effect right, typical, with unloading", cases, loads["L"], first_right, 0.85),
+        least("effect right, typical, with reversed load", cases, loads["R"], first_right, 0.90),
+        least("effect right, typical, with unloading, 240 kg", cases, both(loads["L"], _heavy), first_right, None),
+        least("effect right, typical, with reversed load, 240 kg", cases, both(loads["R"], _heavy), first_right, None),
         _limit("about the most that can be told, typical, with unloading", cases, loads["L"]),
         _limit("about the most that can be told, typical, with reversed load", cases, loads["R"]),
-        _most("a false second finding beside a single effect", cases, _group("single"), _false, None),
-        _least("effect right, absolute and hardly visible ones besides", cases, _group("besides"), _first, None),
-        _least("pairs: both found", cases, several, lambda _, o: [all(o.effect_right)], 0.85),
-        _most("pairs: a false third", cases, several, _false, 0.08),
-        _least("triples: effects found", cases, _group("triple"), lambda _, o: o.effect_right, None),
-        _most("triples: a false fourth", cases, _group("triple"), _false, None),
-        _least("outside: flagged, nothing wrongly named", cases, _group("outside"), _outside, 0.95),
-        _least("outside: flagged", cases, _group("outside"), lambda _, o: [o.flagged], None),
-        _least("aliases: cannot be told apart, said", cases, _group("alias"), lambda _, o: [o.aliases_said], 1.0),
-        _least("anomalies: found, located, no physics claimed", cases, _group("anomaly"), _anomaly, 0.97),
-        _within("parameters in their 95 % intervals, same law", cases, _group("single"), lambda _, o: o.covered),
+        most("a false second finding beside a single effect", cases, of_group("single"), false_beside, None),
+        least("effect right, absolute and hardly visible ones besides", cases, of_group("besides"), first_right, None),
+        least("pairs: both found", cases, several, lambda _, o: [all(o.effect_right)], 0.85),
+        most("pairs: a false third", cases, several, false_beside, 0.08),
+        least("triples: effects found", cases, of_group("triple"), lambda _, o: o.effect_right, None),
+        most("triples: a false fourth", cases, of_group("triple"), false_beside, None),
+        least("outside: flagged, nothing wrongly named", cases, of_group("outside"), _outside, 0.95),
+        least("outside: flagged", cases, of_group("outside"), lambda _, o: [o.flagged], None),
+        least("aliases: cannot be told apart, said", cases, of_group("alias"), lambda _, o: [o.aliases_said], 1.0),
+        least("anomalies: found, located, no physics claimed", cases, of_group("anomaly"), _anomaly, 0.97),
+        _within("parameters in their 95 % intervals, same law", cases, of_group("single"), lambda _, o: o.covered),
         _within("stiffnesses in their 95 % intervals, single effects", cases, _named_right, _stiff),
         _ratio(cases),
-        *_costs(cases),
+        *costs([case for case in cases if case.label["protocol"] == "L"], cases),
     ]
 
 
@@ -126,7 +126,8 @@ def wrong(cases: Sequence[Case]) -> list[dict[str, Any]]:
     return rows
 
 
-def _group(name: str) -> Chosen:
+def of_group(name: str) -> Chosen:
+    """Choose the cases of a group."""
     return lambda case: bool(case.label["group"] == name)
 
 
@@ -138,7 +139,8 @@ def _heavy(case: Case) -> bool:
     return bool(case.label["robot"] == "heavy")
 
 
-def _both(one: Chosen, other: Chosen) -> Chosen:
+def both(one: Chosen, other: Chosen) -> Chosen:
+    """Choose what two choices have in common."""
     return lambda case: one(case) and other(case)
 
 
@@ -146,15 +148,18 @@ def _inconsistent(_: Case, outcome: Outcome) -> list[bool]:
     return [outcome.verdict != "consistent"]
 
 
-def _first(_: Case, outcome: Outcome) -> list[bool]:
+def first_right(_: Case, outcome: Outcome) -> list[bool]:
+    """Say whether the first finding names a label."""
     return [bool(outcome.first_right)]
 
 
-def _placed(_: Case, outcome: Outcome) -> list[bool]:
+def placed(_: Case, outcome: Outcome) -> list[bool]:
+    """Say of each label that is named whether its place is right."""
     return [right for right in outcome.place_right if right is not None]
 
 
-def _false(_: Case, outcome: Outcome) -> list[bool]:
+def false_beside(_: Case, outcome: Outcome) -> list[bool]:
+    """Say whether something is named that is not there, beside something that is."""
     return [bool(outcome.named) and any(outcome.effect_right)]
 
 
@@ -182,13 +187,15 @@ def _share(cases: Sequence[Case], chosen: Chosen, flags: Flags, missing: bool) -
     return (float(np.mean(values)) if values else None), len(values)
 
 
-def _least(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags, bar: float | None) -> Measure:
+def least(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags, bar: float | None) -> Measure:
+    """Return the share of flags that are true, which shall reach a bar; without a result none is true."""
     value, count = _share(cases, chosen, flags, missing=False)
     met = None if bar is None or value is None else value >= bar - 1e-12
     return Measure(text, value, "" if bar is None else f">= {bar:g}", met, count)
 
 
-def _most(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags, bar: float | None) -> Measure:
+def most(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags, bar: float | None) -> Measure:
+    """Return the share of flags that are true, which shall not exceed a bar; without a result all are true."""
     value, count = _share(cases, chosen, flags, missing=True)
     met = None if bar is None or value is None else value <= bar + 1e-12
     return Measure(text, value, "" if bar is None else f"<= {bar:g}", met, count)
@@ -225,8 +232,9 @@ def _ratio(cases: Sequence[Case]) -> Measure:
     return Measure(text, value, "<= 1.05", None if value is None else value <= 1.05, len(ratios))
 
 
-def _costs(cases: Sequence[Case]) -> list[Measure]:
-    runs = [case.run for case in cases if case.run is not None and case.label["protocol"] == "L"]
+def costs(chosen: Sequence[Case], cases: Sequence[Case]) -> list[Measure]:
+    """Return what the diagnoses of chosen recordings took, and how many of all failed."""
+    runs = [case.run for case in chosen if case.run is not None]
     seconds = np.array([run.seconds for run in runs])
     memory = np.array([run.megabytes for run in runs])
     count, some = len(runs), len(runs) > 0
@@ -253,12 +261,8 @@ def _costs(cases: Sequence[Case]) -> list[Measure]:
 
 
 def markdown(cases: Sequence[Case], head: str) -> str:
-    """Return the table, the power per effect and what went wrong, as Markdown."""
-    lines = [head, "", "| measure | value | bar | met | n |", "|---|---|---|---|---|"]
-    for measure in measures(cases):
-        value = "-" if measure.value is None else f"{measure.value:.3g}"
-        met = "" if measure.met is None else ("yes" if measure.met else "**no**")
-        lines.append(f"| {measure.text} | {value} | {measure.bar} | {met} | {measure.count} |")
+    """Return the table and the power per effect, as Markdown."""
+    lines = [head, "", *as_table(measures(cases))]
     lines += ["", "Named right by amplitude (typical = 1), median signal-to-noise ratio in brackets:", ""]
     lines += ["| effect | robot | protocol | x0.5 | x1 | x2 |", "|---|---|---|---|---|---|"]
     for row in power(cases):
@@ -267,3 +271,13 @@ def markdown(cases: Sequence[Case], head: str) -> str:
         ]
         lines.append(f"| {row['effect']} | {row['robot']} | {row['protocol']} | " + " | ".join(shares) + " |")
     return "\n".join([*lines, ""])
+
+
+def as_table(rows: Sequence[Measure]) -> list[str]:
+    """Return the lines of a Markdown table."""
+    lines = ["| measure | value | bar | met | n |", "|---|---|---|---|---|"]
+    for measure in rows:
+        value = "-" if measure.value is None else f"{measure.value:.3g}"
+        met = "" if measure.met is None else ("yes" if measure.met else "**no**")
+        lines.append(f"| {measure.text} | {value} | {measure.bar} | {met} | {measure.count} |")
+    return lines

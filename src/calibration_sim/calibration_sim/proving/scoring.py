@@ -11,7 +11,9 @@ from collections.abc import Mapping
 from typing import Any
 
 PLACES = ("joint", "joints", "link", "point")  # an effect of sensor, tracker, tool, base or robot has but one place
+ALL = {"joints": "all"}
 PRACTICAL = 1e-5  # m at the measured point
+MORE_THAN_NOISE = 1.1  # rms that is left, over the noise that was there
 COVERED = 1.959964  # standard deviations, 95 percent
 
 
@@ -33,6 +35,8 @@ class Outcome:
         stiffness_covered: Per identifiable joint: whether the 95 percent interval holds the true stiffness.
         held_out_ratio: Held-out rms after, over noise; None: not stated.
         verdict: As stated.
+        kind_right: Whether a law of another shape is named by its kind at its joint and nothing else is named, or
+            nothing is named and the rest is called unexplained; and no more than the noise is called noise.
     """
 
     named: tuple[str, ...]
@@ -48,6 +52,7 @@ class Outcome:
     stiffness_covered: tuple[bool, ...]
     held_out_ratio: float | None
     verdict: str
+    kind_right: bool = False
 
 
 Item = Mapping[str, Any]
@@ -84,7 +89,21 @@ def score(label: Item, result: Item) -> Outcome:
         stiffness_covered=_stiffness(label, result),
         held_out_ratio=None if not after or not noise else float(after) / float(noise),
         verdict=str(result.get("verdict", "")),
+        kind_right=all(_kind_right(label, effect, physics, result) for effect in effects if "kinds" in effect),
     )
+
+
+def _kind_right(label: Item, effect: Item, physics: list[Any], result: Item) -> bool:
+    """Say whether a law of another shape is told for what it is; see `Outcome.kind_right`."""
+    flagged = result.get("verdict") in {"partly_explained", "unexplained"}
+    after = result.get("fit", {}).get("rms_after")
+    quiet = label["noise"]["outlier_rate"] == 0.0 and after is not None
+    if not flagged and quiet and float(after) > MORE_THAN_NOISE * label["noise_seen"]:
+        return False
+    if not physics:
+        return flagged
+    kinds, place = effect["kinds"], effect["location"]
+    return all(f["effect"] in kinds and same_place(f.get("location", {}), place) for f in physics)
 
 
 def same_place(one: Item, other: Item) -> bool:
@@ -117,7 +136,11 @@ def _names_any(finding: Item, label: Item) -> bool:
 
 
 def _is(finding: Item, item: Item) -> bool:
-    return bool(finding["effect"] == item["effect"]) and same_place(finding.get("location", {}), item["location"])
+    if finding["effect"] != item["effect"]:
+        return False
+    if item["location"] == ALL:  # every joint has it: each may be found by itself
+        return "joint" in finding.get("location", {}) or finding.get("location", {}) == ALL
+    return same_place(finding.get("location", {}), item["location"])
 
 
 def _places(finding: Item, effect: Item) -> bool:
