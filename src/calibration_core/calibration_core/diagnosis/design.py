@@ -33,6 +33,7 @@ class Design:
         prior: (p,) standard deviation of every parameter, in its unit.
         positive: (p,) whether physics allows no negative value.
         nuisances: Columns of the nuisances.
+        joints: Names of the robot's joints, from the base on.
     """
 
     residual: Float1D
@@ -44,6 +45,7 @@ class Design:
     prior: Float1D
     positive: Bool1D
     nuisances: slice
+    joints: tuple[str, ...]
 
     @property
     def n(self) -> int:
@@ -101,4 +103,5 @@ def build_design(
         prior=np.concatenate(prior),
         positive=np.concatenate(positive).astype(bool),
         nuisances=slice(start, start + extra.shape[2]),
+        joints=state.chain.joints,
     )

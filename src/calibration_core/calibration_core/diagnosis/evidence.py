@@ -156,7 +156,7 @@ def without_kin(f: Field, candidate: int) -> Field:
     design = f.design
     weights = f.weights.copy()
     for index, other in enumerate(design.candidates):
-        if index not in f.accepted and are_kin(design.candidates[candidate], other):
+        if index not in f.accepted and are_kin(design.candidates[candidate], other, design.joints):
             weights[design.blocks[index]] = 0.0
     return dataclasses.replace(f, weights=weights)
 
@@ -251,7 +251,7 @@ def law_share(base: Base, accepted: tuple[int, ...]) -> Float1D:
         others = accepted[:position] + accepted[position + 1 :]
         size = LAW * visible_size(field(base, others, 0.0), index)
         for other, candidate in enumerate(design.candidates):
-            if are_kin(design.candidates[index], candidate):
+            if are_kin(design.candidates[index], candidate, design.joints):
                 block = design.blocks[other]
                 share[block] = np.maximum(share[block], size)
     base.shares[frozenset(accepted)] = share

@@ -216,7 +216,8 @@ def _choices(base: Base, accepted: tuple[int, ...], level: float) -> tuple[Choic
         evidence = alone[index][0]
         for k, choice in enumerate(choices):
             weaker = evidence < KIN_SHARE * choice.log_bayes_factor
-            if weaker and are_kin(design.candidates[choice.candidate], design.candidates[index]):
+            first, second = design.candidates[choice.candidate], design.candidates[index]
+            if weaker and are_kin(first, second, design.joints):
                 choices[k] = dataclasses.replace(choice, refinements=(*choice.refinements, index))
                 break
         else:

@@ -55,7 +55,9 @@ def fit_frames(
     pose = _first_guess(at, position, point, points) if tracker is None else np.array(tracker)
     tool = np.array(points, dtype=float)
     k = len(tool) if fit_points else 0
-    scale = np.concatenate([np.ones(3), np.full(3, max(1.0, float(np.abs(position).max(initial=1.0)))), np.ones(3 * k)])
+    scale = np.concatenate(
+        [np.ones(3), np.full(3, float(np.linalg.norm(position, axis=1).max(initial=1.0))), np.ones(3 * k)]
+    )
     for _ in range(ITERATIONS):
         residual, columns = _linearise(at, position, point, tool, pose, k)
         inverse, _ = _inverse(columns, scale)

@@ -48,6 +48,7 @@ def design(seed: int, truth: dict[int, float] | None = None, *, positive: bool =
         configuration=np.repeat(np.arange(CONFIGURATIONS), ROWS // CONFIGURATIONS),
         candidates=candidates, blocks=tuple(slice(2 * k, 2 * k + 2) for k in range(places)), prior=np.ones(own + 2),
         positive=np.array([positive] * own + [False] * 2), nuisances=slice(own, own + 2),
+        joints=tuple(f"joint_{k + 1}" for k in range(3 * places)),
     )  # fmt: skip
 
 
@@ -162,16 +163,33 @@ def test_a_crowd_of_small_effects_is_no_finding() -> None:
     assert named <= 3
 
 
-def test_kin_are_laws_of_one_joint_and_neighbours_of_the_structure() -> None:
+@pytest.mark.parametrize(
+    "joints",
+    [
+        tuple(f"joint_{k}" for k in range(1, 7)),
+        ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint"),
+        ("kr240_a6", "link_2", "S", "10", "2nd", ""),
+    ],
+)
+def test_kin_are_laws_of_one_joint_and_neighbours_of_the_structure(joints: tuple[str, ...]) -> None:
     def place(effect: str, family: str, **location: object) -> Candidate:
         return Candidate(effect, family, location, "law", (Parameter("p", "1", 1.0),), lambda _: np.zeros((1, 3, 1)))  # type: ignore[arg-type]
 
-    soft, gap = (place(e, "joint law", joint="joint_2") for e in ("soft_zone", "backlash"))
-    assert are_kin(soft, gap)
-    assert not are_kin(soft, place("backlash", "joint law", joint="joint_3"))
-    assert not are_kin(soft, place("hysteresis", "joint law", joint="joint_2"))
-    second = place("off_axis_compliance", "structure", joint="joint_2")
-    assert are_kin(second, place("link_bending", "structure", link="link_2"))
-    assert not are_kin(second, place("off_axis_compliance", "structure", joint="joint_5"))
-    assert are_kin(place("wrench_gain", "load chain", sensor="s"), place("wrench_crosstalk", "load chain", sensor="s"))
-    assert not are_kin(second, soft)
+    def kin(first: Candidate, second: Candidate) -> bool:
+        assert are_kin(first, second, joints) == are_kin(second, first, joints)
+        return are_kin(first, second, joints)
+
+    soft, gap = (place(e, "joint law", joint=joints[1]) for e in ("soft_zone", "backlash"))
+    assert kin(soft, gap)
+    assert not kin(soft, place("backlash", "joint law", joint=joints[2]))
+    assert not kin(soft, place("hysteresis", "joint law", joint=joints[1]))
+    second = place("off_axis_compliance", "structure", joint=joints[1])
+    assert kin(second, place("link_bending", "structure", link="link_2"))
+    assert kin(second, place("link_bending", "structure", link="link_1"))
+    assert kin(second, place("base_compliance", "structure", base="base"))
+    assert kin(second, place("joint_coupling", "structure", joints=joints[2:4]))
+    assert not kin(second, place("joint_coupling", "structure", joints=joints[3:5]))
+    assert not kin(second, place("off_axis_compliance", "structure", joint=joints[4]))
+    assert not kin(second, place("tool_compliance", "structure", tool="tool"))
+    assert kin(place("wrench_gain", "load chain", sensor="s"), place("wrench_crosstalk", "load chain", sensor="s"))
+    assert not kin(second, soft)

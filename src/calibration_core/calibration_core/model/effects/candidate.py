@@ -11,6 +11,11 @@ from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float3D
 
 
+def link_name(index: int) -> str:
+    """Return the name of a link by its index: 0 is what the first joint carries."""
+    return f"link_{index + 1}"
+
+
 @dataclasses.dataclass(frozen=True)
 class Parameter:
     """One number that an effect has.

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, link_name
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import along_link, stacked, tilting, turning
 from calibration_core.model.effects.state import State
@@ -70,7 +70,7 @@ def _candidates(state: State) -> Iterator[Candidate]:
         start, tip = _ends(state, link)
         if float(np.linalg.norm(tip - start, axis=0).min()) < SHORTEST:
             continue
-        place = {"link": f"link_{link + 1}"}
+        place = {"link": link_name(link)}
         yield Candidate(EFFECT.name, EFFECT.family, place, "bending", two, partial(_bending, link=link))
         three = (*two, Parameter("torsion", UNIT, 2 * size, positive=True))
         yield Candidate(EFFECT.name, EFFECT.family, place, "bending and torsion", three, partial(_whole, link=link))

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, link_name
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
@@ -51,7 +51,7 @@ def growths(state: State) -> Iterator[Candidate]:
     for link in range(state.chain.n):
         if np.linalg.norm(_length(state, link), axis=0).max() < SHORTEST:
             continue
-        place = {"link": f"link_{link + 1}"}
+        place = {"link": link_name(link)}
         yield Candidate(EFFECT.name, EFFECT.family, place, "one link", parameters, partial(_link, link=link))
 
 
