@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import codecs
 import dataclasses
-import stat
 from pathlib import Path
 
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.files.regular import read_regular
 
 MAX_BYTES = 1 << 28
 MAX_LINE = 1 << 16
@@ -44,15 +44,7 @@ def read_text(path: Path, encoding: str | None = None) -> Text:
     Raises:
         RecordingError: It cannot be read, is too large, or is no text.
     """
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise RecordingError(path, "", "no regular file", "a table as text")
-        if status.st_size > MAX_BYTES:
-            raise RecordingError(path, "", f"{status.st_size} bytes", f"a table of at most {MAX_BYTES} bytes")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise RecordingError(path, "", error.strerror or str(error), "a readable table") from None
+    raw = read_regular(path, MAX_BYTES, "table", RecordingError)
     used = encoding or next((name for mark, name in _MARKS if raw.startswith(mark)), None)
     try:
         text, used = _decoded(raw, used)
