@@ -6,7 +6,9 @@ How a command ends, and with which exit code, stands in `commands.outcome`.
 from __future__ import annotations
 
 import argparse
+import difflib
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,8 +28,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def action() -> str:
         from calibration_core import commands  # imported late: `--help` needs no numerics
+        from calibration_core.commands.display import display_of
 
-        return commands.command(options.command)(options)
+        with display_of(options) as display:
+            options.tell = display.tell
+            summary = commands.command(options.command)(options)
+        if options.json:
+            return commands.result_of(options)
+        return "" if options.quiet else summary
 
     source = options.recording or getattr(options, "plan", None) or options.cell or options.command
     return carry_out(options.command, source, options.out, action)
@@ -40,11 +48,27 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     return options
 
 
+def _output(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    group.add_argument("--json", action="store_true", help="print result.json instead of the summary")
+
+
 class _Parser(argparse.ArgumentParser):
     """Says in one line what is wrong with the arguments."""
 
     def error(self, message: str) -> NoReturn:
+        message = _with_suggestion(message)
         self.exit(2, f"{InputError(self.prog, '', message, f'arguments as in {self.prog} --help')}\n")
+
+
+def _with_suggestion(message: str) -> str:
+    """Add the nearest choice to what argparse says of a wrong one."""
+    wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
+    if wrong is None:
+        return message
+    near = difflib.get_close_matches(wrong.group(1), re.findall(r"[\w-]+", wrong.group(2)), n=1)
+    return f"{message}: did you mean {near[0]}?" if near else message
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -59,7 +83,16 @@ def _parser() -> argparse.ArgumentParser:
     _diagnose(_command(commands, "diagnose", "where simulation and recording differ, and which physics is left out"))
     _predict(_command(commands, "predict", "predicted points and residuals of a recording"))
     _import(_bare(commands, "import", "tables of tracker software and controllers into a measurement table"))
+    _describe(commands)
     return parser
+
+
+def _describe(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    text = "what a result says, in words"
+    parser = commands.add_parser("describe", help=text, description=text[0].upper() + text[1:] + ".")
+    parser.add_argument("result", type=Path, metavar="RESULT", help="a result.json, or the directory that holds it")
+    _output(parser)
+    parser.set_defaults(recording=None, cell=None, out=None)
 
 
 def _bare(
@@ -68,6 +101,7 @@ def _bare(
     """Add a command that needs no cell file."""
     parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     parser.add_argument("--out", type=Path, metavar="DIR", help=f"where results go (default build/calibration/{name})")
+    _output(parser)
     parser.set_defaults(recording=None, cell=None)
     return parser
 

@@ -8,10 +8,13 @@ from __future__ import annotations
 import argparse
 import importlib
 from collections.abc import Callable
+from pathlib import Path
 
 from calibration_core.errors import CalibrationError
 
-MODULES = {name: name for name in ("plan", "simulate", "identify", "diagnose", "predict")} | {"import": "import_tables"}
+WITHOUT_RESULT = ("describe",)  # writes nothing
+MODULES = {name: name for name in ("plan", "simulate", "identify", "diagnose", "predict", *WITHOUT_RESULT)}
+MODULES["import"] = "import_tables"
 NAMES = tuple(MODULES)
 
 
@@ -26,3 +29,11 @@ def command(name: str) -> Callable[[argparse.Namespace], str]:
         raise CalibrationError(msg)
     run: Callable[[argparse.Namespace], str] = importlib.import_module(f"{__name__}.{MODULES[name]}").run
     return run
+
+
+def result_of(options: argparse.Namespace) -> str:
+    """Return the result.json that a command wrote, or was asked to describe."""
+    from calibration_core.report.output import RESULT
+
+    place: Path = options.result if options.command in WITHOUT_RESULT else options.out
+    return (place / RESULT if place.is_dir() else place).read_text(encoding="utf-8").rstrip()

@@ -72,7 +72,7 @@ def tolerate(*streams: IO[str] | None) -> None:
 
 def _said(text: str) -> int:
     """Print to stdout; a reader that has gone away has seen what it wanted."""
-    if sys.stdout is None:
+    if sys.stdout is None or not text:
         return DONE
     try:
         print(text, flush=True)

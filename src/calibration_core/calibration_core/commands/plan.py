@@ -13,7 +13,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.arcs import arcs_told
 from calibration_core.commands.clearance import clearance
-from calibration_core.commands.common import digest_of, naming_model, report_line, scheduled_space
+from calibration_core.commands.common import digest_of, naming_model, report_line, scheduled_space, tell
 from calibration_core.commands.plan_geometry import (
     GeometryPromise,
     geometry_result,
@@ -52,6 +52,7 @@ def run(arguments: argparse.Namespace) -> str:
     Raises:
         InputError: The input cannot be used, or the output cannot be written.
     """
+    tell(arguments, 0.0, "searching configurations")
     cell = load_cell(arguments.cell)
     parameters = nominal_parameters(cell) if arguments.model is None else read_model(arguments.model, cell)
     inputs = {} if arguments.model is None else {"model": digest_of(arguments.model)}
@@ -69,9 +70,11 @@ def run(arguments: argparse.Namespace) -> str:
         with naming_model(arguments.model):
             plan = make_plan(cell, rules=rules, parameters=parameters, task=task, **sized)
     if arguments.phases:
+        tell(arguments, 0.4, "planning the phases before")
         phase_rules = PhaseRules(space=rules.space)
         plan, duration, unclear = with_phases(plan, cell, phase_rules, seed=arguments.seed, parameters=parameters)
         geometry = None if geometry is None else geometry.taking(duration, unclear)
+    tell(arguments, 0.6, "judging load steps")
     protocols = judged_protocols(plan, cell, parameters)
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
     content = plan_result(plan, cell, space, inputs, seed=arguments.seed, protocols=protocols)
@@ -79,6 +82,7 @@ def run(arguments: argparse.Namespace) -> str:
     result = result_json(content if geometry is None else {**content, "geometry": geometry_result(geometry)})
     files: dict[str, Content] = {RESULT: result, **plan_files(plan)}
     if arguments.report:
+        tell(arguments, 0.8, "drawing the report")
         from calibration_core.commands.plan_document import plan_document
         from calibration_core.report.rendering import rendered
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.commands.common import digest_of, naming_model, report_line
+from calibration_core.commands.common import digest_of, naming_model, report_line, tell
 from calibration_core.identification.estimate import OperatingSpace, Residuals
 from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.predict import from_step_zero, predict_readings
@@ -101,11 +101,13 @@ def run(arguments: argparse.Namespace) -> str:
         InputError: The input cannot be used, or the output cannot be written.
         EquilibriumError: The load is beyond what the joints can carry.
     """
+    tell(arguments, 0.0, "predicting the readings")
     cell = load_cell(arguments.cell)
     found = predict(cell, arguments.model, observe(arguments.recording, cell))
     result = result_json(prediction_result(found, cell))
     files: dict[str, Content] = {RESULT: result, PREDICTIONS: predictions_csv(found.readings, found.predicted)}
     if arguments.report:
+        tell(arguments, 0.5, "drawing the report")
         from calibration_core.commands.predict_document import prediction_document
         from calibration_core.report.rendering import rendered
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.commands.common import digest_of, naming_model, report_line, scheduled_space
+from calibration_core.commands.common import digest_of, naming_model, report_line, scheduled_space, tell
 from calibration_core.commands.plan import PLAN, plan_files
 from calibration_core.errors import OutputError
 from calibration_core.identification.estimate import OperatingSpace
@@ -77,6 +77,7 @@ def run(arguments: argparse.Namespace) -> str:
         InputError: The input cannot be used, or the output cannot be written.
         EquilibriumError: A load is beyond what the joints can carry.
     """
+    tell(arguments, 0.0, "simulating the measurement")
     cell = load_cell(arguments.cell)
     simulated = simulate(cell, arguments.plan, arguments.model, arguments.seed)
     _require_own(arguments.out)
@@ -89,6 +90,7 @@ def run(arguments: argparse.Namespace) -> str:
         **(plan_files(simulated.plan) if simulated.made else {}),
     }
     if arguments.report:
+        tell(arguments, 0.5, "drawing the report")
         from calibration_core.commands.simulate_document import simulation_document
         from calibration_core.report.rendering import rendered
 

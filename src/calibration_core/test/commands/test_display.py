@@ -1,0 +1,153 @@
+"""What a command shows while it runs, and the forms of its answer."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pty
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from calibration_core.cli import main
+from calibration_core.commands import display
+from calibration_core.commands.describe import describe
+
+ROOT = Path(__file__).resolve().parents[4]
+RECORDING = ROOT / "bags" / "small_loaded"
+CELL = ROOT / "config" / "cells" / "small.cell.yaml"
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("identified") / "out"
+    assert main(["identify", str(RECORDING), "--cell", str(CELL), "--out", str(out), "--no-report", "-q"]) == 0
+    return out
+
+
+def test_quiet_prints_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["identify", str(RECORDING), "--cell", str(CELL), "--out", str(tmp_path / "out"), "--no-report"]
+    assert main([*arguments, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert main([*arguments, "--json"]) == 0
+    printed = capsys.readouterr().out
+    assert json.loads(printed) == json.loads((tmp_path / "out" / "result.json").read_text())
+
+
+def test_describe_says_what_a_result_says(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for place in (result, result / "result.json"):
+        assert main(["describe", str(place)]) == 0
+        told = capsys.readouterr().out
+        assert "Stiffness of joint_1: 1.09e+05 ±" in told
+        assert "N·m/rad" in told
+        assert "Verdict: consistent." in told
+    assert main(["describe", str(result), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["command"] == "identify"
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{}", '{"schema": 7}', "\x00", '{"schema": 1, "command": 3}', "[" * 100_000]
+)
+def test_what_is_no_result_is_refused(content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "result.json").write_text(content)
+    assert main(["describe", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_result_of_odd_content_is_described_all_the_same() -> None:
+    odd = {"command": "diagnose", "stiffness": ["a", 3], "findings": {"a": 1}, "fit": [], "recording": {"points": 3}}
+    assert describe({**odd, "anomalies": [None], "verdict": ["x"]})[0] == "diagnose"
+
+
+def test_findings_anomalies_and_the_light_are_described() -> None:
+    lines = describe(
+        {
+            "command": "diagnose",
+            "robot": "R",
+            "verdict": "missing_physics",
+            "usable": "with_reservations",
+            "reason": "A target moved.",
+            "next_step": "Measure again.",
+            "stiffness": [{"joint": "j", "value": None, "identifiable": False, "reason": "no load"}],
+            "findings": [{"effect": "backlash", "location": {"joint": "joint_4"}, "explanation": "It steps."}],
+            "anomalies": [{"kind": "target_moved", "location": {"point": "mp1"}, "text": "by 1 mm"}],
+            "next_measurements": [{"why": "because"}],
+        }
+    )
+    assert lines[1:3] == ["Usable: with_reservations. A target moved.", "Next step: Measure again."]
+    assert "Stiffness of j: not identifiable. no load" in lines
+    assert "Finding: backlash at joint joint_4. It steps." in lines
+    assert "Anomaly: target_moved at point mp1. by 1 mm" in lines
+
+
+@pytest.mark.parametrize(("wrong", "right"), [("identfy", "identify"), ("imprt", "import"), ("describ", "describe")])
+def test_a_misspelt_command_is_answered_with_the_nearest(
+    wrong: str, right: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([wrong])
+    assert caught.value.code == 2
+    told = capsys.readouterr().err
+    assert f"did you mean {right}?" in told
+    assert told.count("\n") == 1
+
+
+def test_lines_are_shown_after_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(display, "PATIENCE", 0.05)
+    plain = io.StringIO()
+    with display.Display("identify", terminal=None, plain=plain) as shown:
+        shown.tell(0.0, "reading the recording")
+        time.sleep(0.3)
+        assert plain.getvalue() == ""  # nothing but the error, if the recording cannot be read
+        shown.tell(0.5, "identifying")
+        shown.tell(0.8, "drawing the report")
+    shown.tell(0.9, "after the end")
+    assert plain.getvalue().splitlines() == [
+        "identify: identifying (50% done)",
+        "identify: drawing the report (80% done)",
+    ]
+
+
+def test_a_short_command_shows_nothing() -> None:
+    plain = io.StringIO()
+    with display.Display("identify", terminal=None, plain=plain) as shown:
+        shown.tell(0.0, "reading the recording")
+    assert plain.getvalue() == ""
+
+
+SLOW = """
+import sys, time
+from calibration_core.commands import display
+display.PATIENCE = 0.05
+with display.Display("diagnose", terminal=sys.stderr, plain=sys.stdout) as shown:
+    shown.tell(0.4, "looking for what is left out")
+    time.sleep(0.6)
+"""
+
+
+def test_a_bar_is_drawn_on_a_terminal() -> None:
+    leader, follower = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
+    with subprocess.Popen(
+        [sys.executable, "-c", SLOW], stdout=subprocess.PIPE, stderr=follower, env=environment
+    ) as run:
+        os.close(follower)
+        seen = b""
+        while True:
+            try:
+                part = os.read(leader, 4096)
+            except OSError:  # the other side has closed it
+                break
+            if not part:
+                break
+            seen += part
+        assert run.stdout is not None
+        assert run.stdout.read() == b""
+    os.close(leader)
+    assert run.returncode == 0
+    assert b"diagnose: looking for what is left out" in seen
+    assert b"left:" in seen
