@@ -7,6 +7,7 @@ import dataclasses
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.common import report_line, tell
+from calibration_core.commands.inputs import blocked, look, told, write_refused
 from calibration_core.commands.offers import offers_for, proposed_plan
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.finding import Diagnosis
@@ -34,9 +35,13 @@ def run(arguments: argparse.Namespace) -> str:
     test = None if arguments.test is None else observe(arguments.test, cell)
     simulation = None if arguments.simulation is None else observe(arguments.simulation, cell)
     given = None if arguments.model is None else read_given(arguments.model, cell)
+    wrong = look(readings, test, cell)
+    if blocked(wrong):
+        return write_refused(arguments, cell, readings, wrong)
     options = Options(robust=not arguments.no_robust)
     tell(arguments, 1 / 3, "looking for what is left out")
     found = diagnose(readings, cell, options, test, simulation, offers_for(readings, cell), given)
+    found = dataclasses.replace(found, anomalies=(*found.anomalies, *told(wrong)))
     tell(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
     result = result_json(diagnosis_dict(found, cell))
     model = found.identification.model if found.model is None else found.model

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.common import report_line, tell
+from calibration_core.commands.inputs import blocked, look, told, write_refused
 from calibration_core.errors import InputError, quoted
 from calibration_core.identification.identify import identify
 from calibration_core.identification.loaded import Options
@@ -28,6 +30,9 @@ def run(arguments: argparse.Namespace) -> str:
     readings = observe(arguments.recording, cell)
     test = None if arguments.test is None else observe(arguments.test, cell)
     given = None if arguments.model is None else read_given(arguments.model, cell)
+    wrong = look(readings, test, cell)
+    if blocked(wrong):
+        return write_refused(arguments, cell, readings, wrong)
     options = Options(
         method=arguments.method,
         weights=arguments.weights,
@@ -37,6 +42,7 @@ def run(arguments: argparse.Namespace) -> str:
     )
     tell(arguments, 1 / 3, "identifying")
     found = identify(readings, cell, options, test, given)
+    found = dataclasses.replace(found, anomalies=(*found.anomalies, *told(wrong)))
     tell(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
     model = {"model.yaml": model_text(found.model, cell).encode()}
     write_identification(found, cell, arguments.out, model, report=arguments.report)

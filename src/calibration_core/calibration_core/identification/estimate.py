@@ -216,6 +216,7 @@ class Anomaly:
         magnitude: How large.
         unit: Unit of the magnitude.
         text: One sentence for a person.
+        remedy: What to do about it, in words; empty where the text says it.
     """
 
     kind: str
@@ -224,6 +225,7 @@ class Anomaly:
     magnitude: float
     unit: str
     text: str
+    remedy: str = ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

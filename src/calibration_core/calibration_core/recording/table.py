@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.files.csv_cells import inert, meant
 from calibration_core.recording.foreign.direct import read_foreign
 from calibration_core.recording.source import sha256_of
 from calibration_core.recording.table_checks import check_plausible, check_steps
@@ -23,7 +24,7 @@ POSITION = ("x", "y", "z")
 INTEGERS = ("configuration", "step")
 OURS = {*INTEGERS, "point", *POSITION}
 OPTIONAL = ("time", "temperature")  # a cell of these may be empty
-MAX_BYTES = 1 << 30
+MAX_BYTES = 1 << 27  # some 800,000 readings; as many as are read in half a minute
 MAX_LINE = 1 << 16
 MAX_INTEGER = 1 << 53
 BLOCK = 4096
@@ -181,7 +182,7 @@ class _RowParser:
         if len(fields) != self._width:
             raise self._fault(line, "", f"{len(fields)} fields", f"{self._width} as in the header")
         name = fields.pop(self._point).strip()
-        point = self._points.get(name)
+        point = self._points.get(name, self._points.get(meant(name)))
         if point is None:
             raise self._fault(line, "point", quoted(name), "one of " + ", ".join(self._points))
         try:
@@ -231,7 +232,7 @@ def write_table(path: Path, readings: Readings) -> None:
     columns += [(f"q{i + 1}", list(map(repr, one.tolist()))) for i, one in enumerate(readings.q.T)]
     if readings.wrench is not None:
         columns += [(name, list(map(repr, one.tolist()))) for name, one in zip(WRENCH, readings.wrench.T, strict=True)]
-    columns.append(("point", [readings.points[i] for i in readings.point.tolist()]))
+    columns.append(("point", [inert(readings.points[i]) for i in readings.point.tolist()]))
     columns += [(name, list(map(repr, one.tolist()))) for name, one in zip(POSITION, readings.position.T, strict=True)]
     partial = Path(path).with_name(f".{Path(path).name}.part")
     with partial.open("w", encoding="utf-8", newline="") as stream:

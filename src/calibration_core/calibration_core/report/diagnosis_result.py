@@ -9,6 +9,7 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison import Comparison
 from calibration_core.diagnosis.finding import Diagnosis, Finding
 from calibration_core.diagnosis.locate import Located
+from calibration_core.report.light import with_light
 from calibration_core.report.result import plain, result_dict, tested
 
 
@@ -38,6 +39,7 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
             "magnitude": anomaly.magnitude,
             "unit": anomaly.unit,
             "text": anomaly.text,
+            **({"remedy": anomaly.remedy} if anomaly.remedy else {}),
         }
         for anomaly in diagnosis.anomalies
     ]
@@ -68,7 +70,7 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
     content["test"] = None if diagnosis.test is None else vars(diagnosis.test)
     content["aliases"] = list(diagnosis.aliases)
     content["comparison"] = None if diagnosis.comparison is None else comparison_dict(diagnosis.comparison)
-    return {key: plain(value) for key, value in content.items()}
+    return with_light({key: plain(value) for key, value in content.items()})
 
 
 def further_files(diagnosis: Diagnosis) -> dict[str, Mapping[str, str]]:

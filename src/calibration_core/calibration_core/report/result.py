@@ -13,6 +13,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification, JointStiffness
 from calibration_core.model.given import GivenModel
+from calibration_core.report.light import with_light
 from calibration_core.report.output import RESULT, write_files
 from calibration_core.report.phases_result import decoupled_dict, phases_dict
 from calibration_core.report.provenance import digests, software
@@ -61,6 +62,7 @@ def result_dict(
                 "magnitude": anomaly.magnitude,
                 "unit": anomaly.unit,
                 "text": anomaly.text,
+                **({"remedy": anomaly.remedy} if anomaly.remedy else {}),
             }
             for anomaly in result.anomalies
         ],
@@ -68,7 +70,7 @@ def result_dict(
         "next_measurements": [],
         **_further(result, cell, tested(result) if files is None else files),
     }
-    return {key: plain(value) for key, value in content.items()}
+    return with_light({key: plain(value) for key, value in content.items()})
 
 
 def result_json(content: dict[str, Any]) -> bytes:

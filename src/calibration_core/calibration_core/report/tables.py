@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration_core.files.csv_cells import inert
 from calibration_core.identification.estimate import Identification, JointStiffness
 from calibration_core.report.output import write_files
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
@@ -135,5 +136,5 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)
-    writer.writerows(rows)
+    writer.writerows([inert(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
     return text.getvalue().encode("utf-8", "replace")

@@ -1,0 +1,60 @@
+"""An input that is not what it claims to be: which word of the contract, what shows it, and how to put it right."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+
+@dataclasses.dataclass(frozen=True)
+class InputAnomaly:
+    """One thing about the input that has to be put right (contract, section 7).
+
+    Attributes:
+        kind: A word of the contract, e.g. `wrench_sign`.
+        text: One sentence: what is seen, with the figures as recorded and with the fault put right.
+        remedy: What to do, in words.
+        magnitude: Share of the motion that the recording as it stands leaves unexplained, or the size of what is wrong.
+        unit: Its unit.
+        factor: What to multiply with, where it is a unit.
+        joints: The joints concerned.
+        points: The measurement points concerned.
+        axes: What to read the wrench in, where it is a frame.
+    """
+
+    kind: str
+    text: str
+    remedy: str
+    magnitude: float
+    unit: str = "1"
+    factor: float | None = None
+    joints: tuple[str, ...] = ()
+    points: tuple[str, ...] = ()
+    axes: str = ""
+
+    @property
+    def blocks(self) -> bool:
+        """Whether nothing may be claimed before it is put right."""
+        return self.kind != "noise_overstated"
+
+    def record(self) -> dict[str, Any]:
+        """Return it as result.json has it; keys that do not apply are left out."""
+        where = "robot" if self.kind in ("wrong_robot_file", "joint_order", "no_relation", "angle_unit") else (
+            "sensor" if self.kind.startswith("wrench") else "tracker"
+        )  # fmt: skip
+        content: dict[str, Any] = {
+            "kind": self.kind,
+            "location": {where: where},
+            "configurations": None,
+            "magnitude": self.magnitude,
+            "unit": self.unit,
+            "text": self.text,
+            "remedy": self.remedy,
+        }
+        further = {
+            "factor": self.factor,
+            "joints": list(self.joints),
+            "points": list(self.points),
+            "axes": self.axes,
+        }
+        return {**content, **{key: value for key, value in further.items() if value not in (None, [], "")}}

@@ -1,0 +1,149 @@
+"""Positions: where the robot file puts the points, against where the tracker saw them, after the best tracker frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from calibration_core.input_checks.anomaly import InputAnomaly
+from calibration_core.model.chain import Chain
+from calibration_core.model.kinematics import posture
+from calibration_core.timeseries import Float2D, Int1D
+
+RIGHT = 0.01  # of the reach: a robot file whose points come so near describes this robot
+FAR = 0.2  # what is meant leaves less than this share
+UNRELATED = 0.5  # of the spread of the points
+FEWEST = 6  # positions
+SCALES = {1e-3: "mm", 1e3: "km", 0.0254: "inches", 0.01: "cm", 0.3048: "feet"}
+NEAR_SCALE = 0.03  # relative
+MOST_POINTS = 5  # all of whose orders are tried
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Seen:
+    """Positions of one recording.
+
+    Attributes:
+        chain: The robot.
+        q: (m, n) rad.
+        position: (m, 3) m, tracker frame.
+        point: (m,) index of the measurement point.
+        points: (k, 3) m, where the cell file has them, flange frame.
+        names: Names of the points.
+    """
+
+    chain: Chain
+    q: Float2D
+    position: Float2D
+    point: Int1D
+    points: Float2D
+    names: tuple[str, ...]
+
+
+def check_positions(seen: Seen) -> list[InputAnomaly]:
+    """Return what is wrong with joints, points, angles or the unit of positions; at most one fault."""
+    if len(seen.q) < FEWEST:
+        return []
+    reach = seen.chain.reach
+    stands = misplaced(seen)
+    tried = sorted(_alternatives(seen, stands, reach), key=lambda one: one[1])
+    if stands > RIGHT * reach or _swapped_points(tried, stands):
+        for anomaly, rms in tried[:1]:
+            if rms < FAR * stands and rms < RIGHT * reach:
+                text = f"{anomaly.text}: so read, the points are {1e3 * rms:.2g} mm (rms per coordinate) from where "
+                text += f"the robot file puts them, as it stands {1e3 * stands:.3g} mm"
+                return [dataclasses.replace(anomaly, text=text, magnitude=stands, unit="m")]
+    spread = float(np.sqrt(np.mean((seen.position - seen.position.mean(axis=0)) ** 2)))
+    if stands > UNRELATED * spread and stands > RIGHT * reach:
+        text = f"positions and joint angles have nothing to do with each other: {1e3 * stands:.3g} mm are left of a "
+        text += f"spread of {1e3 * spread:.3g} mm (rms per coordinate)"
+        remedy = "check that recording, cell file and robot belong together"
+        return [InputAnomaly("no_relation", text, remedy, stands, unit="m")]
+    if stands > 2 * RIGHT * reach:
+        text = f"with the best tracker frame the points are {1e3 * stands:.3g} mm (rms per coordinate) from where the "
+        text += "robot file puts them: it describes another robot, or joints, signs or zeros are mixed up"
+        remedy = "use the file of this robot, and check its joint zeros and signs"
+        return [InputAnomaly("wrong_robot_file", text, remedy, stands, unit="m")]
+    return []
+
+
+def _swapped_points(tried: list[tuple[InputAnomaly, float]], stands: float) -> bool:
+    """Points are told apart where they differ by far less than the reach."""
+    return bool(tried) and tried[0][0].kind == "point_order" and tried[0][1] < FAR * stands
+
+
+def misplaced(seen: Seen) -> float:
+    """Return the rms per coordinate, m, between positions and where the robot puts the points, in the best frame."""
+    return _registered(_predicted(seen), seen.position)[0]
+
+
+def _predicted(seen: Seen) -> Float2D:
+    at = posture(seen.chain, seen.q)
+    return at.point(seen.points[seen.point].T).T
+
+
+def _registered(target: Float2D, source: Float2D) -> tuple[float, float]:
+    """Return rms after the best rotation and shift (Kabsch, 1976), and the scale that fits best (Umeyama, 1991)."""
+    a, b = target - target.mean(axis=0), source - source.mean(axis=0)
+    u, values, vt = np.linalg.svd(a.T @ b)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
+    rotated = b @ ((u * signs) @ vt).T
+    power = float(np.sum(b**2))
+    return float(np.sqrt(np.mean((a - rotated) ** 2))), float((values * signs).sum() / power) if power > 0 else 1.0
+
+
+def _alternatives(seen: Seen, stands: float, reach: float) -> Iterator[tuple[InputAnomaly, float]]:
+    if len(seen.names) > 1:
+        yield from _orders(seen)
+    if stands <= RIGHT * reach:
+        return
+    names = seen.chain.joints
+    for i, j in itertools.combinations(range(len(names)), 2):
+        q = seen.q.copy()
+        q[:, [i, j]] = q[:, [j, i]]
+        remedy = f"exchange the angles of {names[i]} and {names[j]}"
+        text = f"the angles of {names[i]} and {names[j]} are exchanged"
+        anomaly = InputAnomaly("joint_order", text, remedy, 0.0, joints=(names[i], names[j]))
+        yield anomaly, misplaced(dataclasses.replace(seen, q=q))
+    for factor, unit in ((np.pi / 180.0, "degrees"), (180.0 / np.pi, "radians converted twice")):
+        anomaly = InputAnomaly("angle_unit", f"the joint angles look like {unit}", "give joint angles in rad: multiply "
+                               f"them by {factor:.6g}", 0.0, factor=factor)  # fmt: skip
+        yield anomaly, misplaced(dataclasses.replace(seen, q=factor * seen.q))
+    scale = _registered(_predicted(seen), seen.position)[1]
+    for factor, unit in SCALES.items():
+        if abs(scale / factor - 1.0) < NEAR_SCALE:
+            anomaly = InputAnomaly("position_unit", f"positions look like {unit}", f"give positions in m: multiply "
+                                   f"them by {factor:g}", 0.0, factor=factor)  # fmt: skip
+            yield anomaly, misplaced(dataclasses.replace(seen, position=factor * seen.position))
+
+
+def _orders(seen: Seen) -> Iterator[tuple[InputAnomaly, float]]:
+    count = len(seen.names)
+    orders = itertools.permutations(range(count)) if count <= MOST_POINTS else _exchanges(count)
+    for order in orders:
+        changed = [i for i in range(count) if order[i] != i]
+        if not changed:
+            continue
+        words = ", ".join(f"{seen.names[i]} is {seen.names[order[i]]}" for i in changed)
+        text = f"measurement points are exchanged ({words})"
+        remedy = f"name the points as the cell file has them: {words}"
+        anomaly = InputAnomaly("point_order", text, remedy, 0.0, points=tuple(seen.names[i] for i in changed))
+        yield anomaly, misplaced(dataclasses.replace(seen, points=seen.points[list(order)]))
+    for axis in range(3):
+        mirrored = seen.points * np.where(np.arange(3) == axis, -1.0, 1.0)
+        if np.array_equal(mirrored, seen.points):
+            continue
+        text = f"the measurement points are mirrored: {'xyz'[axis]} has the wrong sign in the cell file"
+        anomaly = InputAnomaly("point_order", text, f"turn the sign of {'xyz'[axis]} of frames.measurement_points", 0.0,
+                               points=seen.names, axes=f"-{'xyz'[axis]}")  # fmt: skip
+        yield anomaly, misplaced(dataclasses.replace(seen, points=mirrored))
+
+
+def _exchanges(count: int) -> Iterator[tuple[int, ...]]:
+    for i, j in itertools.combinations(range(count), 2):
+        order = list(range(count))
+        order[i], order[j] = j, i
+        yield tuple(order)
