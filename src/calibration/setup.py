@@ -2,7 +2,7 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-NODES = ("force_torque", "guard", "identification", "recorder", "sequencer", "tracker")
+NODES = ("force_torque", "guard", "identification", "manager", "recorder", "sequencer", "tracker")
 CONFIG = [f"../../config/{name}" for name in ("ros.yaml", "simulation.yaml", "cell.rviz", "foxglove.json")]
 
 setup(

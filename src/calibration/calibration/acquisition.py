@@ -10,12 +10,12 @@ from typing import Any
 
 from calibration_interfaces.action import Measure
 from calibration_interfaces.msg import Outcome
-from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 
 from calibration.background import Background
 from calibration.conversions import Mean, Sample, to_average, to_header, to_outcome
+from calibration.lifecycle.managed import TransitionError
 from calibration.node import CalibrationNode, Declared
 from calibration.stream import Source, Stream
 from calibration.topics import SAMPLE_CHECK
@@ -28,6 +28,7 @@ LISTENERS_WAIT = 2.0  # s of wall time from the start, in which nothing is avera
 LOOK = 0.1  # s of wall time between looks at publishers and problems
 REPORT = 10  # looks between two reports of a stream whose health has not changed
 POLL = 0.005  # s of wall time between looks at an average
+GIVEN_UP = 1.0  # s of wall time, averages under way have to end
 CLOCK_STANDS = 10.0  # s of wall time without progress of the node's clock
 
 COMMON = (
@@ -77,21 +78,39 @@ class AcquisitionNode(CalibrationNode):
     """
 
     def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
-        """Declare parameters, read the cell, start reporting; subclasses add streams and sources."""
+        """Make the node; subclasses add streams and sources when they are configured."""
         super().__init__(name, (*COMMON, *parameters), **kwargs)
+
+    def on_configure(self) -> None:
+        """Read the cell, and offer what the node measures."""
         self.cell: Cell = load_cell(self.value("cell"))
         self.streams: dict[str, Stream] = {}
         self._sources: dict[str, Source] = {}
         self._looks = 0
-        self._alone_until = time.monotonic() + LISTENERS_WAIT
         self._told: dict[str, Problem] = {}
         self.group = ReentrantCallbackGroup()
         self._checks = self.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
+        self._measure = self.create_action_server(Measure, "~/measure", self._on_measure)
+        self._averaging = 0  # requests under way
+
+    def on_activate(self) -> None:
+        """Look for the sources, and report how they are, from now on."""
+        self._alone_until = time.monotonic() + LISTENERS_WAIT
+        for source in self._sources.values():
+            source.begin()
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._measure = ActionServer(
-            self, Measure, "~/measure", self._on_measure, callback_group=self.group,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
-        )  # fmt: skip
+
+    def on_deactivate(self) -> None:
+        """Wait until averages under way have given up: they look whether the node is still active."""
+        end = time.monotonic() + GIVEN_UP
+        while self._averaging:
+            if time.monotonic() > end:
+                raise TransitionError(f"an average is still being taken after {GIVEN_UP:g} s")
+            time.sleep(POLL)
+
+    def busy(self) -> str:
+        """Say that an average is being taken: what it is taken with does not change meanwhile."""
+        return "an average is being taken" if self._averaging else ""
 
     def limits(self, largest: tuple[float, ...], fastest: tuple[float, ...]) -> Limits:
         """Return the limits of a stream from the parameters that all instruments share."""
@@ -199,6 +218,7 @@ class AcquisitionNode(CalibrationNode):
         before = {stream.name: stream.check.counts.received for stream in request.streams}
         tare = self.tare_number()
         deadline = _Deadline(self.now_ns, request.timeout)
+        self._averaging += 1
         try:
             while True:
                 states = [(stream, stream.state(averaging)) for stream, averaging in running]
@@ -206,11 +226,14 @@ class AcquisitionNode(CalibrationNode):
                     break
                 if cancelled():
                     raise MeasuringError(Outcome.CANCELLED, "cancelled")
+                if not self.active:
+                    raise MeasuringError(Outcome.NOT_AVAILABLE, f"{self.get_name()} is being deactivated")
                 if deadline.passed():
                     raise _why_not(states, before)
                 tell(min(_share(state) for _, state in states), _waiting_for(states))
                 time.sleep(POLL)
         finally:
+            self._averaging -= 1
             for stream, averaging in running:
                 stream.end(averaging)
         if self.tare_number() != tare:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 from typing import Any
 
 from calibration_interfaces.action import RunPlan
@@ -11,6 +12,8 @@ from calibration_interfaces.msg import MeasurementProgress
 
 from calibration.advisor import Advisor
 from calibration.conversions import to_header
+from calibration.sequencer_parameters import DEVICE
+from calibration.status.procedure import ProcedureReport
 from calibration.topics import PROGRESS
 from calibration_core.procedure import messages as m
 from calibration_core.timeseries import Phase
@@ -30,14 +33,22 @@ class Feedback:
         self._goal: Any = None
         self._runner: Any = None
         self._progress = MeasurementProgress()
+        self._report = ProcedureReport(node)
+
+    def prepare(self, request: Any) -> None:
+        """Tell that a goal was accepted, and what it asks for."""
+        recording = self._node.value("recording") or str(Path(request.session) / "bag")
+        self._report.preparing(str(request.plan), str(request.session), recording)
 
     def begin(self, goal: Any, runner: Any) -> None:
         """Take the goal and the runner of a run."""
+        runner.observer.by_device = self._node.value("load.by") == DEVICE
         self._goal, self._runner, self._progress = goal, runner, MeasurementProgress()
 
-    def end(self) -> None:
-        """Forget the run."""
+    def end(self, text: str) -> None:
+        """Forget the run; tell how it ended."""
         self._goal = self._runner = None
+        self._report.ended(text)
 
     def configuration_done(self, session: str) -> None:
         """Have it worked out what the session has told; returns at once."""
@@ -61,9 +72,12 @@ class Feedback:
         self._node.diagnostics.report("progress", 2, text.strip().splitlines()[-1] if text.strip() else "no words")
 
     def send(self) -> None:
-        """Send the feedback, now and then."""
+        """Tell every change, and send the feedback now and then."""
         goal, runner = self._goal, self._runner
-        if runner is None or goal is None or time.monotonic() - self._told < PERIOD:
+        if runner is None or goal is None:
+            return
+        self._report.tell(runner.sequence, runner.observer, moving=runner.moving)
+        if time.monotonic() - self._told < PERIOD:
             return
         self._told = time.monotonic()
         sequence = runner.sequence

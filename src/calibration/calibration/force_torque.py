@@ -62,8 +62,12 @@ class ForceTorqueNode(AcquisitionNode):
     """Publishes `force_torque/wrench`; offers `~/measure`, `~/tare` and `~/self_test`."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Make the one stream."""
+        """Make the node."""
         super().__init__("force_torque", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Make the one stream."""
+        super().on_configure()
         self._units = FORCE_UNITS[self.value("force_unit")], TORQUE_UNITS[self.value("torque_unit")]
         self._sign = SIGNS[self.value("sign")]
         self._bias: Float1D = np.zeros(6)
@@ -84,11 +88,15 @@ class ForceTorqueNode(AcquisitionNode):
             self._raw = self.create_publisher(RAW_WRENCH.message, RAW_WRENCH.relative, RAW_WRENCH.qos)
         self._tare_events = self.create_publisher(TARE.message, TARE.relative, TARE.qos)
         self.add_source(topic, WRENCH_INPUTS[self.value("input_type")], self._on_wrench)
+        self.create_service(Tare, "~/tare", self._on_tare, callback_group=self.group)
+        self.create_service(SelfTest, "~/self_test", self._on_self_test, callback_group=self.group)
+
+    def on_activate(self) -> None:
+        """Listen to the joint states, too."""
+        super().on_activate()
         joints = Topic(self.cell.topics.joint_states, Kind.JOINTS.value, Quality.SAMPLES)
         profile = subscription_profile(self, joints.relative, depth=1)
         self.create_subscription(joints.message, joints.relative, self._on_joints, profile)
-        self.create_service(Tare, "~/tare", self._on_tare, callback_group=self.group)
-        self.create_service(SelfTest, "~/self_test", self._on_self_test, callback_group=self.group)
 
     def outputs(self) -> Sequence[Any]:
         """Return the publisher of the wrench."""

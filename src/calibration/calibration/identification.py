@@ -21,7 +21,6 @@ from typing import Any
 from calibration_interfaces import srv
 from calibration_interfaces.action import Identify
 from calibration_interfaces.msg import Outcome
-from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 from calibration import results
@@ -103,8 +102,11 @@ class IdentificationNode(CalibrationNode):
     """Offers `~/identify_*`, `~/diagnose` and the action `~/identify`."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Start the process that computes, and the services."""
+        """Make the node."""
         super().__init__("identification", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Start the process that computes, and the services."""
         self._worker = Worker()
         self._drawer: Worker | None = None  # started when it is needed
         self._drawing = threading.Lock()
@@ -114,13 +116,8 @@ class IdentificationNode(CalibrationNode):
         group = ReentrantCallbackGroup()
         for offer in OFFERS.values():
             self.create_service(offer.kind, f"~/{offer.name}", self._service(offer), callback_group=group)
-        self._action = ActionServer(
-            self, Identify, "~/identify", self._on_goal, callback_group=group,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        self._action = self.create_action_server(Identify, "~/identify", self._on_goal)
         self._markers = self.create_publisher(MARKERS.message, MARKERS.relative, MARKERS.qos)
-        if self.value("cell"):
-            self._show(self.value("cell"), "")
         self.diagnostics.report("evaluation", 0, "idle")
 
     def _aside(self, what: str, work: Callable[[], object]) -> None:
@@ -255,12 +252,21 @@ class IdentificationNode(CalibrationNode):
         code = ERRORS.get(done.kind, Outcome.INTERNAL) if done.kind else Outcome.OK
         return Evaluated(code, done.text)
 
-    def stop(self) -> None:
-        """Cancel what is under way and end the processes."""
+    def on_activate(self) -> None:
+        """Show the cell, and answer from now on."""
+        self._stopping.clear()
+        if self.value("cell"):
+            self._show(self.value("cell"), "")
+
+    def on_deactivate(self) -> None:
+        """Cancel what is under way."""
         self._stopping.set()
         end = time.monotonic() + 1.0
         while (self._busy.locked() or self._drawing.locked()) and time.monotonic() < end:
             time.sleep(0.01)
+
+    def on_cleanup(self) -> None:
+        """End the processes."""
         self._worker.close()
         if self._drawer is not None:
             self._drawer.close()

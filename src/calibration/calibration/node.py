@@ -26,15 +26,19 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException, ParameterException
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
+from calibration.lifecycle import machine
+from calibration.lifecycle.heartbeat import Heartbeat
+from calibration.lifecycle.managed import ManagedNode
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.yaml_file import read_yaml
 
-NODE_NAMES = ("force_torque", "guard", "identification", "recorder", "sequencer", "simulated_cell", "tracker")
+NODE_NAMES = (
+    "force_torque", "guard", "identification", "manager", "recorder", "sequencer", "simulated_cell", "tracker",
+)  # fmt: skip
 BUILT_IN = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 MAX_PARAMETER_BYTES = 1 << 20
 POLL = 0.1  # s between looks at the flag that ends the process
@@ -58,7 +62,7 @@ class Declared:
         high: Largest number allowed.
         choices: The strings allowed, empty: any.
         required: Whether it must be given, that is: not empty.
-        read_only: Whether it is fixed once the node runs.
+        read_only: Whether it is fixed once the node runs; the others change while it runs, but not while it is busy.
     """
 
     name: str
@@ -106,8 +110,11 @@ class Declared:
         return ""
 
 
-class CalibrationNode(Node):
-    """A node with declared parameters and diagnostics.
+OF_ALL = (Declared("autostart", True, "Whether the node configures and activates itself; false: its manager does."),)
+
+
+class CalibrationNode(ManagedNode):
+    """A managed node with declared parameters, diagnostics and a sign of life.
 
     Attributes:
         diagnostics: What the node tells about its health, once a second and at every change.
@@ -115,26 +122,30 @@ class CalibrationNode(Node):
     """
 
     def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
-        """Declare the parameters.
+        """Declare the parameters; configure and activate the node, unless a manager is to do that.
 
         Args:
             name: Name of the node; a remapping may replace it.
-            parameters: Its parameters.
+            parameters: Its parameters, besides those of all nodes.
             kwargs: Passed on to `rclpy.node.Node` (context, parameter_overrides, namespace, ...).
 
         Raises:
             ParameterError: A parameter is unknown, of the wrong type, out of range, or missing.
+            InputError: The node activates itself, and something else that it was given cannot be used.
         """
         super().__init__(name, **kwargs)
         self.failed = threading.Event()
-        self._table = {one.name: one for one in parameters}
+        self._table = {one.name: one for one in (*OF_ALL, *parameters)}
         try:
             self._declare()
-        except ParameterError:
+            self.add_on_set_parameters_callback(self._check)
+            self.diagnostics = Diagnostics(self)
+            self._heartbeat = Heartbeat(self)
+            if self.value("autostart"):
+                self.start()
+        except Exception:
             self.destroy_node()
             raise
-        self.add_on_set_parameters_callback(self._check)
-        self.diagnostics = Diagnostics(self)
 
     def _declare(self) -> None:
         own = self.get_fully_qualified_name()
@@ -167,14 +178,28 @@ class CalibrationNode(Node):
             fault = one.fault(given.value) if one else ""
             if fault:
                 return SetParametersResult(successful=False, reason=f"{given.name}: {fault}")
+            if one and self.busy():
+                return SetParametersResult(successful=False, reason=f"{given.name}: not now: {self.busy()}")
         return SetParametersResult(successful=True)
+
+    def busy(self) -> str:
+        """Say what is under way that forbids to change a parameter; empty if nothing is."""
+        return ""
 
     def now_ns(self) -> int:
         """Return the node's time, ns: the simulation's where `use_sim_time` is set."""
         return int(self.get_clock().now().nanoseconds)
 
+    def announced(self) -> None:
+        """Send the health at once: it has changed."""
+        self._heartbeat.beat()
+
     def stop(self) -> None:
-        """End what is under way, files included; the executor still spins.  Nothing by default."""
+        """End what is under way and give back what is held, before the process ends; the executor still spins."""
+        if self.active:
+            self.change(machine.DEACTIVATE)
+        if self.state in (machine.ACTIVE, machine.INACTIVE):  # what could not be ended is given back all the same
+            self.on_cleanup()
 
 
 def _range(one: Declared) -> str:
@@ -188,7 +213,7 @@ class Diagnostics:
 
     LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: ManagedNode) -> None:
         """Start publishing."""
         self._node = node
         self._status: dict[str, DiagnosticStatus] = {}
@@ -213,6 +238,14 @@ class Diagnostics:
         self._status[what] = new
         if old is None or (old.level, old.message) != (new.level, new.message):
             self.publish()
+
+    @property
+    def worst(self) -> tuple[int, str]:
+        """Level and text of the gravest thing; level 0 and no text if all is well."""
+        gravest = max(self._status.values(), key=lambda one: one.level[0], default=None)
+        if gravest is None or gravest.level == DiagnosticStatus.OK:
+            return 0, ""
+        return min(int(gravest.level[0]), 2), f"{gravest.name.partition(': ')[2]}: {gravest.message}"
 
     def publish(self) -> None:
         """Send everything known."""

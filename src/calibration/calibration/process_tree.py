@@ -132,6 +132,7 @@ def _suite(everywhere: Mapping[str, Value], motion: Mapping[str, Value], adapter
         Process("guard", {**everywhere, **motion, "robot_state.adapter": adapter}, sigterm_after=OUTLIVES),
         Process("sequencer", {**everywhere, **motion, **load, **BAG}),
         Process("identification", {**CELL_FILE, **BAG}),
+        Process("manager", everywhere),
     )
 
 

@@ -51,25 +51,33 @@ class RecorderNode(CalibrationNode):
     """Records until it is stopped or told to close."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Open the bag and wait for publishers."""
+        """Make the node."""
         super().__init__("recorder", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Read the cell, and offer the services; no bag is open yet."""
         cell = load_cell(self.value("cell"))
         self._topics = recorded_topics(cell)
         self._instruments = [topic for topic in contract_topics(cell) if topic.quality is Quality.SAMPLES]
-        self._heard: dict[str, tuple[Any, Any]] = {}
-        self._counted: dict[str, int] = {}
-        self._looked = -math.inf  # s of the monotonic clock
         self._queue: collections.deque[Item] = collections.deque()
         self._infos: dict[str, LiveTopic] = {}
         self._numbers: dict[str, int] = {}
         self._lock = threading.RLock()  # the bag and what belongs to it
-        self._bag: LiveBag | None = self._new_bag()
+        self._bag: LiveBag | None = None
         self._ending = threading.Event()
-        self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
-        self._writer.start()
         self.create_service(Trigger, "~/close", self._on_close)
         self.create_service(Trigger, "~/open", self._on_open)
         self.create_service(Trigger, "~/hears", self._on_hears)
+
+    def on_activate(self) -> None:
+        """Open the bag and wait for publishers."""
+        self._heard: dict[str, tuple[Any, Any]] = {}
+        self._counted: dict[str, int] = {}
+        self._looked = -math.inf  # s of the monotonic clock
+        self._bag = self._new_bag()
+        self._ending.clear()
+        self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
+        self._writer.start()
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(1.0, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._look()
@@ -210,7 +218,7 @@ class RecorderNode(CalibrationNode):
         figures = {"messages": bag.messages, "waiting": len(self._queue), "topics": len(self._numbers)}
         self.diagnostics.report("bag", 0, f"recording to {bag.file}", figures)
 
-    def stop(self) -> None:
+    def on_deactivate(self) -> None:
         """Write what has come and close the bag."""
         self._ending.set()
         self._writer.join(timeout=5.0)

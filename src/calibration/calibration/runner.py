@@ -23,6 +23,7 @@ from calibration.motion.ladder import StopLadder
 from calibration.permission import PermissionWatch
 from calibration.reading_checks import PostureError
 from calibration.readings import ReadingError
+from calibration.status.observer import Observer
 from calibration_core.errors import SessionError, TrajectoryError
 from calibration_core.procedure import messages as m
 from calibration_core.procedure.sequence import Sequence
@@ -128,7 +129,12 @@ class _Motion:
 
 
 class Runner:
-    """Runs a procedure to its end."""
+    """Runs a procedure to its end.
+
+    Attributes:
+        sequence: The procedure.
+        observer: Who keeps what people want to know of it.
+    """
 
     def __init__(
         self,
@@ -157,6 +163,7 @@ class Runner:
             rungs: Of the stop ladder.
         """
         self.sequence, self._cell, self._backend, self._joints = sequence, cell, backend, joints
+        self.observer = Observer(sequence)
         self._watch, self._monitored, self._limits, self._settle_time = watch, monitored, limits, settle_time
         self._ladder = StopLadder(rungs)
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -209,7 +216,9 @@ class Runner:
                 self._handle(dataclasses.replace(event, now=self._cell.seconds()))
 
     def _handle(self, event: m.Event) -> None:
-        for command in self.sequence.handle(event):
+        commands = self.sequence.handle(event)
+        self.observer.hear(event, commands)
+        for command in commands:
             self._do(command)
 
     # --- commands ----------------------------------------------------------------------------------------------------

@@ -245,6 +245,7 @@ class SequencerNode(CalibrationNode):
             goal.abort()
             return RunPlan.Result(outcome=to_outcome(Outcome.BUSY, "a plan is being measured"))
         self._ended.clear()
+        self.feedback.prepare(goal.request)
         result = RunPlan.Result()
         try:
             result = await Background(self, lambda: self._measure(goal))
@@ -257,7 +258,7 @@ class SequencerNode(CalibrationNode):
             result.outcome = to_outcome(Outcome.INTERNAL, f"{type(error).__name__}: {error}")
         finally:
             self._runner = self._port = None
-            self.feedback.end()
+            self.feedback.end(str(result.outcome.text))
             self._ended.set()
         if goal.is_cancel_requested:
             result.outcome.code = Outcome.CANCELLED

@@ -81,6 +81,8 @@ LOAD_STATE = Topic("/calibration/load_state", "calibration_interfaces/msg/LoadSt
 MOTION_PULSE = Topic("/calibration/motion_pulse", "std_msgs/msg/Bool", Quality.PULSE)
 MARKERS = Topic("/calibration/markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
 PLAN_MARKERS = Topic("/calibration/plan_markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
+PROCEDURE = Topic("/calibration/procedure", "calibration_interfaces/msg/ProcedureState", Quality.STATE)
+STATE = Topic("/calibration/state", "calibration_interfaces/msg/State", Quality.STATE)
 RAW_WRENCH = Topic("/force_torque/raw", Kind.WRENCH.value, Quality.SAMPLES)
 
 PROGRESS = Topic("/calibration/progress", "calibration_interfaces/msg/MeasurementProgress", Quality.EVENTS)

@@ -34,8 +34,12 @@ class TrackerNode(AcquisitionNode):
     """Publishes `tracker/POINT` for each point; a topic that is that one already is only checked."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Make one stream per point."""
+        """Make the node."""
         super().__init__("tracker", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Make one stream per point."""
+        super().on_configure()
         names: list[str] = self.value("points") or list(self.cell.points)
         topics: list[str] = self.value("topics") or [f"input/{name}" for name in names]
         self._check_names(names, topics)

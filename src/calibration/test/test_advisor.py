@@ -128,6 +128,7 @@ class Runner:
     """Takes what is posted."""
 
     posted: list[Any] = dataclasses.field(default_factory=list)
+    observer: Any = dataclasses.field(default_factory=SimpleNamespace)
 
     def post(self, event: Any) -> None:
         self.posted.append(event)
@@ -151,4 +152,4 @@ def test_enough_ends_the_run_only_if_that_was_asked_for(
     assert heard[0].configuration == DONE
     assert len(heard[0].accuracy) == 6
     assert runner.posted == ([m.Enough(0.0, heard[0].text)] if stop else [])
-    node.feedback.end()
+    node.feedback.end("")

@@ -15,9 +15,18 @@ import yaml
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from calibration import force_torque, guard, identification, process_tree, recorder, sequencer_parameters, tracker
+from calibration import (
+    force_torque,
+    guard,
+    identification,
+    manager,
+    process_tree,
+    recorder,
+    sequencer_parameters,
+    tracker,
+)
 from calibration.acquisition import COMMON
-from calibration.node import NODE_NAMES, Declared
+from calibration.node import NODE_NAMES, OF_ALL, Declared
 from calibration_core.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -26,12 +35,13 @@ CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 SHARE = ROOT / "install" / "calibration" / "share" / "calibration"
 LAUNCH_FILES = sorted((PACKAGE / "launch").glob("*.launch.py"))
 TABLES: dict[str, tuple[Declared, ...]] = {
-    "tracker": (*COMMON, *tracker.PARAMETERS),
-    "force_torque": (*COMMON, *force_torque.PARAMETERS),
-    "guard": guard.PARAMETERS,
-    "sequencer": sequencer_parameters.PARAMETERS,
-    "recorder": recorder.PARAMETERS,
-    "identification": identification.PARAMETERS,
+    "tracker": (*OF_ALL, *COMMON, *tracker.PARAMETERS),
+    "force_torque": (*OF_ALL, *COMMON, *force_torque.PARAMETERS),
+    "guard": (*OF_ALL, *guard.PARAMETERS),
+    "sequencer": (*OF_ALL, *sequencer_parameters.PARAMETERS),
+    "recorder": (*OF_ALL, *recorder.PARAMETERS),
+    "manager": (*OF_ALL, *manager.PARAMETERS),
+    "identification": (*OF_ALL, *identification.PARAMETERS),
 }
 
 

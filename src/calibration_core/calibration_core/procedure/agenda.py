@@ -73,6 +73,7 @@ class Agenda:
         visits: Visits to the reference so far.
 
     Attributes:
+        plan: What is planned.
         completed: Numbers of the configurations measured; likewise `given_up`.
         visits: Visits to the reference.
         target: How many configurations are to be measured.
@@ -82,7 +83,7 @@ class Agenda:
     def __init__(
         self, plan: Plan, rules: SequenceRules, completed: frozenset[int], given_up: frozenset[int], visits: int
     ) -> None:
-        self._plan, self._rules = plan, rules
+        self.plan, self._rules = plan, rules
         self.completed, self.given_up, self.visits = set(completed), set(given_up), visits
         over = completed | given_up
         first = [*plan.preparation, *plan.primary]  # the phases before the compliance have no spares
@@ -103,16 +104,16 @@ class Agenda:
     def next(self, now: float) -> Item | None:
         """Return what is to be done next, None if nothing is left; the same again until it is done or given up."""
         if self._pending and now >= self._startup_due:
-            self._startup_left, self._startup_due = list(self._plan.startup_cycle), math.inf
+            self._startup_left, self._startup_due = list(self.plan.startup_cycle), math.inf
         if self._startup_left:
             self._warming = True
             number = self._pending[0].number if self._pending else REFERENCE_NUMBER
             return Item(number, self._startup_left[0], np.empty((0, 6)), 0, "startup")
-        if math.isinf(self._startup_due) and len(self._plan.startup_cycle):
+        if math.isinf(self._startup_due) and len(self.plan.startup_cycle):
             self._startup_due = now + self._rules.startup_period
         if self._warming:
             self.warmed_up, self._warming = now, False
-        reference = self._plan.reference
+        reference = self.plan.reference
         swept = bool(self._pending) and self._pending[0].phase != "compliance"  # nothing else within a sweep
         if reference is not None and reference.every and not swept:
             last = not self._pending and self._since_reference > 0
@@ -161,7 +162,7 @@ class Agenda:
 
     def phase_begins(self, item: Item) -> bool:
         """Tell whether a configuration is the first of its phase, in a plan that has several; once."""
-        begins = bool(self._plan.preparation) and item.phase != self._phase
+        begins = bool(self.plan.preparation) and item.phase != self._phase
         self._phase = item.phase
         return begins
 

@@ -1,0 +1,130 @@
+"""What is wrong now, and the way out, in words: derived from what the nodes say, and deciding nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from calibration_interfaces.msg import Condition, Fault, NodeHealth, Permission, ProcedureState, SampleCheck, State
+from lifecycle_msgs.msg import State as Lifecycle
+
+START = "start it again: ros2 run calibration {name}"
+MISSED = {
+    "guard": "nothing may move, and only the hand on the pendant stops the robot",
+    "sequencer": "nothing is measured",
+    "recorder": "nothing is recorded",
+    "tracker": "no point is measured",
+    "force_torque": "no wrench is measured",
+    "identification": "nothing can be identified; the measurement goes on",
+}
+AGAIN = {
+    "guard": "reset it by name if it asks for that, and resume motion by name",
+    "sequencer": "send the goal again with resume: true",
+}
+NOT_PERMITTED = {
+    Permission.STATE_ABSENT: "start the robot's driver, and choose the adapter that fits it",
+    Permission.STATE_STALE: "look whether the robot's driver still publishes its state",
+    Permission.MODE_UNKNOWN: "confirm the mode by name (guard/confirm_mode)",
+    Permission.MODE_NOT_ALLOWED: "turn the mode selector to manual reduced speed",
+    Permission.DRIVES_UNKNOWN: "look whether the robot's driver tells whether the drives are on",
+    Permission.DRIVES_OFF: "hold the enabling device, and switch the drives on",
+    Permission.SAFETY_STOP: "release the stop at the controller",
+    Permission.MOTION_NOT_POSSIBLE: "start the driver's program at the controller",
+    Permission.IN_ERROR: "acknowledge the error at the controller",
+    Permission.JOINTS_ABSENT: "look whether joint states are published",
+    Permission.JOINTS_STALE: "look whether joint states are still published",
+    Permission.JOINTS_NOT_FINITE: "look what the driver says about its encoders",
+    Permission.CONFIRMATION_EXPIRED: "confirm the mode again by name (guard/confirm_mode)",
+    Permission.SPEED_LIMIT_MISSING: "declare the controller's safety-rated speed limit in the cell file",
+    Permission.SPEED_SCALING_ZERO: "turn the speed override up, or release the stop",
+    Permission.NOT_STARTED: "wait: the guard has just begun",
+    Permission.SAFETY_UNKNOWN: "look whether the robot's driver tells its safety state",
+    Permission.JOINTS_FROZEN: "look whether the driver repeats old joint states",
+    Permission.JOINTS_JUMPED: "look whether two drivers publish joint states, or an encoder fails",
+    Permission.OVER_SPEED: "find out why the robot was too fast, before anything else",
+    Permission.PLANNED_OVER_SPEED: "plan a slower motion",
+    Permission.CLOCK_JUMPED: "look at the clocks of the computers, or at the simulation's",
+    Permission.STOPPING: "start the guard again",
+    Permission.LATCHED: "put the cause right, then reset the guard by name (guard/reset); that moves nothing",
+}
+STREAM = {
+    SampleCheck.SILENT: "look at the instrument, its cable and its driver; for a tracker, lock the beam again",
+    SampleCheck.NOT_FINITE: "look at the instrument: it sends no numbers",
+    SampleCheck.FROZEN: "lock the beam again: the same sample comes again and again",
+    SampleCheck.JUMP: "look whether the target is loose or the beam jumped to another one",
+    SampleCheck.WRONG_FRAME: "give the frame that the instrument uses as parameter frame",
+    SampleCheck.IMPLAUSIBLE: "look whether the unit given for the instrument is right",
+    SampleCheck.OUT_OF_ORDER: "look at the clock of the instrument",
+    SampleCheck.INCOMPATIBLE_QOS: "change the quality of service of the driver, or of the node",
+}
+
+
+def faults(state: State) -> list[Fault]:
+    """Return what is wrong, the gravest first; in the order of nodes, permission, streams and conditions else."""
+    found = [
+        *_nodes(state.nodes),
+        *_permission(state),
+        *_streams(state.streams),
+        *_conditions(state),
+        *_progress(state),
+    ]
+    return sorted(found, key=lambda one: -int(one.level))
+
+
+def _fault(level: int, code: str, source: str, text: str, remedy: str) -> Fault:
+    return Fault(level=level, code=code, source=source, text=text, remedy=remedy)
+
+
+def _nodes(nodes: Sequence[NodeHealth]) -> Iterator[Fault]:
+    for one in nodes:
+        missed = MISSED.get(one.name, "")
+        remedy = "; then ".join(filter(None, [START.format(name=one.name), AGAIN.get(one.name, "")]))
+        if one.level == NodeHealth.ABSENT:
+            yield _fault(Fault.ERROR, "node_absent", one.name, f"{one.name} has not been heard yet: {missed}", remedy)
+        elif one.level == NodeHealth.SILENT:
+            yield _fault(Fault.ERROR, "node_silent", one.name, f"{one.name} is silent: {missed}", remedy)
+        elif one.lifecycle.id != Lifecycle.PRIMARY_STATE_ACTIVE:
+            text = f"{one.name} is not active ({one.text or one.lifecycle.label}): {missed}"
+            yield _fault(Fault.ERROR, "node_not_active", one.name, text, one.remedy)
+        elif one.level == NodeHealth.ERROR:
+            yield _fault(Fault.ERROR, "node_error", one.name, f"{one.name}: {one.text}", one.remedy)
+
+
+def _permission(state: State) -> Iterator[Fault]:
+    if not state.permission_known:
+        if not any(one.name == "guard" for one in state.nodes if one.level >= NodeHealth.ABSENT):
+            yield _fault(Fault.ERROR, "guard_silent", "guard", "the guard does not say whether the robot may move",
+                         START.format(name="guard"))  # fmt: skip
+        return
+    permission = state.permission
+    if permission.permitted:
+        return
+    code = "guard_latched" if permission.latched else "not_permitted"
+    waited = state.procedure_known and state.procedure.waits_for in (ProcedureState.GUARD, ProcedureState.OPERATOR)
+    level = Fault.ERROR if permission.latched or waited else Fault.WARN
+    remedies = [NOT_PERMITTED[reason] for reason in permission.reasons if reason in NOT_PERMITTED]
+    yield _fault(level, code, "guard", f"motion is not permitted: {permission.text}", "; ".join(remedies))
+
+
+def _streams(streams: Sequence[SampleCheck]) -> Iterator[Fault]:
+    for one in streams:
+        if one.problem in STREAM:
+            yield _fault(Fault.ERROR, "stream", one.name, f"{one.name} ({one.topic}): {one.text}", STREAM[one.problem])
+
+
+def _conditions(state: State) -> Iterator[Fault]:
+    for one in state.conditions.conditions:
+        if one.verdict == Condition.VIOLATED and not one.override.operator_name:
+            text = f"{one.name} ({one.clause}): found {one.value}, expected {one.limit}"
+            remedy = "put it right, or override it by name (sequencer/override_condition)"
+            yield _fault(Fault.ERROR if one.shall else Fault.WARN, "condition", one.name, text, remedy)
+
+
+def _progress(state: State) -> Iterator[Fault]:
+    procedure, progress = state.procedure, state.progress
+    if procedure.reading_verdict in (ProcedureState.REPEATED, ProcedureState.GIVEN_UP) and state.procedure_known:
+        place = f"configuration {procedure.reading_configuration}, step {procedure.reading_step}"
+        yield _fault(Fault.WARN, "reading_rejected", "sequencer", f"{place}: {procedure.reading_text}",
+                     "nothing: it is tried again, or a spare takes its place")  # fmt: skip
+    if progress.suspicious:
+        text = f"configuration {progress.configuration} does not fit the others: {progress.text}"
+        yield _fault(Fault.WARN, "suspicious", f"configuration {progress.configuration}", text, "measure it again")

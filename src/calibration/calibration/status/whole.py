@@ -1,0 +1,88 @@
+"""The whole cell in one message, put together from what the nodes say."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from calibration_interfaces.msg import NodeHealth, ProcedureState, SampleCheck, State
+
+from calibration.lifecycle.order import Order
+from calibration.permission import SILENT
+from calibration.status.faults import MISSED, faults
+
+
+class Whole:
+    """What was heard last of everything, and the message that it makes; times are s of the steady clock."""
+
+    def __init__(self, names: tuple[str, ...], permission_age: float) -> None:
+        """Begin with nothing heard.
+
+        Args:
+            names: Of the nodes, in their order.
+            permission_age: s, that the guard's last word counts.
+        """
+        self._age = permission_age
+        self._state = State(procedure=ProcedureState(seconds_left=math.nan))
+        self._streams: dict[tuple[str, str], SampleCheck] = {}
+        self.health = {name: NodeHealth(name=name, level=NodeHealth.ABSENT) for name in names}
+        self._permission_heard = -math.inf
+
+    def hear(self, field: str, message: Any, now: float) -> None:
+        """Take a message that one field of the state shows as it came."""
+        setattr(self._state, field, message)
+        if field == "permission":
+            self._permission_heard = now
+        elif field == "load":
+            self._state.load_known = True
+
+    def hear_stream(self, message: SampleCheck) -> None:
+        """Take the health of one stream."""
+        self._streams[(str(message.topic), str(message.name))] = message
+
+    def hear_node(self, message: NodeHealth) -> None:
+        """Take a node's sign of life."""
+        self.health[message.name] = message
+
+    def message(self, order: Order, now: float) -> State:
+        """Return the state of the cell at `now`; a new run of the sequencer's process makes no old words true."""
+        state = self._state
+        for name, member in order.members.items():
+            if not member.alive and member.process:
+                self.health[name].level = NodeHealth.SILENT
+                self.health[name].text = f"silent: {MISSED.get(name, '')}"
+        state.nodes = list(self.health.values())
+        alive = {name: member.alive for name, member in order.members.items()}
+        state.procedure_known = alive.get("sequencer", False) and bool(state.procedure.header.stamp.sec)
+        state.permission_known = now - self._permission_heard <= self._age
+        state.streams = sorted(self._streams.values(), key=lambda one: (one.topic, one.name))
+        if not state.permission_known:
+            state.not_permitted = SILENT
+        else:
+            state.not_permitted = "" if state.permission.permitted else str(state.permission.text)
+        procedure = state.procedure
+        state.text, state.waiting = str(procedure.text), str(procedure.waiting)
+        if not state.procedure_known:
+            last = f"; it said last: {procedure.text}" if procedure.text else ""
+            state.text, state.waiting = f"the sequencer is not heard{last}", "operator: start the sequencer again"
+        elif procedure.waits_for == ProcedureState.GUARD and state.not_permitted:
+            state.waiting = f"{procedure.waiting}: {state.not_permitted}"
+        state.faults = faults(state)
+        return state
+
+    def news(self, state: State) -> dict[str, object]:
+        """Return what of a state is worth a message at once; the rest of it changes all the time."""
+        procedure, permission, load = state.procedure, state.permission, state.load
+        return {
+            "words": (state.text, state.waiting, state.not_permitted),
+            "procedure": (procedure.state, procedure.moving, procedure.paused, procedure.configuration, procedure.step),
+            "reading": (procedure.reading_verdict, procedure.reading_configuration, procedure.reading_step),
+            "known": (state.procedure_known, state.permission_known, state.load_known),
+            "permission": (permission.permitted, permission.latched, tuple(permission.reasons)),
+            "nodes": [(one.process, one.lifecycle.id, one.level, one.text) for one in state.nodes],
+            "faults": [(one.code, one.source, one.text) for one in state.faults],
+            "streams": [(one.name, one.problem) for one in state.streams],
+            "progress": state.progress.configuration,
+            "conditions": [(one.name, one.verdict, one.override.operator_name) for one in state.conditions.conditions],
+            "load": (load.state, load.target.force.x, load.target.force.y, load.target.force.z),
+        }

@@ -1,0 +1,219 @@
+"""The state of the cell: what the observer keeps of a run, what is wrong, and the way out."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from calibration_interfaces.msg import (
+    Condition,
+    ConditionOverride,
+    Conditions,
+    Fault,
+    MeasurementProgress,
+    NodeHealth,
+    Permission,
+    ProcedureState,
+    SampleCheck,
+    State,
+)
+from lifecycle_msgs.msg import State as Lifecycle
+
+from calibration.lifecycle.machine import ACTIVE
+from calibration.lifecycle.order import Order
+from calibration.status import faults as wrong
+from calibration.status.observer import Observer, Party, Verdict
+from calibration.status.whole import Whole
+from calibration_core.procedure import messages as m
+from calibration_core.procedure.agenda import SequenceRules
+from calibration_core.procedure.plan import Plan, PlannedConfiguration
+from calibration_core.procedure.sequence import Sequence
+
+PULL = np.array([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
+NAMES = ("guard", "sequencer")
+
+
+@dataclasses.dataclass
+class Watched:
+    """A procedure and who watches it."""
+
+    sequence: Sequence
+    observer: Observer
+    now: float = 0.0
+    commands: tuple[Any, ...] = ()
+
+    def tell(self, kind: type, **fields: Any) -> None:
+        self.now += 1.0
+        event = kind(now=self.now, **fields)
+        self.commands = self.sequence.handle(event)
+        self.observer.hear(event, self.commands)
+
+    def answer(self, kind: type, **fields: Any) -> None:
+        request = next(one.request for one in reversed(self.commands) if hasattr(one, "request"))
+        self.tell(kind, request=request, **fields)
+
+
+@pytest.fixture
+def watched() -> Watched:
+    one = PlannedConfiguration(1, np.full(6, 0.1), np.array([np.zeros(6), PULL]))
+    plan = Plan("robot", tuple(f"joint_{i}" for i in range(1, 7)), (one,), np.empty((0, 6)))
+    sequence = Sequence(plan, SequenceRules(readings=2, attempts=2, startup_cycles=0))
+    return Watched(sequence, Observer(sequence))
+
+
+def begin(watched: Watched) -> None:
+    watched.tell(m.GuardHearing, hears=True)
+    watched.tell(m.Start)
+
+
+def test_a_run_as_people_see_it(watched: Watched) -> None:
+    observer = watched.observer
+    begin(watched)
+    assert (observer.waits_for, observer.waiting) == (Party.GUARD, "guard: permission to move")
+    watched.tell(m.PermissionChanged, permitted=True)
+    if watched.sequence.paused:  # a run may begin held
+        watched.tell(m.Resume)
+    assert (observer.waits_for, observer.text) == (Party.ROBOT, "moving to configuration 1")
+    assert observer.goal is not None
+    assert np.array_equal(observer.goal, np.full(6, 0.1))
+    watched.answer(m.Arrived)
+    assert observer.text == "waiting for standstill at configuration 1, step 1 of 2"
+    assert observer.goal is None
+    watched.answer(m.Settled)
+    assert (observer.waits_for, observer.waiting) == (Party.INSTRUMENTS, "instruments: a settled window")
+    watched.answer(m.ReadingConfirmed)
+    assert (observer.reading.verdict, observer.readings) == (Verdict.KEPT, 1)
+    assert observer.load_awaited
+    assert (observer.waits_for, observer.waiting) == (
+        Party.OPERATOR, "operator: pull with (0, 0, -500) N, then confirm",
+    )  # fmt: skip
+    observer.by_device = True
+    assert (observer.waits_for, observer.waiting) == (Party.LOAD_DEVICE, "load device: the load")
+    observer.by_device = False
+    watched.answer(m.LoadReached)
+    watched.answer(m.Settled)
+    watched.answer(m.ReadingFailed, reason="the beam is broken")
+    assert (observer.reading.verdict, observer.reading.text) == (Verdict.REPEATED, "the beam is broken")
+    watched.answer(m.Settled)
+    watched.answer(m.ReadingFailed, reason="the beam is broken")
+    assert observer.waiting == "operator: release the load, then confirm"
+    watched.answer(m.LoadReached)
+    assert observer.reading.verdict is Verdict.GIVEN_UP
+    assert (observer.attempt, observer.readings) == (1, 1)
+    watched.tell(m.Pause)
+    assert observer.waits_for is Party.OPERATOR
+    assert observer.text == "paused before the next motion or load step"
+    assert "resume" in observer.waiting
+    watched.tell(m.Resume)
+    assert observer.question == ""
+    watched.tell(m.Stop)
+    assert (observer.text, observer.waiting) == ("the run is over", "")
+
+
+def health(name: str, level: int = NodeHealth.OK, state: int = ACTIVE, text: str = "") -> NodeHealth:
+    label = {ACTIVE: "active"}.get(state, "inactive")
+    return NodeHealth(name=name, level=level, lifecycle=Lifecycle(id=state, label=label), text=text, process=7)
+
+
+def well() -> State:
+    state = State(procedure_known=True, permission_known=True, nodes=[health(name) for name in NAMES])
+    state.permission.permitted = True
+    return state
+
+
+def found(state: State) -> list[tuple[int, str, str]]:
+    return [(int(one.level), str(one.code), str(one.source)) for one in wrong.faults(state)]
+
+
+def test_all_is_well() -> None:
+    assert wrong.faults(well()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "fault", "remedy"),
+    [
+        ({"nodes": [health("tracker", NodeHealth.SILENT)]}, (Fault.ERROR, "node_silent", "tracker"), "start it again"),
+        ({"nodes": [health("guard", NodeHealth.ABSENT)]}, (Fault.ERROR, "node_absent", "guard"), "resume motion"),
+        ({"nodes": [health("guard", state=2, text="inactive")]}, (Fault.ERROR, "node_not_active", "guard"), ""),
+        ({"nodes": [health("recorder", NodeHealth.ERROR, text="bag: no room")]},
+         (Fault.ERROR, "node_error", "recorder"), ""),
+        ({"permission_known": False}, (Fault.ERROR, "guard_silent", "guard"), "start it again"),
+        ({"permission": Permission(reasons=[Permission.DRIVES_OFF], text="drives off")},
+         (Fault.WARN, "not_permitted", "guard"), "enabling device"),
+        ({"permission": Permission(reasons=[Permission.DRIVES_OFF], text="drives off"),
+          "procedure": ProcedureState(waits_for=ProcedureState.GUARD)},
+         (Fault.ERROR, "not_permitted", "guard"), "enabling device"),
+        ({"permission": Permission(latched=True, reasons=[Permission.LATCHED], text="over speed")},
+         (Fault.ERROR, "guard_latched", "guard"), "moves nothing"),
+        ({"streams": [SampleCheck(name="mp1", topic="/tracker/mp1", problem=SampleCheck.SILENT, text="silent")]},
+         (Fault.ERROR, "stream", "mp1"), "lock the beam"),
+        ({"conditions": Conditions(conditions=[Condition(name="temperature", verdict=Condition.VIOLATED, shall=True)])},
+         (Fault.ERROR, "condition", "temperature"), "override it by name"),
+        ({"procedure": ProcedureState(reading_verdict=ProcedureState.REPEATED, reading_text="not settled")},
+         (Fault.WARN, "reading_rejected", "sequencer"), "tried again"),
+        ({"progress": MeasurementProgress(suspicious=True, configuration=4)},
+         (Fault.WARN, "suspicious", "configuration 4"), "measure it again"),
+    ],
+)  # fmt: skip
+def test_every_fault_has_a_place_and_a_way_out(
+    change: dict[str, Any], fault: tuple[int, str, str], remedy: str
+) -> None:
+    state = well()
+    for name, value in change.items():
+        setattr(state, name, value)
+    assert found(state) == [fault]
+    (one,) = wrong.faults(state)
+    assert one.text
+    assert remedy in one.remedy
+
+
+def test_what_is_overridden_is_no_fault_and_the_gravest_stands_first() -> None:
+    state = well()
+    by = ConditionOverride(condition="temperature", operator_name="A. Miller", reason="known")
+    state.conditions.conditions = [Condition(name="temperature", verdict=Condition.VIOLATED, shall=True, override=by)]
+    assert wrong.faults(state) == []
+    state.progress.suspicious = True
+    state.nodes = [health("tracker", NodeHealth.SILENT)]
+    assert [level for level, _, _ in found(state)] == [Fault.ERROR, Fault.WARN]
+
+
+def constants(message: type) -> set[int]:
+    values = [getattr(message, name) for name in dir(message) if name.isupper()]
+    return {value for value in values if isinstance(value, int)}
+
+
+def test_every_reason_and_problem_of_the_messages_is_answered() -> None:
+    assert len(wrong.NOT_PERMITTED) >= 24
+    assert set(wrong.NOT_PERMITTED) <= constants(Permission)
+    assert set(wrong.STREAM) == constants(SampleCheck) - {SampleCheck.FINE, SampleCheck.GAP}
+
+
+def test_the_whole_says_who_is_not_heard_and_what_was_said_last() -> None:
+    order, whole = Order(NAMES, 1.5, 0.0), Whole(NAMES, 0.5)
+    state = whole.message(order, 0.0)
+    assert (state.procedure_known, state.permission_known) == (False, False)
+    assert state.not_permitted == "the guard is silent"
+    assert [one.code for one in state.faults] == ["node_absent", "node_absent"]
+    for name in NAMES:
+        whole.hear_node(health(name))
+        order.hear(name, 7, ACTIVE, 1.0)
+    procedure = ProcedureState(text="moving to configuration 3", waiting="robot: arrival")
+    procedure.header.stamp.sec = 1
+    whole.hear("procedure", procedure, 1.0)
+    whole.hear("permission", Permission(permitted=True), 1.0)
+    state = whole.message(order, 1.1)
+    assert (state.text, state.waiting, state.not_permitted) == (procedure.text, procedure.waiting, "")
+    assert list(state.faults) == []
+    before = whole.news(state)
+    assert before == whole.news(whole.message(order, 1.2))
+    order.lose("sequencer")
+    state = whole.message(order, 1.3)
+    assert state.text == "the sequencer is not heard; it said last: moving to configuration 3"
+    assert [one.code for one in state.faults] == ["node_silent"]
+    assert whole.news(state) != before
+    assert whole.message(order, 2.0).not_permitted == "the guard is silent"
