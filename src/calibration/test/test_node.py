@@ -57,7 +57,7 @@ def test_values_and_descriptions(context: Any) -> None:
         ({"rate": float("nan")}, ("rate",)),
         ({"count": 0}, ("count", "0", "int from 1")),
         ({"unit": "km"}, ("unit", "'km'", "one of m, mm")),
-        ({"cell": ""}, ("cell", "nothing", "Cell file.")),
+        ({"cell": ""}, ("cell", "nothing", "cell file: --ros-args -p cell:=FILE")),
     ],
 )
 def test_wrong_parameters_are_errors(context: Any, values: dict[str, Any], words: tuple[str, ...]) -> None:
@@ -154,4 +154,4 @@ def test_unusable_input_ends_with_2_and_one_line(capfd: pytest.CaptureFixture[st
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    assert capfd.readouterr().err == "/tracker: cell: found nothing, expected Cell file.\n"
+    assert capfd.readouterr().err == "/tracker: cell: found nothing, expected cell file: --ros-args -p cell:=FILE\n"
