@@ -30,6 +30,7 @@ class Link:
         origin: Its frame in the parent's frame, joint angle zero.
         joint: Name of the joint that turns it, empty if it stands still in its parent.
         axis: (3,) unit axis of that joint through the frame's origin, in the link's frame.
+        slides: Whether the joint moves along its axis instead of turning about it.
         mass: kg.
         com: (3,) m, centre of gravity in the link's frame.
     """
@@ -41,6 +42,7 @@ class Link:
     axis: Float1D
     mass: float
     com: Float1D
+    slides: bool = False
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,7 +53,7 @@ class Chain:
         links: The tree.
         joints: Names of the moving joints, in the order of q.
         flange: Index of the flange link.
-        limits: (n, 2) rad, lower and upper.
+        limits: (n, 2) rad, m where a joint slides; lower and upper.
     """
 
     links: tuple[Link, ...]
@@ -78,7 +80,8 @@ def _from_dh(robot: Robot) -> Chain:
         mass, com = 0.0, np.zeros(3)
         if robot.inertials is not None:
             mass, com = robot.inertials[i].mass, last.apply(robot.inertials[i].com)
-        links.append(Link(f"link_{i + 1}", i - 1, before @ first, name, np.array([0.0, 0.0, 1.0]), mass, com))
+        slides = robot.joint_types is not None and robot.joint_types[i] == "prismatic"
+        links.append(Link(f"link_{i + 1}", i - 1, before @ first, name, np.array([0.0, 0.0, 1.0]), mass, com, slides))
         before = last
     links.append(Link("flange", len(rows) - 1, before, "", np.zeros(3), 0.0, np.zeros(3)))
     limits = np.array(robot.joint_limits, dtype=np.float64)
@@ -142,8 +145,8 @@ def _link(
         raise CellError(path, f"joint {name!r}", f"child {quoted(child)}", "a link of this file")
     axis = np.zeros(3)
     if name in joints:
-        if kind not in {"revolute", "continuous"}:
-            raise CellError(path, f"joint {name!r}", f"type {quoted(kind)}", "revolute or continuous")
+        if kind not in {"revolute", "continuous", "prismatic"}:
+            raise CellError(path, f"joint {name!r}", f"type {quoted(kind)}", "revolute, continuous or prismatic")
         axis = _vector(path, joint, "axis", "xyz", (1.0, 0.0, 0.0))
         length = float(np.linalg.norm(axis))
         if length < 1e-6:
@@ -160,7 +163,7 @@ def _link(
         fixed_axes(*_vector(path, joint, "origin", "rpy", (0.0, 0.0, 0.0))),
         _vector(path, joint, "origin", "xyz", (0.0, 0.0, 0.0)),
     )
-    return Link(child, parent, origin, name if name in joints else "", axis, mass, com)
+    return Link(child, parent, origin, name if name in joints else "", axis, mass, com, kind == "prismatic")
 
 
 def _limits(path: Path, joint: ET.Element) -> tuple[float, float]:

@@ -76,7 +76,8 @@ def _candidates(cell: Cell, chain: Chain, count: int, rng: np.random.Generator) 
 
 def _ranges(chain: Chain) -> tuple[Float1D, Float1D]:
     middle = chain.limits.mean(axis=1)
-    half = np.minimum((0.5 - LIMIT_MARGIN) * np.ptp(chain.limits, axis=1), WIDEST_RANGE)
+    slides = [next(link.slides for link in chain.links if link.joint == name) for name in chain.joints]
+    half = np.minimum((0.5 - LIMIT_MARGIN) * np.ptp(chain.limits, axis=1), np.where(slides, np.inf, WIDEST_RANGE))
     return middle - half, middle + half
 
 

@@ -54,7 +54,7 @@ def build_mjcf(
 
     Args:
         chain: The robot.
-        stiffness: (n,) N*m/rad, one per joint in the order of q.
+        stiffness: (n,) N*m/rad, N/m where a joint slides, one per joint in the order of q.
         gravity: (3,) m/s^2, base axes.
         joint_frame_errors: (n, 6) m and rad: how far each joint's frame (URDF: joint origin; DH: frame before the
             joint turns) is shifted, and turned by a rotation vector, in its own nominal axes.  None: the robot is
@@ -108,7 +108,8 @@ def _content(link: Link, of_joint: dict[str, float]) -> list[str]:
     lines = [_inertial(link.mass, link.com)]
     if link.joint:
         spring = f'stiffness="{float(of_joint[link.joint])!r}" springref="0"'
-        lines.append(f'<joint name={quoteattr(link.joint)} type="hinge" axis="{_numbers(link.axis)}" {spring}/>')
+        kind = "slide" if link.slides else "hinge"
+        lines.append(f'<joint name={quoteattr(link.joint)} type="{kind}" axis="{_numbers(link.axis)}" {spring}/>')
     return lines
 
 

@@ -6,6 +6,7 @@ field.  Angles are rad, lengths m, masses kg, as in the file.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +19,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from calibration_core.cell.surroundings import Box, EndEffector
+from calibration_core.cell.urdf import urdf_joint_types
 from calibration_core.cell.values import (
     Angle,
     FieldError,
@@ -28,6 +30,7 @@ from calibration_core.cell.values import (
     Number,
     Pose,
     Positive,
+    Stiffness,
     Strict,
     Vector,
     field_error,
@@ -73,7 +76,8 @@ class Robot(Strict):
     inertials: tuple[Inertial, ...] | None = None
     inertials_known: bool = True
     rated_load: Annotated[Positive, Field(ge=1e-3, le=1e5)]
-    stiffness: tuple[Positive, ...] | None = None
+    joint_types: tuple[Literal["revolute", "prismatic"], ...] | None = None
+    stiffness: tuple[Stiffness, ...] | None = None
     gravity: Vector = STANDARD_GRAVITY
 
     @model_validator(mode="after")
@@ -89,7 +93,9 @@ class Robot(Strict):
             raise field_error("joint_limits", "nothing", "one interval per joint (needed with dh)")
         if self.urdf is not None and (self.base_link is None or self.flange is None):
             raise field_error("flange" if self.base_link else "base_link", "nothing", "a link of the URDF")
-        for key in ("dh", "joint_limits", "inertials", "stiffness"):
+        if self.urdf is not None and self.joint_types is not None:
+            raise field_error("joint_types", "joint_types beside a urdf", "the URDF's own types only")
+        for key in ("dh", "joint_limits", "joint_types", "inertials", "stiffness"):
             rows = getattr(self, key)
             if rows is not None and len(rows) != n:
                 raise field_error(key, f"{len(rows)} entries", f"{n}, one per joint")
@@ -270,6 +276,19 @@ class Cell(Strict):
     def gravity(self) -> NDArray[np.float64]:
         """(3,) m/s^2, base axes."""
         return np.array(self.robot.gravity)
+
+    @functools.cached_property
+    def prismatic(self) -> tuple[bool, ...]:
+        """Per joint, whether it slides; as the URDF says, or `robot.joint_types`, else all turn.
+
+        Raises:
+            CellError: The URDF cannot be used.
+        """
+        robot, path = self.robot, self.urdf_path
+        if path is None:
+            return tuple(kind == "prismatic" for kind in robot.joint_types or ("revolute",) * len(robot.joints))
+        kinds = urdf_joint_types(path, robot.joints if robot.joint_limits is not None else ())
+        return tuple(kinds.get(name) == "prismatic" for name in robot.joints)
 
     @property
     def urdf_path(self) -> Path | None:

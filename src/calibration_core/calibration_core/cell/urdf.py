@@ -64,6 +64,12 @@ def urdf_bytes(path: Path, own_limits: tuple[str, ...] = ()) -> bytes:
     return raw
 
 
+def urdf_joint_types(path: Path, own_limits: tuple[str, ...] = ()) -> dict[str, str]:
+    """Return the types of a URDF's joints by their names; arguments and errors as `urdf_bytes`."""
+    root = ET.fromstring(urdf_bytes(path, own_limits))
+    return {str(joint.get("name")): str(joint.get("type")) for joint in root.findall("joint")}
+
+
 def _tree(path: Path, raw: bytes) -> ET.Element:
     """Parse, and end as soon as there is too much or too deep."""
     parser: ET.XMLPullParser[ET.Element] = ET.XMLPullParser(("start", "end"))

@@ -23,6 +23,12 @@ def _number(value: object) -> object:
     return float(value)
 
 
+def _stiffness(value: object) -> object:
+    if value == math.inf:
+        return math.inf
+    return _number(value)
+
+
 def _not_empty(value: str) -> str:
     if not value.strip():
         msg = "a name that is not empty"
@@ -35,6 +41,7 @@ Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
 Length = Annotated[Positive, Field(ge=1e-9, le=1.0)]  # m, a standard deviation of positions
 Angle = Annotated[Positive, Field(ge=1e-9, le=1.0)]  # rad, one of directions
+Stiffness = Annotated[float, BeforeValidator(_stiffness), Field(gt=0)]
 Name = Annotated[str, AfterValidator(_not_empty)]
 Vector = tuple[Number, Number, Number]
 Interval = tuple[Number, Number]

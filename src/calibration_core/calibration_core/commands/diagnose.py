@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> str:
     files: dict[str, Content] = {RESULT: result, "model.yaml": model_text(model, cell).encode()}
     if found.next_measurements:
         files["next.yaml"] = plan_text(proposed_plan(found.next_measurements, cell)).encode()
-    files |= table_files(dataclasses.replace(found.identification, model=model))
+    files |= table_files(dataclasses.replace(found.identification, model=model), cell.prismatic)
     if arguments.report:
         files |= _report(found, cell, result)
     write_files(arguments.out, files)

@@ -67,7 +67,7 @@ def diagnosis_document(found: Diagnosis, cell: Cell, result: bytes, day: dt.date
         Section("How much better", "", gain_blocks(found)),
         Section("What remains", "", (Paragraph(found.rest.text),)),
         Section("Anomalies", "", _anomalies(found)),
-        Section("What to measure next", "", next_blocks(found)),
+        Section("What to measure next", "", next_blocks(found, cell.prismatic)),
         Section("Joint stiffness in the extended model", "", stiffness_blocks(found)),
         *([Section("What this kind of recording never tells", "", (Items(found.aliases),))] if found.aliases else []),
         Section("Residuals of the model without the findings", "", residual_section(null)),

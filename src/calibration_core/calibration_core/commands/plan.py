@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> str:
     content = plan_result(plan, cell, space, inputs, seed=arguments.seed, protocols=protocols)
     told: list[str] = [] if geometry is None else [geometry_summary(geometry)]
     result = result_json(content if geometry is None else {**content, "geometry": geometry_result(geometry)})
-    files: dict[str, Content] = {RESULT: result, **plan_files(plan)}
+    files: dict[str, Content] = {RESULT: result, **plan_files(plan, cell)}
     if arguments.report:
         tell(arguments, 0.8, "drawing the report")
         from calibration_core.commands.plan_document import plan_document
@@ -162,12 +162,12 @@ def _box(ends: list[float] | None) -> tuple[tuple[float, float], ...] | None:
     return box
 
 
-def plan_files(plan: Plan) -> dict[str, Content]:
+def plan_files(plan: Plan, cell: Cell) -> dict[str, Content]:
     """Return `plan.yaml`, `table1.csv` and `table1.yaml`: file name -> content."""
     return {
         PLAN: plan_text(plan).encode(),
-        TABLE_1: table1_csv(*plan.table1()),
-        TABLE_1_YAML: table1_yaml(*plan.table1()),
+        TABLE_1: table1_csv(*plan.table1(), cell.prismatic),
+        TABLE_1_YAML: table1_yaml(*plan.table1(), cell.prismatic),
     }
 
 

@@ -38,11 +38,12 @@ from calibration_core.report.rounding import (
     shortened,
     significant,
     spread,
-    subscript,
 )
 from calibration_core.report.sections.procedure import (
     configurations,
     equipment,
+    joint_columns,
+    joint_values,
     operating_space,
     rated_force,
     requirement_text,
@@ -92,11 +93,13 @@ def plan_document(
             "Requirements of the standard", "5", requirements(demands, "Requirements of CWA 17384 on a plan", "plan")
         ),
         Section("Operating space", "8 g)", operating_space(space)),
-        Section("Manipulator configurations", "8 d)", configurations(*plan.table1(), _spare_note(plan))),
+        Section(
+            "Manipulator configurations", "8 d)", configurations(*plan.table1(), cell.prismatic, _spare_note(plan))
+        ),
         Section("Loads", "5.1, 7.6", _loads(plan, cell)),
         *further,
         *_arcs(plan, cell),
-        Section("Start-up cycle and reference", "5.1, 5.2", _cycle(plan)),
+        Section("Start-up cycle and reference", "5.1, 5.2", _cycle(plan, cell.prismatic)),
         Section("Measuring equipment", "5.3", equipment(cell)),
         Section("Input and software", "", traceability_section(cell, None, inputs)),
     ]
@@ -300,7 +303,7 @@ def _arcs(plan: Plan, cell: Cell) -> tuple[Section, ...]:
     return (Section("Arcs of single joints", "7.1, 7.2", (Items(told),)),) if told else ()
 
 
-def _cycle(plan: Plan) -> tuple[Block, ...]:
+def _cycle(plan: Plan, prismatic: tuple[bool, ...]) -> tuple[Block, ...]:
     blocks: list[Block] = []
     reference = plan.reference
     if reference is None:
@@ -313,7 +316,7 @@ def _cycle(plan: Plan) -> tuple[Block, ...]:
                 "to see drift of tracker, base and temperature."
             )
         )
-        blocks.append(_postures("Reference configuration", reference.q[None, :], ("reference",)))
+        blocks.append(_postures("Reference configuration", reference.q[None, :], ("reference",), prismatic))
     if len(plan.startup_cycle):
         names = tuple(str(i + 1) for i in range(len(plan.startup_cycle)))
         blocks.append(
@@ -322,13 +325,12 @@ def _cycle(plan: Plan) -> tuple[Block, ...]:
                 "the measurement and repeated periodically."
             )
         )
-        blocks.append(_postures("Start-up cycle", plan.startup_cycle, names))
+        blocks.append(_postures("Start-up cycle", plan.startup_cycle, names, prismatic))
     return tuple(blocks)
 
 
-def _postures(caption: str, q: Float2D, names: tuple[str, ...]) -> Table:
-    columns = (Column("Posture", "left"), *(Column(f"θ{subscript(i + 1)} [°]") for i in range(q.shape[1])))
-    rows = tuple(
-        (name, *(fixed(float(angle), 3) for angle in row)) for name, row in zip(names, np.degrees(q), strict=True)
-    )
+def _postures(caption: str, q: Float2D, names: tuple[str, ...], prismatic: tuple[bool, ...]) -> Table:
+    columns = (Column("Posture", "left"), *joint_columns(prismatic))
+    values = joint_values(q, prismatic)
+    rows = tuple((name, *(fixed(float(x), 3) for x in row)) for name, row in zip(names, values, strict=True))
     return Table(caption, columns, rows)

@@ -60,7 +60,9 @@ def prediction_document(found: Prediction, cell: Cell, result: bytes, day: dt.da
         Section("Identified model", "8 f)", _model(found, cell)),
         Section("Measuring equipment", "8 e)", equipment(cell)),
         Section("Operating space", "8 g)", operating_space(space)),
-        Section("Encoder angles", "8 d)", configurations(space.configuration, space.q, _encoder_note(found))),
+        Section(
+            "Encoder angles", "8 d)", configurations(space.configuration, space.q, cell.prismatic, _encoder_note(found))
+        ),
         Section("Remarks on the recording", "", _remarks(found)),
         Section("Input and software", "", traceability_section(cell, found.readings.provenance, found.inputs)),
     )

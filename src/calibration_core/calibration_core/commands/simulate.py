@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> str:
         RESULT: result,
         BAG: lambda path: write_bag(path, simulated.recording, bag_cell),
         TABLE: lambda path: write_table(path, simulated.readings),
-        **(plan_files(simulated.plan) if simulated.made else {}),
+        **(plan_files(simulated.plan, cell) if simulated.made else {}),
     }
     if arguments.report:
         tell(arguments, 0.5, "drawing the report")

@@ -54,7 +54,7 @@ def simulation_document(simulated: Simulated, cell: Cell, result: bytes, day: dt
     table1 = [one.number for one in simulated.plan.primary], np.array([one.q for one in simulated.plan.primary])
     sections = (
         Section("Operating space", "8 g)", operating_space(simulated.space)),
-        Section("Manipulator configurations", "8 d)", configurations(*table1)),
+        Section("Manipulator configurations", "8 d)", configurations(*table1, cell.prismatic)),
         Section("Predicted deflections", "", _deflections(simulated)),
         Section("Noise", "5.3", (Paragraph(_noise(simulated)), *equipment(cell))),
         Section("Recording", "", _recording(simulated)),

@@ -17,6 +17,7 @@ from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
 PRIOR_WIDTH = 3.0  # standard deviations of the prior per typical size
+HELD = 1e30  # weight, 1/(rad/(N*m))^2, of a compliance that is zero by declaration
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,9 +54,12 @@ class Design:
         return self.null.shape[1]
 
     def gram(self) -> Float2D:
-        """Return the Gram matrix of [null, columns, residual]."""
+        """Return the Gram matrix of [null, columns, residual]; a rigid joint is held at zero."""
         everything = np.column_stack([self.null, self.columns, self.residual])
-        return everything.T @ everything
+        gram = everything.T @ everything
+        held = np.flatnonzero(np.diag(gram)[: self.n] == 0.0)
+        gram[held, held] = HELD
+        return gram
 
 
 def build_design(

@@ -258,7 +258,7 @@ def _stiffness(
     torque = gravity_torque(chain, posture(chain, case.problem.q))
     torque_rms = np.sqrt(np.mean(torque**2, axis=1))
     freedom = result.freedom if noise.scale > 1.0 else None
-    table = stiffness_table(joints, solution, noise.scale, freedom, torque_rms)
+    table = stiffness_table(joints, solution, noise.scale, freedom, torque_rms, chain.prismatic, chain.rigid)
     return tuple(
         entry if j in case.ladder.elastic else dataclasses.replace(entry, reason=_not_fitted(float(torque_rms[j])))
         for j, entry in enumerate(table)

@@ -21,13 +21,14 @@ class JointStiffness:
 
     Attributes:
         joint: Name of the joint.
-        value: Stiffness, N*m/rad; infinite where the compliance came out at its lower bound, zero.
+        value: Stiffness in `unit`; infinite where the compliance came out at its lower bound, zero.
         std: One standard deviation, N*m/rad (to first order; infinite where value is).
         interval: 95 % interval, N*m/rad; the upper end is infinite where the data allow a rigid joint.
         compliance: rad/(N*m), not negative.
         compliance_std: One standard deviation, rad/(N*m).
         identifiable: Whether this recording determines it.
         reason: Why not, or what limits it; empty if there is nothing to say.
+        unit: Of the stiffness: `N*m/rad`, or `N/m`.
     """
 
     joint: str
@@ -38,6 +39,7 @@ class JointStiffness:
     compliance_std: float
     identifiable: bool
     reason: str = ""
+    unit: str = "N*m/rad"
 
 
 @dataclasses.dataclass(frozen=True)

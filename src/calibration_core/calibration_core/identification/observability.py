@@ -15,7 +15,13 @@ NAMED = 0.2  # parameters below this share of a weak direction are not named
 
 
 def stiffness_table(
-    joints: tuple[str, ...], solution: Solution, scale: float, freedom: int | None, torque_rms: Float1D
+    joints: tuple[str, ...],
+    solution: Solution,
+    scale: float,
+    freedom: int | None,
+    torque_rms: Float1D,
+    prismatic: tuple[bool, ...] = (),
+    rigid: tuple[bool, ...] = (),
 ) -> tuple[JointStiffness, ...]:
     """Turn compliances into stiffnesses with 95 % intervals.
 
@@ -27,7 +33,9 @@ def stiffness_table(
         solution: Compliances and their covariance for unit weight.
         scale: Factor on the standard deviations.
         freedom: Degrees of freedom of `scale` if it was estimated; None if the claimed noise is used.
-        torque_rms: (n,) N*m, how much load torque each joint saw.
+        torque_rms: (n,) N*m, how much load torque (N where it slides) each joint saw.
+        prismatic: Per joint, whether it slides; none where empty.
+        rigid: Per joint, whether it is declared rigid; none where empty.
     """
     quantile = normal_quantile(0.975) if freedom is None else student_quantile(0.975, max(freedom, 1))
     table = []
@@ -49,7 +57,10 @@ def stiffness_table(
                 compliance=value,
                 compliance_std=std,
                 identifiable=identifiable,
-                reason=_reason(solution, i, relative, float(torque_rms[i])),
+                reason="declared rigid in the cell file: not asked for"
+                if rigid and rigid[i]
+                else _reason(solution, i, relative, float(torque_rms[i])),
+                unit="N/m" if prismatic and prismatic[i] else "N*m/rad",
             )
         )
     return tuple(table)

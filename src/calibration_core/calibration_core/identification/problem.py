@@ -112,6 +112,7 @@ class LoadedProblem:
             predicted, columns, by_wrench = self._linear(compliance)
         else:
             predicted, columns, by_wrench = self._equilibrium(compliance)
+        columns = columns * ~np.array(self.chain.rigid)  # what is declared rigid is not asked for
         shared = np.einsum("mij,mjk->mik", by_wrench, self.wrench_root)
         rows = Rows(self.configuration, self.readings.point, _shared_loads(self.readings), self.noise, shared)
         return Linearised(predicted, self.measured - predicted, columns, rows)

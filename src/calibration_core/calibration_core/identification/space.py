@@ -70,5 +70,5 @@ def singularity_distance(chain: Chain, at: Posture) -> Float1D:
     Source: clause 5.4 of CWA 17384 asks for the condition of the Jacobians.
     """
     linear = np.stack(linear_jacobian(at, at.origin[-1]), axis=-1).transpose(1, 0, 2) / max(chain.reach, 1e-9)
-    angular = np.stack([at.axis(i).T for i in range(chain.n)], axis=-1)
+    angular = np.stack([at.spin(i).T for i in range(chain.n)], axis=-1)
     return np.linalg.svd(np.concatenate([linear, angular], axis=1), compute_uv=False)[:, -1]

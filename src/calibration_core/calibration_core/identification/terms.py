@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration_core.model.chain import Chain, rotation_xyz, rotation_y, rotation_z
 from calibration_core.model.equilibrium import Equilibrium
-from calibration_core.model.kinematics import Posture, turn
+from calibration_core.model.kinematics import Posture, turn, velocity
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import gravity_torque
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
@@ -247,11 +247,11 @@ class ElasticityTerm:
         else:
             torque = gravity_torque(view.chain, view.at)
         levers = np.empty((view.chain.n, *view.target.shape))
-        for i, origin in enumerate(view.at.origin):
-            cross_into(view.at.axis(i), view.target - origin, levers[i])
+        for i in range(view.chain.n):
+            levers[i] = velocity(view.at, i, view.target)
         for column, j in zip(out, self.joints, strict=True):
             lever = levers[j] if amplification is None else np.einsum("iam,im->am", levers, amplification[:, j])
-            np.multiply(lever, torque[j], out=column)
+            np.multiply(lever, 0.0 if view.chain.rigid[j] else torque[j], out=column)
 
     def moved(self, parameters: ModelParameters, step: Float1D) -> ModelParameters:
         """Add to the compliances; what rounding leaves below zero becomes zero."""
@@ -290,6 +290,9 @@ class HarmonicTerm:
     def write(self, view: View, out: Float3D) -> None:
         """Write the lever of each joint times sine and cosine of its angle, taken from the posture."""
         for k, joint in enumerate(self.joints):
+            if view.chain.prismatic[joint]:
+                out[2 * k : 2 * k + 2] = 0.0
+                continue
             lever = np.empty_like(view.target)
             cross_into(view.at.axis(joint), view.target - view.at.origin[joint], lever)
             x, y, _ = view.at.before[joint]

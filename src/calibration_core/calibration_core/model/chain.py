@@ -1,8 +1,8 @@
 """The kinematic chain as plain numbers: one normal form for DH rows and URDF.
 
-Every joint turns about the z axis of the frame before it:
+Every joint turns about the z axis of the frame before it, or slides along it:
 
-    T_base_flange(q) = prod_i [ P_i Rz(q_i + offset_i) ] F
+    T_base_flange(q) = prod_i [ P_i J_i(q_i) ] F,    J_i = Rz(q_i + offset_i)  or  Rz(offset_i) Tz(q_i)
 
 with P_i the fixed pose of the frame before joint i in the body frame of link i-1, and F the flange in the body frame
 of the last link.  For standard DH rows the frame before joint i is the DH frame i-1.
@@ -19,19 +19,21 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D, read_only
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Chain:
-    """A serial chain of n revolute joints.
+    """A serial chain of n joints.
 
     Attributes:
         joints: Names, base to flange.
         rotation: (n, 3, 3) orientation of the frame before joint i in the body frame of link i-1.
         translation: (n, 3) m, its origin there.
-        offset: (n,) rad, added to the joint angle.
+        offset: (n,) rad, added to the angle of a revolute joint; the angle at which a prismatic one stands.
         flange_rotation: (3, 3) flange orientation in the body frame of the last link.
         flange_translation: (3,) m.
-        limits: (n, 2) rad.
+        limits: (n, 2) rad; m where the joint is prismatic.
         gravity: (3,) m/s^2, base axes.
         mass: (n,) kg; None where the masses are not known.
         com: (n, 3) m, centre of gravity in the body frame (after the joint's rotation) of each link; None as `mass`.
+        prismatic: Per joint, whether it slides: its q is m, its load a force, its stiffness N/m.
+        rigid: Per joint, whether it is declared rigid: its stiffness is not asked for.
         inertials_known: Whether the masses are known, and not guesses.
     """
 
@@ -46,12 +48,17 @@ class Chain:
     mass: Float1D | None = None
     com: Float2D | None = None
     inertials_known: bool = True
+    prismatic: tuple[bool, ...] = ()
+    rigid: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays."""
+        for name in ("prismatic", "rigid"):
+            if not getattr(self, name):
+                object.__setattr__(self, name, (False,) * len(self.joints))
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.name not in {"joints", "inertials_known"} and value is not None:
+            if field.name not in {"joints", "inertials_known", "prismatic", "rigid"} and value is not None:
                 object.__setattr__(self, field.name, read_only(value))
 
     @property
@@ -64,6 +71,26 @@ class Chain:
         """Sum of the distances between neighbouring joints and the flange, m: a length scale of the robot."""
         steps = np.vstack([self.translation[1:], self.flange_translation[None]])
         return float(np.linalg.norm(steps, axis=1).sum())
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Per joint the unit of its q: rad or m."""
+        return tuple("m" if slides else "rad" for slides in self.prismatic)
+
+    @property
+    def travel(self) -> Float1D:
+        """(n,) m, how far a sliding joint can stand from its zero within the limits; 0 where the joint turns."""
+        return np.where(self.prismatic, np.abs(self.limits).max(axis=1), 0.0)
+
+    @property
+    def rails(self) -> int:
+        """Number of sliding joints before the first that turns: a linear unit that carries the robot."""
+        return next((i for i, slides in enumerate(self.prismatic) if not slides), self.n)
+
+    @property
+    def revolute(self) -> tuple[int, ...]:
+        """Indices of the joints that turn."""
+        return tuple(i for i, slides in enumerate(self.prismatic) if not slides)
 
     def corrected(self, geometry: Float2D) -> Chain:
         """Return the chain with every frame before a joint moved by `geometry` ((n, 6): x, y, z, rx, ry, rz)."""

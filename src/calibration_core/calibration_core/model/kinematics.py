@@ -22,7 +22,9 @@ class Posture:
     Attributes:
         before: Per joint the (3, 3, m) columns x, y, z of the frame before it; [2] is the joint's axis.
         origin: Per joint the (3, m) position of that frame, m.
-        body: Per joint the (3, 3, m) columns of the link's body frame after the joint's rotation.
+        body: Per joint the (3, 3, m) columns of the link's body frame after the joint's motion.
+        body_origin: Per joint the (3, m) position of that frame, m: that of the frame before unless the joint slides.
+        prismatic: Per joint, whether it slides.
         flange: (3, 3, m) columns of the flange frame.
         flange_origin: (3, m), m.
     """
@@ -30,6 +32,8 @@ class Posture:
     before: tuple[Float3D, ...]
     origin: tuple[Float2D, ...]
     body: tuple[Float3D, ...]
+    body_origin: tuple[Float2D, ...]
+    prismatic: tuple[bool, ...]
     flange: Float3D
     flange_origin: Float2D
 
@@ -37,8 +41,14 @@ class Posture:
         """Return the (3, m) unit vectors along a joint's axis, base axes."""
         return self.before[joint][2]
 
+    def spin(self, joint: int) -> Float2D:
+        """Return the (3, m) angular velocity per unit joint rate, base axes; zero where the joint slides."""
+        return np.zeros_like(self.axis(joint)) if self.prismatic[joint] else self.axis(joint)
+
     def screw(self, joint: int) -> tuple[Float2D, Float2D]:
         """Return a joint's unit twist: angular (3, m) and linear velocity (3, m) of the base origin."""
+        if self.prismatic[joint]:
+            return self.spin(joint), self.axis(joint)
         return self.axis(joint), cross(self.origin[joint], self.axis(joint))
 
     def point(self, point: Float1D) -> Float2D:
@@ -47,17 +57,18 @@ class Posture:
 
 
 def posture(chain: Chain, q: Float2D) -> Posture:
-    """Return the posture at joint angles `q`, (m, n) rad.
+    """Return the posture at joint positions `q`, (m, n) rad, m where a joint slides.
 
     Source: composition of the chain's transforms (see `chain`), CWA 17384, 6.1.
     """
     m = len(q)
-    angles = q.T + chain.offset[:, None]
+    slides = np.array(chain.prismatic)
+    angles = np.where(slides[:, None], 0.0, q.T) + chain.offset[:, None]
     cos, sin = np.cos(angles), np.sin(angles)
     columns = np.empty((3, 3, m))
     columns[:] = np.eye(3)[:, :, None]
     at = np.zeros((3, m))
-    before, origin, body = [], [], []
+    before, origin, body, body_origin = [], [], [], []
     for i in range(chain.n):
         at = at + _mix(columns, chain.translation[i])
         columns = turned(columns, chain.rotation[i])
@@ -66,9 +77,13 @@ def posture(chain: Chain, q: Float2D) -> Posture:
         x, y, z = columns
         columns = np.empty((3, 3, m))
         columns[0], columns[1], columns[2] = cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, z
+        if slides[i]:
+            at = at + q[:, i] * z
         body.append(columns)
+        body_origin.append(at)
     at = at + _mix(columns, chain.flange_translation)
-    return Posture(tuple(before), tuple(origin), tuple(body), turned(columns, chain.flange_rotation), at)
+    flange = turned(columns, chain.flange_rotation)
+    return Posture(tuple(before), tuple(origin), tuple(body), tuple(body_origin), chain.prismatic, flange, at)
 
 
 def turn(columns: Float3D, vector: Float2D | Float1D) -> Float2D:
@@ -111,12 +126,17 @@ def dot(a: Float2D, b: Float2D) -> Float1D:
 
 
 def linear_jacobian(at: Posture, point: Float2D) -> list[Float2D]:
-    """Return, per joint, the (3, m) velocity of a point fixed to the flange per unit joint rate.
+    """Return, per joint, the (3, m) velocity of a point fixed to the flange per unit joint rate (1/s or m/s).
 
     Args:
         at: The posture.
         point: (3, m) m, base frame.
 
-    Source: column a_i x (p - o_i) of the geometric Jacobian, CWA 17384, equation (1).
+    Source: column a_i x (p - o_i) of the geometric Jacobian, CWA 17384, equation (1); a_i where the joint slides.
     """
-    return [cross(at.axis(i), point - origin) for i, origin in enumerate(at.origin)]
+    return [velocity(at, i, point) for i in range(len(at.origin))]
+
+
+def velocity(at: Posture, joint: int, point: Float2D) -> Float2D:
+    """Return the (3, m) velocity of points (3, m) m beyond a joint per unit joint rate, base frame."""
+    return at.axis(joint) if at.prismatic[joint] else cross(at.axis(joint), point - at.origin[joint])

@@ -6,6 +6,7 @@ against each other.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,8 @@ def pinocchio_model(chain: Chain) -> Any:
     parent = 0
     for i, name in enumerate(chain.joints):
         rotation = chain.rotation[i] @ rotation_z(float(chain.offset[i]))
-        parent = model.addJoint(parent, pin.JointModelRZ(), pin.SE3(rotation, chain.translation[i].copy()), name)
+        kind = pin.JointModelPZ() if chain.prismatic[i] else pin.JointModelRZ()
+        parent = model.addJoint(parent, kind, pin.SE3(rotation, chain.translation[i].copy()), name)
         if chain.mass is not None and chain.com is not None:
             inertia = pin.Inertia(float(chain.mass[i]), chain.com[i].copy(), np.zeros((3, 3)))
             model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
@@ -78,4 +80,6 @@ def _from_dh(cell: Cell) -> Chain:
         mass=mass,
         com=com,
         inertials_known=robot.inertials_known,
+        rigid=tuple(stiffness == math.inf for stiffness in robot.stiffness or ()),
+        prismatic=tuple(kind == "prismatic" for kind in robot.joint_types or ()),
     )

@@ -45,10 +45,13 @@ class Load:
 
 
 def load_torque(at: Posture, load: Load) -> Float2D:
-    """Return the (n, m) joint torques of the external load, N*m: tau = J_WP^T W (CWA 17384, equation (2))."""
+    """Return the (n, m) joint torques of the external load, N*m: tau = J_WP^T W (CWA 17384, equation (2)).
+
+    Where a joint slides it is the force along it, N, here and below.
+    """
     force, torque, point = load.in_base(at)
     columns = linear_jacobian(at, point)
-    return np.stack([dot(column, force) + dot(at.axis(i), torque) for i, column in enumerate(columns)])
+    return np.stack([dot(column, force) + dot(at.spin(i), torque) for i, column in enumerate(columns)])
 
 
 def gravity_torque(chain: Chain, at: Posture) -> Float2D:
@@ -63,7 +66,8 @@ def gravity_torque(chain: Chain, at: Posture) -> Float2D:
     gravity = np.broadcast_to(chain.gravity[:, None], (3, m))
     mass, moment = masses_beyond(chain, at)
     for i in range(chain.n):
-        torque[i] = dot(at.axis(i), cross(moment[i] - mass[i] * at.origin[i], gravity))
+        angular, linear = at.screw(i)
+        torque[i] = dot(angular, cross(moment[i], gravity)) + mass[i] * dot(linear, gravity)
     return torque
 
 
@@ -83,39 +87,39 @@ def masses_beyond(chain: Chain, at: Posture) -> tuple[Float1D, Float3D]:
 def centre_of_mass(chain: Chain, at: Posture, link: int) -> Float2D:
     """Return the (3, m) m centre of gravity of a link whose mass is known, base frame."""
     assert chain.com is not None  # noqa: S101 - asked for only where masses are known
-    # the body frame has the origin of the frame before the joint
-    return at.origin[link] + turn(at.body[link], chain.com[link])
+    return at.body_origin[link] + turn(at.body[link], chain.com[link])
 
 
 def load_torque_derivative(at: Posture, load: Load) -> Float3D:
     """Return the (n, n, m) derivatives d tau_i / d q_j of the external load's torques, N*m/rad.
 
     A wrench recorded in sensor axes turns with the robot, one in base axes does not.
-    Source: product rule on tau_i = a_i . ((p - o_i) x f + t), with da_i/dq_j = a_j x a_i and so on.
+    Source: product rule on tau_i = w_i . M + v_i . f, with (w_i, v_i) the joint's twist and (M, f) the wrench about the
+    base origin; both change with a twist (w, v) by (w x w_i, w x v_i + v x w_i) and by (w x M + v x f, w x f).
     """
     force, torque, point = load.in_base(at)
     n, m = len(at.origin), point.shape[1]
-    follows = load.rotation is not None
+    moment = torque + cross(point, force)
     derivative = np.zeros((n, n, m))
-    columns = linear_jacobian(at, point)
-    moved = [cross(column, force) for column in columns]  # what the torque about the point gains when a joint turns
-    turned_force = [cross(at.axis(j), force) for j in range(n)] if follows else []
-    if follows:
-        moved = [moment + cross(at.axis(j), torque) for j, moment in enumerate(moved)]
-    for i in range(n):
-        axis, lever = at.axis(i), point - at.origin[i]
-        moment = cross(lever, force) + torque
-        for j in range(n):
-            if follows and j <= i:
-                continue  # axis, lever and wrench turn together: the torque stays
-            turner = at.axis(j)
-            if j < i:
-                d_lever = cross(turner, lever)
-                derivative[i, j] = dot(cross(turner, axis), moment) + dot(axis, cross(d_lever, force))
-                continue
-            derivative[i, j] = dot(axis, moved[j])
-            if follows:  # a . (lever x f') = (a x lever) . f'
-                derivative[i, j] += dot(columns[i], turned_force[j])
+    screws = [at.screw(i) for i in range(n)]
+    for j, (angular, linear) in enumerate(screws):
+        if load.rotation is None:  # the force stays, and its point of action moves
+            moved, turned_force = cross(linear + cross(angular, point), force), None
+        else:
+            moved, turned_force = cross(angular, moment) + cross(linear, force), cross(angular, force)
+        for i in range(j + 1):
+            derivative[i, j] = dot(screws[i][0], moved)
+            if turned_force is not None:
+                derivative[i, j] += dot(screws[i][1], turned_force)
+        if turned_force is not None:
+            continue  # joints beyond j turn together with the wrench: their torques stay
+        for i in range(j + 1, n):
+            spin, shift = screws[i]
+            derivative[i, j] = (
+                dot(spin, moved)
+                + dot(cross(angular, spin), moment)
+                + dot(cross(angular, shift) + cross(linear, spin), force)
+            )
     return derivative
 
 
@@ -128,8 +132,9 @@ def gravity_torque_derivative(chain: Chain, at: Posture) -> Float3D:
     gravity = np.broadcast_to(chain.gravity[:, None], (3, m))
     mass, moment = masses_beyond(chain, at)
     for j in range(chain.n):
-        shift = cross(at.axis(j), moment[j] - mass[j] * at.origin[j])  # how the moment of what is beyond joint j moves
+        angular, linear = at.screw(j)
+        shift = mass[j] * linear + cross(angular, moment[j])  # how the first moment of what is beyond joint j moves
         pull = cross(shift, gravity)
         for i in range(j + 1):
-            derivative[i, j] = derivative[j, i] = dot(at.axis(i), pull)
+            derivative[i, j] = derivative[j, i] = dot(at.spin(i), pull)
     return derivative

@@ -41,7 +41,7 @@ class CollisionModel:
         rules: Limits and safety distance.
         model: `pinocchio.Model` of the robot.
         geometry: `pinocchio.GeometryModel` with the pairs that are judged.
-        sweep: (n,) m/rad, no body point ever moves farther than this per unit of each joint's angle.
+        sweep: (n,) m/rad, no body point ever moves farther than this per unit of each joint's motion.
         obstacles: Indices of the bodies that may hide a target: the robot's and the boxes, not the tool.
         unjudged: Pairs of the robot's bodies that touch by their shape alone and are left out.
     """
@@ -166,11 +166,12 @@ class _Builder:
         robot = len(self.link)
         self._surroundings()
         floor = [i for i in range(robot, len(self.link)) if self._name(i) == "floor"]
+        rails = self.chain.rails
         for i, j in itertools.combinations(range(robot), 2):
             if abs(self.link[i] - self.link[j]) >= 2 and not (i in self.tool and j in self.tool):
                 self.geometry.addCollisionPair(self.pin.CollisionPair(i, j))
         for i, j in itertools.product(range(robot), range(robot, len(self.link))):
-            if self.link[i] >= (2 if j in floor else 1):  # the base, and for the floor the column, stand on them
+            if self.link[i] >= rails + (2 if j in floor else 1):  # base and rail, and for the floor the column, stand
                 self.geometry.addCollisionPair(self.pin.CollisionPair(i, j))
         model = pinocchio_model(self.chain)
         unjudged = self._leave_out(model, robot, 1.0 if shaped else BY_SHAPE)
@@ -246,7 +247,7 @@ class _Builder:
         return tuple(f"{self._name(first)} and {self._name(second)}" for first, second in often)
 
     def _sweep(self) -> Float1D:
-        """Bound how far any point of any body is from each joint's axis, (n,) m."""
+        """Bound how far any point of any body moves per unit of each joint's motion, (n,) m/rad (m/m on a slide)."""
         chain = self.chain
         extent = np.zeros(chain.n + 1)  # of the bodies of each link, from the link's origin
         for i, link in enumerate(self.link):
@@ -255,10 +256,12 @@ class _Builder:
                 one.geometry.computeLocalAABB()
                 centre = one.placement.act(np.asarray(one.geometry.aabb_center))
                 extent[link] = max(extent[link], float(np.linalg.norm(centre)) + float(one.geometry.aabb_radius))
-        steps = np.linalg.norm(chain.translation, axis=1)
-        return np.array(
-            [
-                max(steps[j + 1 : link].sum() + extent[link] for link in range(j + 1, chain.n + 1))
-                for j in range(chain.n)
-            ]
-        )
+        steps, travel = np.linalg.norm(chain.translation, axis=1), chain.travel
+        levers = [
+            max(
+                steps[j + 1 : link].sum() + travel[j + 1 : link].sum() + extent[link]
+                for link in range(j + 1, chain.n + 1)
+            )
+            for j in range(chain.n)
+        ]
+        return np.where(chain.prismatic, 1.0, levers)

@@ -104,7 +104,7 @@ def point_noise(chain: Chain, cell: Cell, parameters: ModelParameters, q: Float2
         return noise
     where = parameters.wrench_point if parameters.force_torque is None else parameters.force_torque[:3, 3]
     by_force = np.stack(linear_jacobian(at, at.point(where)))  # (n, 3, m), torque per unit force at the sensor
-    by_torque = np.stack([at.axis(i) for i in range(chain.n)])
+    by_torque = np.stack([at.spin(i) for i in range(chain.n)])
     jacobian = np.concatenate([np.stack(linear_jacobian(at, point), axis=1) for point in points])  # (3 p, n, m)
     for part, sigma in ((by_force, instrument.sigma_force), (by_torque, instrument.sigma_torque)):
         root = np.einsum("anm,n,nkm->mak", jacobian, parameters.compliance, part) * sigma
@@ -139,7 +139,7 @@ def information(
     at = posture(chain, q)
     assert parameters.wrench_point is not None  # noqa: S101 - the planner has checked it
     levers = np.stack(linear_jacobian(at, at.point(parameters.wrench_point)))  # (n, 3, m)
-    torque = np.einsum("nam,mka->mkn", levers, force)
+    torque = np.einsum("nam,mka->mkn", levers, force) * ~np.array(chain.rigid)
     points = [np.stack(linear_jacobian(at, at.point(point)), axis=1) for point in parameters.points.values()]
     jacobian = np.moveaxis(np.concatenate(points), -1, 0)  # (m, 3 p, n)
     weight = np.linalg.solve(point_noise(chain, cell, parameters, q), jacobian)
@@ -166,7 +166,7 @@ def complementary_share(chain: Chain, parameters: ModelParameters, q: Float2D, f
     stiffness = np.empty((*force.shape[:2], n, n))
     for j in range(n):
         for i in range(j + 1):
-            bent = cross(at.axis(i), levers[j])
+            bent = cross(at.spin(i), levers[j])
             stiffness[..., i, j] = stiffness[..., j, i] = np.einsum("am,mka->mk", bent, force)
     torque = np.einsum("nam,mka->mkn", np.stack(levers), force)
     compliance = parameters.compliance

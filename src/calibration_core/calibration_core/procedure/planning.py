@@ -119,7 +119,7 @@ def make_plan(
     told = determined(offered.information)
     if not told.any():
         raise PlanError(cell.path, "frames", "no joint's stiffness shows", "points and a wrench point that show joints")
-    scale = parameters.compliance[told] if np.all(parameters.compliance > 0) else None
+    scale = parameters.compliance[told] if np.all(parameters.compliance[told] > 0) else None
     space = offered.place[:: max(len(offered.place) // SPACE_SAMPLE, 1)]
     joint_speed = np.full(chain.n, rules.joint_speed)
     found = _choose(ground, offered, told, scale, configurations, more, rules, space, seed)

@@ -106,9 +106,10 @@ class Site:
 
 
 def joint_range(chain: Chain, rules: SpaceRules) -> tuple[Float1D, Float1D]:
-    """Return the lowest and highest joint angles that are used, (n,) rad."""
+    """Return the lowest and highest joint positions that are used, (n,) rad, m where a joint slides."""
     middle = chain.limits.mean(axis=1)
-    half = np.minimum((0.5 - rules.limit_margin) * np.ptp(chain.limits, axis=1), rules.widest)
+    half = np.minimum((0.5 - rules.limit_margin) * np.ptp(chain.limits, axis=1),
+                      np.where(chain.prismatic, np.inf, rules.widest))  # fmt: skip
     return middle - half, middle + half
 
 
@@ -152,7 +153,7 @@ def _above_floor(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
     if rules.floor is None or size == 0.0:
         return np.ones(m, dtype=bool)
     up = -site.chain.gravity / size
-    watched = np.concatenate([np.stack(at.origin[2:]), positions(at, site.handled)])
+    watched = np.concatenate([np.stack(at.origin[2 + site.chain.rails :]), positions(at, site.handled)])
     height = np.einsum("pam,a->pm", watched, up)
     return np.asarray(height.min(axis=0) >= rules.floor + rules.clearance * site.chain.reach)
 
@@ -171,7 +172,8 @@ def _in_box(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
 
 def _arm(site: Site, at: Posture) -> list[tuple[Float2D, Float2D]]:
     """Return the ends, (3, m) each, of the lines between neighbouring joints from the base to the wrist."""
-    ends = [np.zeros_like(at.flange_origin), *at.origin[: max(site.chain.n - WRIST, 1) + 1]]
+    foot = np.zeros_like(at.flange_origin) if site.chain.rails == 0 else at.origin[site.chain.rails]
+    ends = [foot, *at.origin[site.chain.rails : max(site.chain.n - WRIST, 1) + 1]]
     return list(itertools.pairwise(ends))
 
 
@@ -249,7 +251,7 @@ def _segment_distance(a0: Float3D, a1: Float3D, b0: Float2D, b1: Float2D) -> Flo
 
 def _dexterous(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
     linear = np.stack(linear_jacobian(at, at.flange_origin)) / site.chain.reach
-    angular = np.stack([at.axis(i) for i in range(site.chain.n)])
+    angular = np.stack([at.spin(i) for i in range(site.chain.n)])
     jacobian = np.concatenate([linear, angular], axis=1) if site.chain.n >= 6 else linear
     singular = np.linalg.svd(np.moveaxis(jacobian, -1, 0), compute_uv=False)
     return np.asarray(singular[:, -1] >= rules.dexterity * singular[:, 0])

@@ -26,7 +26,8 @@ class Monitored:
         chain: The robot.
         names: Of all points: the joints' origins (`origin of joint_1`), then the points on the flange.
         points: (p, 3) m, the points on the flange, in its frame.
-        lever: (k, n) m, no distance from joint j's origin to point k is ever larger; zero where it does not move it.
+        lever: (k, n) m/rad, no point k ever moves faster per unit rate of joint j: no distance from the joint's origin
+            is larger; 1 (m/m) where the joint slides, zero where it does not move the point.
     """
 
     chain: Chain
@@ -48,9 +49,9 @@ class Monitored:
         return Monitored(chain, (*origins, *named), read_only(points), read_only(_levers(chain, points)))
 
     def speeds(self, q: Float2D, rate: Float2D) -> Float2D:
-        """Return the speeds of all points, (m, k) m/s, at joint angles (m, n) rad and rates (m, n) rad/s.
+        """Return the speeds of all points, (m, k) m/s, at joint positions and rates, (m, n) rad and rad/s.
 
-        Source: v(o_i+1) = v(o_i) + omega_i x (o_i+1 - o_i), from the base outwards.
+        Source: v(o_i+1) = v(o_i) + omega_i x (o_i+1 - o_i), from the base outwards; a sliding joint adds to v.
         """
         at = posture(self.chain, q)
         turning = np.zeros((3, len(q)))
@@ -60,7 +61,9 @@ class Monitored:
         for i, origin in enumerate(at.origin):
             velocity = velocity + cross(turning, origin - here)
             speeds[i] = np.linalg.norm(velocity, axis=0)
-            turning = turning + at.axis(i) * rate[:, i]
+            turning = turning + at.spin(i) * rate[:, i]
+            if at.prismatic[i]:
+                velocity = velocity + at.axis(i) * rate[:, i]
             here = origin
         for k, point in enumerate(self.points, start=self.chain.n):
             speeds[k] = np.linalg.norm(velocity + cross(turning, at.point(point) - here), axis=0)
@@ -69,24 +72,36 @@ class Monitored:
     def bending(self, rate: Float1D) -> Float1D:
         """Bound the second derivative of every point along a straight line in joint space, (k,) m.
 
-        d2p/dq_i dq_j = a_i x (a_j x (p - o_j)) for i <= j has at most the length of the lever of the outer joint, so
-        |p''| <= sum_ij |r_i| |r_j| R_max(i,j).
+        d2p/dq_i dq_j = a_i x dp/dq_j for i <= j has at most the length of the lever of the outer joint, so
+        |p''| <= sum_ij |r_i| |r_j| R_max(i,j); it is zero where the inner joint slides.
 
         Args:
             rate: (n,) rad, direction of the line: dq/ds.
         """
-        size = np.abs(rate)
-        inner = np.cumsum(size)  # sum over i <= j
-        return np.asarray(self.lever @ (size * (2.0 * inner - size)))
+        return np.asarray(self.lever @ self.pairs(np.abs(rate)))
+
+    def pairs(self, size: Float2D | Float1D) -> Float2D | Float1D:
+        """Return, per outer joint j, |r_j| times the sum of |r_i| over all inner joints that turn, j counted once.
+
+        Args:
+            size: (..., n) rates, not negative.
+        """
+        turning = np.where(self.chain.prismatic, 0.0, size)
+        return np.asarray(size * (2.0 * np.cumsum(turning, axis=-1) - turning))
 
 
 def _levers(chain: Chain, points: Float2D) -> Float2D:
-    n = chain.n
+    n, travel = chain.n, chain.travel
     links = np.linalg.norm(chain.translation, axis=1)
-    reach = np.array([[links[j + 1 : i + 1].sum() if j < i else 0.0 for j in range(n)] for i in range(n)])
+    reach = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i):
+            reach[i, j] = links[j + 1 : i + 1].sum() + travel[j + 1 : i].sum()
     ends = np.linalg.norm(chain.flange_translation + points @ chain.flange_rotation.T, axis=1)
-    beyond = np.array([links[j + 1 :].sum() for j in range(n)])
-    return np.vstack([reach, ends[:, None] + beyond])
+    beyond = np.array([links[j + 1 :].sum() + travel[j + 1 :].sum() for j in range(n)])
+    levers = np.vstack([reach, ends[:, None] + beyond])
+    moves = np.vstack([np.tri(n, k=-1), np.ones((len(points), n))])  # which joint moves which point
+    return np.where(chain.prismatic, moves, levers)
 
 
 def hermite_bound(
@@ -128,8 +143,7 @@ def hermite_bound(
     m, n = change.shape
     reach = half * span[:, None]  # s
     fastest = np.abs(rate) + slope * reach
-    inner = np.cumsum(fastest, axis=2)
-    acceleration = (slope + fastest * (2 * inner - fastest)) @ monitored.lever.T
+    acceleration = (slope + monitored.pairs(fastest)) @ monitored.lever.T
     speed = monitored.speeds(q.reshape(-1, n), rate.reshape(-1, n)).reshape(m, pieces, -1)
     bound: Float2D = (speed + reach * acceleration).max(axis=1)
     return bound

@@ -171,7 +171,9 @@ def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, 
         Section("Measuring equipment", "8 e)", procedure.equipment(cell)),
         Section("Operating space", "8 g)", procedure.operating_space(result.space)),
         Section(
-            "Measurement configurations", "8 d)", procedure.configurations(result.space.configuration, result.space.q)
+            "Measurement configurations",
+            "8 d)",
+            procedure.configurations(result.space.configuration, result.space.q, cell.prismatic),
         ),
         Section("Residuals", "", _residual_blocks(view, cell)),
         Section("Noise", "5.3", uncertainty.noise_section(view)),

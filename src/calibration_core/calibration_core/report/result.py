@@ -106,7 +106,7 @@ def _stiffness(joint: JointStiffness) -> dict[str, Any]:
         "joint": joint.joint,
         "value": joint.value,
         "std": joint.std,
-        "unit": "N*m/rad",
+        "unit": joint.unit,
         "identifiable": joint.identifiable,
         "interval_95": list(joint.interval),
         "reason": joint.reason,

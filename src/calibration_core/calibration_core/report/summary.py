@@ -62,7 +62,8 @@ def _joint(joint: JointStiffness) -> str:
     std = fixed(STIFFNESS.factor * joint.std, places) if math.isfinite(joint.std) else DASH
     low, high = (fixed(STIFFNESS.factor * end, places) if math.isfinite(end) else "∞" for end in joint.interval)
     reason = f"   {joint.reason}" if joint.reason else ""
-    return f"{joint.joint:<24} {value + ' ± ' + std:>26}   {low} … {high}{reason}"
+    name = joint.joint if joint.unit == "N*m/rad" else f"{joint.joint} [10⁵ N/m]"
+    return f"{name:<24} {value + ' ± ' + std:>26}   {low} … {high}{reason}"
 
 
 def _um(value: float) -> str:

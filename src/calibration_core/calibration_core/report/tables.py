@@ -19,34 +19,49 @@ TABLE_1, TABLE_2, PREDICTIONS, RESIDUALS = "table1.csv", "table2.csv", "predicti
 TABLE_1_YAML = "table1.yaml"
 
 
-def table1_csv(number: Int1D | Float1D | Sequence[int], q: Float2D) -> bytes:
-    """Return Table 1 of CWA 17384: No, theta_1 ... theta_n in degrees, six decimals.
+def table1_csv(number: Int1D | Float1D | Sequence[int], q: Float2D, prismatic: Sequence[bool] = ()) -> bytes:
+    """Return Table 1 of CWA 17384: No, theta_1 ... theta_n in degrees, six decimals; d_i in mm where a joint slides.
 
     Args:
         number: (k,) numbers of the configurations.
-        q: (k, n) rad.
+        q: (k, n) rad, m where a joint slides.
+        prismatic: Per joint, whether it slides; none where empty.
     """
-    head = ["No", *(f"theta_{i + 1}" for i in range(np.shape(q)[1]))]
-    return _csv(head, ([int(no), *(f"{x:.6f}" for x in row)] for no, row in zip(number, np.degrees(q), strict=True)))
+    names, values = _table1(q, prismatic)
+    return _csv(["No", *names], ([int(no), *(f"{x:.6f}" for x in row)] for no, row in zip(number, values, strict=True)))
 
 
-def table1_yaml(number: Int1D | Float1D | Sequence[int], q: Float2D) -> bytes:
+def table1_yaml(number: Int1D | Float1D | Sequence[int], q: Float2D, prismatic: Sequence[bool] = ()) -> bytes:
     """Return Table 1 of CWA 17384 as YAML, a mapping per configuration, with the columns and units of `table1_csv`.
 
     Args:
         number: (k,) numbers of the configurations.
-        q: (k, n) rad.
+        q: (k, n) rad, m where a joint slides.
+        prismatic: Per joint, whether it slides; none where empty.
     """
-    lines = ["# Table 1 of CWA 17384: manipulator measurement configurations, angles in degrees."]
-    for no, row in zip(number, np.degrees(q), strict=True):
-        angles = ", ".join(f"theta_{i + 1}: {angle:.6f}" for i, angle in enumerate(row))
+    names, values = _table1(q, prismatic)
+    units = "angles theta in degrees, distances d in mm" if any(prismatic) else "angles in degrees"
+    lines = [f"# Table 1 of CWA 17384: manipulator measurement configurations, {units}."]
+    for no, row in zip(number, values, strict=True):
+        angles = ", ".join(f"{name}: {value:.6f}" for name, value in zip(names, row, strict=True))
         lines.append(f'- {{"No": {int(no)}, {angles}}}')  # bare, No would be false in YAML 1.1
     return ("\n".join(lines) + "\n").encode()
 
 
+def _table1(q: Float2D, prismatic: Sequence[bool]) -> tuple[list[str], Float2D]:
+    """Return the names of the columns, and the values in degrees, in mm where a joint slides."""
+    slides = prismatic or (False,) * np.shape(q)[1]
+    names = [f"{'d' if slide else 'theta'}_{i + 1}" for i, slide in enumerate(slides)]
+    return names, np.where(slides, 1e3 * np.asarray(q), np.degrees(q))
+
+
 def table2_csv(stiffness: Sequence[JointStiffness]) -> bytes:
-    """Return Table 2 of CWA 17384 with uncertainties, in 10^5 N*m/rad; an empty cell is a value that is not finite."""
-    unit = "1e5_Nm_per_rad"
+    """Return Table 2 of CWA 17384 with uncertainties, in 10^5 N*m/rad; an empty cell is a value that is not finite.
+
+    Where a joint slides, the columns are in 10^5 of each row's own unit, which one more column states.
+    """
+    slides = any(joint.unit != "N*m/rad" for joint in stiffness)
+    unit = "1e5_units" if slides else "1e5_Nm_per_rad"
     head = [
         "joint",
         f"stiffness_{unit}",
@@ -55,6 +70,7 @@ def table2_csv(stiffness: Sequence[JointStiffness]) -> bytes:
         f"std_{unit}",
         "identifiable",
         "reason",
+        *(["unit"] if slides else []),
     ]
     return _csv(
         head,
@@ -64,6 +80,7 @@ def table2_csv(stiffness: Sequence[JointStiffness]) -> bytes:
                 *(_scaled(x) for x in (joint.value, *joint.interval, joint.std)),
                 "yes" if joint.identifiable else "no",
                 joint.reason,
+                *([joint.unit] if slides else []),
             ]
             for joint in stiffness
         ),
@@ -98,11 +115,11 @@ def residuals_csv(identification: Identification) -> bytes:
     return _csv(head, _rows(identification.readings, cells))
 
 
-def table_files(identification: Identification) -> dict[str, bytes]:
-    """Return the tables that `identify` writes: file name -> content."""
+def table_files(identification: Identification, prismatic: Sequence[bool] = ()) -> dict[str, bytes]:
+    """Return the tables that `identify` writes: file name -> content; `prismatic` as in `table1_csv`."""
     space = identification.space
     return {
-        TABLE_1: table1_csv(space.configuration, space.q),
+        TABLE_1: table1_csv(space.configuration, space.q, prismatic),
         TABLE_2: table2_csv(identification.stiffness),
         RESIDUALS: residuals_csv(identification),
     }

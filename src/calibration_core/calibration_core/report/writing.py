@@ -62,7 +62,7 @@ def write_identification(
     """
     files: dict[str, Content] = {
         RESULT: result_json(result_dict(identification, cell)),
-        **table_files(identification),
+        **table_files(identification, cell.prismatic),
         **(report_files(identification, cell, evaluated) if report else {}),
         **(further or {}),
     }

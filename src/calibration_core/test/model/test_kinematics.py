@@ -50,10 +50,11 @@ def test_jacobian_and_torque_equal_pinocchio(chain: Chain) -> None:
 
 
 def test_corrected_geometry_moves_the_frame_before_the_joint(chain: Chain) -> None:
+    second = 2 if chain.prismatic[1] else 1  # a joint that turns, as the correction does
     geometry = np.zeros((chain.n, 6))
-    geometry[1] = [1e-3, -2e-3, 3e-3, 0.0, 0.0, 0.4]
+    geometry[second] = [1e-3, -2e-3, 3e-3, 0.0, 0.0, 0.4]
     at, moved = (posture(c, np.zeros((1, chain.n))) for c in (chain, chain.corrected(geometry)))
-    step = at.before[1][:, :, 0].T @ geometry[1, :3]
-    np.testing.assert_allclose(moved.origin[1][:, 0] - at.origin[1][:, 0], step, atol=1e-14)
-    turned = posture(chain, np.array([[0.0, 0.4] + [0.0] * (chain.n - 2)]))
+    step = at.before[second][:, :, 0].T @ geometry[second, :3]
+    np.testing.assert_allclose(moved.origin[second][:, 0] - at.origin[second][:, 0], step, atol=1e-14)
+    turned = posture(chain, 0.4 * np.eye(chain.n)[[second]])
     np.testing.assert_allclose(moved.flange[:, :, 0], turned.flange[:, :, 0], atol=1e-13)

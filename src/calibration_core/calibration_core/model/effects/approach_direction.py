@@ -53,7 +53,8 @@ def approach(state: State, joints: tuple[int, ...], location: Mapping[str, str |
     """Return the hypothesis that the given joints (indices) stop short, named by where it is said to be."""
     size = typical("approach_direction", state.rated_load)
     names = [""] if "joint" in location else [f" {state.chain.joints[joint]}" for joint in joints]
-    parameters = tuple(Parameter(f"half_width{name}", "rad", size) for name in names)
+    units = [state.chain.units[joint] for joint in joints]
+    parameters = tuple(Parameter(f"half_width{name}", unit, size) for name, unit in zip(names, units, strict=True))
     return Candidate(EFFECT.name, EFFECT.family, location, "sign", parameters, partial(_columns, joints=joints))
 
 

@@ -28,8 +28,9 @@ def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
 
 
 def _forms(state: State, of: Callable[[State, int], tuple[str, ...]]) -> Iterator[Candidate]:
-    parameter = Parameter("clearance", "rad", typical("backlash", state.rated_load), positive=True)
+    size = typical("backlash", state.rated_load)
     for joint, name in enumerate(state.chain.joints):
+        parameter = Parameter("clearance", state.chain.units[joint], size, positive=True)
         for torque in of(state, joint):
             for width in WIDTHS:
                 columns = partial(_columns, joint=joint, of=torque, width=width)

@@ -72,9 +72,9 @@ def carriers(state: State) -> tuple[int, ...]:
     size = float(np.linalg.norm(gravity))
     if size == 0.0:
         return ()
-    upright = [float(np.abs(gravity @ state.at.axis(j)).max()) / size for j in range(state.chain.n)]
-    across = [j for j, cosine in enumerate(upright) if cosine < ACROSS and state.compliance[j] > 0]
-    weight = np.sqrt(np.mean(state.gravity_torque**2, axis=1))
+    turning = [j for j in state.chain.revolute if state.compliance[j] > 0]
+    across = [j for j in turning if float(np.abs(gravity @ state.at.axis(j)).max()) < ACROSS * size]
+    weight = np.sqrt(np.mean(state.gravity_torque**2, axis=1)) * ~np.array(state.chain.prismatic)
     if not weight.any():
         return tuple(across[:1])
     return tuple(j for j in across if weight[j] >= HALF * weight.max())

@@ -60,8 +60,9 @@ def _columns(state: State, joint: int, start: float | None) -> Float3D:
 
 def _forms(state: State) -> Iterator[Candidate]:
     size = typical("hysteresis", state.rated_load)
-    parameters = tuple(Parameter(f"half_width_{100 * r:g}_percent", "rad", size, positive=True) for r in RADII)
     for joint, name in enumerate(state.chain.joints):
+        unit = state.chain.units[joint]
+        parameters = tuple(Parameter(f"half_width_{100 * r:g}_percent", unit, size, positive=True) for r in RADII)
         for variant, start in STARTS.items():
             columns = partial(_columns, joint=joint, start=start)
             yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, parameters, columns)

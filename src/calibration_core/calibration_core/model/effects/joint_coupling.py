@@ -29,7 +29,7 @@ def _candidates(state: State) -> Iterator[Candidate]:
     known = state.compliance[state.compliance > 0]
     usual = float(np.median(known)) if len(known) else 1e-6
     c = np.where(state.compliance > 0, state.compliance, usual)
-    for first, second in combinations(range(state.chain.n), 2):
+    for first, second in combinations(state.chain.revolute, 2):
         size = share * float(np.sqrt(c[first] * c[second]))
         place = {"joints": (state.chain.joints[first], state.chain.joints[second])}
         parameter = Parameter("compliance", "rad/(N*m)", size)

@@ -44,11 +44,12 @@ def turned(gravity: Float1D) -> tuple[Float1D, Float1D]:
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    size = typical("joint_elasticity", state.rated_load)
     for joint, name in enumerate(state.chain.joints):
-        if not state.bears_weight(joint):
+        if not state.bears_weight(joint) or state.chain.rigid[joint]:
             continue
-        parameters = (Parameter("compliance", "rad/(N*m)", size),)
+        slides = state.chain.prismatic[joint]
+        size = typical("prismatic_elasticity" if slides else "joint_elasticity", state.rated_load)
+        parameters = (Parameter("compliance", "m/N" if slides else "rad/(N*m)", size),)
         columns = partial(_columns, joint=joint)
         yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, "axial", parameters, columns)
 

@@ -29,7 +29,7 @@ def _proximal(state: State, joint: int) -> Float3D:
 
 def _distal(state: State, joint: int) -> Float3D:
     axes = state.at.body[joint]
-    return tilting(state, behind_joint(joint), (axes[X], axes[Y]), state.at.origin[joint])
+    return tilting(state, behind_joint(joint), (axes[X], axes[Y]), state.at.body_origin[joint])
 
 
 def _isotropic(state: State, joint: int) -> Float3D:

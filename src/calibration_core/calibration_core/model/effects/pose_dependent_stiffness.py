@@ -27,7 +27,8 @@ def modulated(state: State, joint: int) -> Float3D:
 def _candidates(state: State) -> Iterator[Candidate]:
     size = typical("pose_dependent_stiffness", state.rated_load)
     pair = (Parameter("cosine", "1", size), Parameter("sine", "1", size))
-    for joint, name in enumerate(state.chain.joints):
+    for joint in state.chain.revolute:
+        name = state.chain.joints[joint]
         if state.compliance[joint] > 0 and (state.bears_weight(joint) or state.bears_load(joint)):
             place = {"joint": name}
             yield Candidate(EFFECT.name, EFFECT.family, place, "one turn", pair, partial(modulated, joint=joint))

@@ -81,7 +81,8 @@ def _columns(state: State, joint: int, order: int) -> Float3D:
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    for joint, name in enumerate(state.chain.joints):
+    for joint in state.chain.revolute:
+        name = state.chain.joints[joint]
         for order in range(1, carried_orders(state.q[:, joint]) + 1):
             yield harmonic(joint, name, order, state.rated_load)
 

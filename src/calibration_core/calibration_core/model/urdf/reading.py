@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from calibration_core.cell import Cell
@@ -49,6 +51,8 @@ def chain_of_urdf(cell: Cell) -> Chain:
         mass=mass,
         com=com,
         inertials_known=cell.robot.inertials_known,
+        rigid=tuple(stiffness == math.inf for stiffness in cell.robot.stiffness or ()),
+        prismatic=tuple(tree.joints[name].type == "prismatic" for name in cell.robot.joints),
     )
 
 
@@ -110,8 +114,6 @@ def _axis(cell: Cell, tree: Tree, i: int) -> Float1D:
     axis = unit_axis(joint.axis)
     if axis is None:
         raise CellError(cell.urdf_path or cell.path, f"joint {quoted(name)}", "an axis of length zero", "an axis")
-    if joint.type == "prismatic":
-        raise CellError(cell.path, f"robot.joints.{i}", f"{name!r}, no rotary joint", "a rotary joint")
     return axis
 
 

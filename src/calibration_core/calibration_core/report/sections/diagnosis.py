@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calibration_core.diagnosis.comparison import Comparison
@@ -9,6 +11,7 @@ from calibration_core.diagnosis.finding import EMPIRICAL, Diagnosis, Finding, Me
 from calibration_core.report.diagnosis_figures import before_after_figure, comparison_figure, where_figure
 from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table
 from calibration_core.report.rounding import fixed, padded, significant
+from calibration_core.report.sections.procedure import joint_columns, joint_values
 
 MOST_ROWS = 12
 CONCERNED = {
@@ -123,23 +126,22 @@ def gain_blocks(found: Diagnosis) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def next_blocks(found: Diagnosis) -> tuple[Block, ...]:
+def next_blocks(found: Diagnosis, prismatic: Sequence[bool]) -> tuple[Block, ...]:
     """Return what to measure next, as a table that can be read off at the cell, with what it is good for."""
     blocks: list[Block] = []
     if found.next_text:
         blocks.append(Paragraph(found.next_text))
     if not found.next_measurements:
         return (*blocks, Paragraph("No configuration is proposed for this kind of recording."))
-    joints = found.identification.model.joints
     columns = (
         Column("No"),
-        *(Column(f"θ{k + 1} [°]") for k in range(len(joints))),
+        *joint_columns(prismatic),
         *(Column(f"F{axis} [N]") for axis in "xyz"),
     )
     rows = tuple(
         (
             str(number),
-            *(fixed(float(np.degrees(angle)), 2) for angle in proposal.q),
+            *(fixed(float(value), 2) for value in joint_values(np.array(proposal.q), prismatic)),
             *(fixed(force, 0) for force in proposal.wrench[:3]),
         )
         for number, proposal in enumerate(found.next_measurements, start=1)

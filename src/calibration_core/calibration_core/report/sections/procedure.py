@@ -128,20 +128,36 @@ def requirement_text(preconditions: tuple[Precondition, ...], source: str = "rec
     return text + (f", {unknown} cannot be told from the {source}" if unknown else "")
 
 
-def configurations(numbers: Int1D | Sequence[int], q: Float2D, note: str = "") -> tuple[Block, ...]:
+def joint_columns(prismatic: Sequence[bool]) -> tuple[Column, ...]:
+    """Return the heads of the columns of joint positions: θ in degrees, d in mm where a joint slides."""
+    return tuple(
+        Column(f"d{subscript(i + 1)} [mm]" if slides else f"θ{subscript(i + 1)} [°]")
+        for i, slides in enumerate(prismatic)
+    )
+
+
+def joint_values(q: Float2D | Float1D, prismatic: Sequence[bool]) -> Float2D:
+    """Return joint positions, (k, n) or (n,) rad and m, in the units of `joint_columns`."""
+    return np.where(prismatic, 1e3 * np.asarray(q), np.degrees(q))
+
+
+def configurations(
+    numbers: Int1D | Sequence[int], q: Float2D, prismatic: Sequence[bool], note: str = ""
+) -> tuple[Block, ...]:
     """Return Table 1 in the template's form (8 d).
 
     Args:
         numbers: (k,) numbers of the configurations.
-        q: (k, n) rad.
+        q: (k, n) rad, m where a joint slides.
+        prismatic: Per joint, whether it slides.
         note: Small print below it.
     """
     count = len(q)
     shown = count if count <= MOST_ROWS else SHOWN_ROWS
-    columns = (Column("No"), *(Column(f"θ{subscript(i + 1)} [°]") for i in range(q.shape[1])))
+    columns = (Column("No"), *joint_columns(prismatic))
     rows = tuple(
         (f"{int(number)}", *(fixed(angle, 3) for angle in row))
-        for number, row in zip(numbers[:shown], np.degrees(q[:shown]), strict=True)
+        for number, row in zip(numbers[:shown], joint_values(q[:shown], prismatic), strict=True)
     )
     note = note if shown == count else f"First {shown} of {count:,}; all of them stand in table1.csv."
     return (Table("Manipulator measurement configurations", columns, rows, note, number=1),)

@@ -43,7 +43,7 @@ def table_2(result: Identification, cell: Cell) -> Table:
         rows.append(
             (
                 symbol(i + 1),
-                shortened(joint.joint),
+                shortened(joint.joint) if joint.unit == "N*m/rad" else f"{shortened(joint.joint)} [10⁵ N/m]",
                 value[i],
                 cells[i][3],
                 std[i],
