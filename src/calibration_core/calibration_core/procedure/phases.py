@@ -130,7 +130,7 @@ def _standstills(
         planned.extend(PlannedConfiguration(first + i, row, np.zeros((1, 6)), phase=phase) for i, row in enumerate(q))
         return np.asarray(q[-1])
 
-    for joint in range(chain.n):
+    for joint in chain.revolute:
         sweep = best_sweep(bodies, joint, rules, rng, here)
         if sweep is not None:
             here = add("base_frame" if joint < 2 else "geometry", sweep.q)
