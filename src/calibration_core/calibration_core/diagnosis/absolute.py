@@ -47,7 +47,7 @@ from calibration_core.identification.terms import ElasticityTerm, Term
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.joint_elasticity import turned_columns
+from calibration_core.model.effects.joint_elasticity import AXIAL, turned_columns
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.transmission_error import order_of
 from calibration_core.model.nominal import nominal_parameters
@@ -210,7 +210,7 @@ def prepare(readings: Readings, cell: Cell, evaluated: Evaluated, known: KnownCo
     rows = sample(readings.configuration, used)
     part = problem.select(rows)
     stated = bool(np.any(evaluated.nominal.compliance))
-    nuisances = tuple(c for c in candidates(state) if stated and c.effect == "joint_elasticity")
+    nuisances = tuple(c for c in candidates(state) if stated and c.effect == "joint_elasticity" and c.variant == AXIAL)
     considered = Considered()
     if known is not None:
         size = [_rms(weighted(part, parameters, c.columns(state)[rows])) for c in nuisances]
@@ -375,7 +375,7 @@ def _stiffness(extended: AbsoluteExtended) -> dict[str, tuple[float, float]]:
     """Return joint -> (stiffness, standard deviation) of compliances that were found, N*m/rad."""
     found = {}
     for k, candidate in enumerate(extended.candidates):
-        if candidate.effect == "joint_elasticity":
+        if candidate.effect == "joint_elasticity" and candidate.variant == AXIAL:
             value, covariance = extended.values_of(k)
             compliance, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
             found[str(candidate.location["joint"])] = (1 / compliance, std / compliance**2)

@@ -44,7 +44,8 @@ class GravityControl:
         others = tuple(i for i in accepted if not _low_harmonic(design, i, joint))
         beside = (*others, *(i for i in range(len(design.candidates)) if _low_harmonic(design, i, joint)))
         own = design.columns[:, design.blocks[index]]
-        if _coefficient(design.of(accepted), own, design.residual) <= 0:
+        single = own.shape[1] == 1  # several are compliances times moments, which have either sign
+        if single and _coefficient(design.of(accepted), own, design.residual) <= 0:
             return f"{words}: the compliance would be negative"
         for partition in self.partitions:
             for context in dict.fromkeys(((), accepted)):
@@ -55,7 +56,8 @@ class GravityControl:
                         f"({partition.kind} blocks), so it is not gravity's"
                     )
             before, after = _squares(design, beside, own, partition)
-            if not saves(before, after) or _coefficient(design.of(beside), own, design.residual) <= 0:
+            negative = single and _coefficient(design.of(beside), own, design.residual) <= 0
+            if negative or not saves(before, after):
                 return f"{words}: it cannot be told from the lowest harmonics of the joint's transmission"
         return ""
 
@@ -64,7 +66,8 @@ class GravityControl:
     ) -> float:
         """Return the share of the gain beside some effects that the better of the turned gravities keeps."""
         main = _gain(design, context, own, partition)
-        turned = max(_gain(design, context, column[:, None], partition) for column in self.turned[joint].T)
+        half = self.turned[joint].shape[1] // 2
+        turned = max(_gain(design, context, self.turned[joint][:, k : k + half], partition) for k in (0, half))
         return max(turned, 0.0) / main if main > 0 else np.inf
 
 

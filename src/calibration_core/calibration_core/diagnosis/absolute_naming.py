@@ -192,6 +192,8 @@ def _explanation(
         terms = [(order_of(extended.candidates[p].variant), extended.values_of(p)[0]) for p in positions]
         listed = ", ".join(f"{k} per revolution: {1e3 * np.hypot(*value):.2f} mrad" for k, value in terms)
         text += f" Terms: {listed}.{_resolution(extended, candidate)}"
+    if candidate.relative(extended.state):
+        text += " Its size is relative: the robot's masses are guesses or not known."
     if alternatives:
         names = "; ".join(
             f"{a.effect.replace('_', ' ')} at {', '.join(str(v) for v in a.location.values())}" for a in alternatives

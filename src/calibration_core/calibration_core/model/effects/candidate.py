@@ -59,6 +59,11 @@ class Candidate:
         """Freeze the location."""
         object.__setattr__(self, "location", MappingProxyType(dict(self.location)))
 
+    def relative(self, state: State) -> bool:
+        """Say whether the sizes are relative: what the weight alone drives, while masses are guesses or not known."""
+        by_weight = self.family in {"structure", "joint law"} or self.effect == "joint_elasticity"
+        return by_weight and not state.loaded and (state.chain.mass is None or not state.chain.inertials_known)
+
     @property
     def key(self) -> tuple[str, tuple[tuple[str, str | tuple[str, ...]], ...], str]:
         """What tells it from all others."""
