@@ -225,7 +225,7 @@ def test_a_rail_that_is_declared_rigid_is_not_asked_for(folder: Path, plan: Path
         ({"joint_types": ["screw", *["revolute"] * 6]}, "robot.joint_types.0"),
         ({"stiffness": [-1.0, *[1e5] * 6]}, "robot.stiffness.0"),
         ({"stiffness": [float("nan"), *[1e5] * 6]}, "robot.stiffness.0"),
-        ({"joint_limits": [[1.0, -1.0], *[[-2.0, 2.0]] * 6]}, "robot.joint_limits.0"),
+        ({"joint_limits": [[1.0, -1.0], *([-2.0, 2.0] for _ in range(6))]}, "robot.joint_limits.0"),
     ],
 )
 def test_what_a_cell_may_not_say(tmp_path: Path, change: dict, place: str) -> None:

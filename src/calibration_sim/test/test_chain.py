@@ -174,7 +174,7 @@ def test_arm_weighs_about_eleven_hundred_kilograms(demo: Cell) -> None:
         ('<mass value="330"/>', '<mass value="-3"/>', "'-3'"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "length zero"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 1"/>', "'0 1'"),
-        ('joint_4" type="revolute"', 'joint_4" type="prismatic"', "prismatic"),
+        ('joint_4" type="revolute"', 'joint_4" type="floating"', "'floating'"),
         ('name="joint_6"', 'name="joint_seven"', "'joint_6'"),
         ('lower="-2.1380" upper="2.1380"', 'lower="2" upper="-2"', "[2, -2]"),
         ("</robot>", "", "no element found"),

@@ -180,6 +180,19 @@ def test_as_many_links_as_allowed_can_be_read(tmp_path: Path) -> None:
     assert chain_of(cell).n == 3
 
 
+def test_the_reader_brings_trimesh_only_where_scenes_are_drawn() -> None:
+    code = (
+        "import sys\nfrom calibration_core.cell import load_cell\nfrom calibration_core.model.robot import chain_of\n"
+        f"chain_of(load_cell({str(CELLS / 'demo.cell.yaml')!r}))\n"
+        "assert not {'networkx', 'trimesh.base', 'pinocchio'} & set(sys.modules)\n"
+        "import yourdfpy, io\n"
+        'text = b\'<robot name="r"><link name="a"><visual><geometry><box size="1 2 3"/></geometry></visual></link></robot>\'\n'
+        "scene = yourdfpy.URDF.load(io.BytesIO(text)).scene\n"
+        "assert sorted(scene.extents.tolist()) == [1.0, 2.0, 3.0]"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_dh_rows_need_no_reader_of_urdfs() -> None:
     """The reader brings trimesh, which is slow to load."""
     code = (

@@ -39,11 +39,8 @@ def _by_moments(state: State, joint: int, gravity: Float1D | None = None) -> Flo
     """
     pull = np.broadcast_to((state.chain.gravity if gravity is None else gravity)[:, None], (3, state.m))
     axis = state.at.axis(joint)
-    columns = []
-    for link in _heavy(state, joint):
-        for direction in state.at.body[link][: 2 if link == joint else 3]:
-            columns.append(state.joint_column(joint, dot(axis, cross(direction, pull))))
-    return stacked(*columns)
+    directions = [d for link in _heavy(state, joint) for d in state.at.body[link][: 2 if link == joint else 3]]
+    return stacked(*(state.joint_column(joint, dot(axis, cross(direction, pull))) for direction in directions))
 
 
 def _heavy(state: State, joint: int) -> range:

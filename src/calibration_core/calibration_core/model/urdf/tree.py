@@ -14,6 +14,7 @@ from calibration_core.cell import Cell
 from calibration_core.cell.urdf import urdf_bytes
 from calibration_core.errors import CellError, quoted
 from calibration_core.model.chain import rotation_about
+from calibration_core.model.urdf.library import yourdfpy
 from calibration_core.timeseries import Float1D, Float2D
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -86,9 +87,7 @@ def tree_of(cell: Cell) -> Tree:
 
 @functools.lru_cache(maxsize=4)
 def _parsed(raw: bytes) -> Tree:
-    import yourdfpy  # slow to load: it brings trimesh
-
-    robot = yourdfpy.URDF.load(io.BytesIO(raw), build_scene_graph=False, load_meshes=False).robot
+    robot = yourdfpy().URDF.load(io.BytesIO(raw), build_scene_graph=False, load_meshes=False).robot
     links = {link.name: link for link in robot.links}
     joints = {joint.name: joint for joint in robot.joints}
     return Tree(links, joints, {joint.child: joint.name for joint in robot.joints})
