@@ -186,7 +186,8 @@ def test_the_reader_brings_trimesh_only_where_scenes_are_drawn() -> None:
         f"chain_of(load_cell({str(CELLS / 'demo.cell.yaml')!r}))\n"
         "assert not {'networkx', 'trimesh.base', 'pinocchio'} & set(sys.modules)\n"
         "import yourdfpy, io\n"
-        'text = b\'<robot name="r"><link name="a"><visual><geometry><box size="1 2 3"/></geometry></visual></link></robot>\'\n'
+        "box = b'<visual><geometry><box size=\"1 2 3\"/></geometry></visual>'\n"
+        "text = b'<robot name=\"r\"><link name=\"a\">' + box + b'</link></robot>'\n"
         "scene = yourdfpy.URDF.load(io.BytesIO(text)).scene\n"
         "assert sorted(scene.extents.tolist()) == [1.0, 2.0, 3.0]"
     )
