@@ -14,7 +14,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 
 from calibration.background import Background
-from calibration.conversions import Mean, Sample, to_average, to_header, to_outcome
+from calibration.conversions import Mean, Sample, stamp_ns, to_average, to_header, to_outcome
 from calibration.lifecycle.managed import TransitionError
 from calibration.node import CalibrationNode, Declared
 from calibration.stream import Source, Stream
@@ -61,12 +61,13 @@ class MeasuringError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """What is to be averaged: streams, window and timeout in s, and samples at least."""
+    """What is to be averaged: streams, window and timeout in s, samples at least, first stamp that counts, ns."""
 
     streams: tuple[Stream, ...]
     window: float
     timeout: float
     min_samples: int
+    since: int = 0
 
 
 class AcquisitionNode(CalibrationNode):
@@ -212,7 +213,7 @@ class AcquisitionNode(CalibrationNode):
         """
         self._wait_for_listeners()
         running = [
-            (stream, stream.start(request.window, self.tolerance(stream), request.min_samples))
+            (stream, stream.start(request.window, self.tolerance(stream), request.min_samples, request.since))
             for stream in request.streams
         ]
         before = {stream.name: stream.check.counts.received for stream in request.streams}
@@ -255,6 +256,7 @@ class AcquisitionNode(CalibrationNode):
         asked = goal.request
         try:
             request = self.asked(asked.names, asked.window, asked.timeout, asked.min_samples)
+            request = dataclasses.replace(request, since=stamp_ns(asked.since))
             means = await Background(self, lambda: self.measure(request, lambda: bool(goal.is_cancel_requested), tell))
         except MeasuringError as error:
             goal.canceled() if error.code == Outcome.CANCELLED else goal.abort()

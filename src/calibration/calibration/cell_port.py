@@ -147,11 +147,10 @@ class CellPort:
         answered(not fault, f"the load device says that the load is on; {fault}" if fault else "")
 
     def measure(self, answered: Callable[[Measured], None]) -> None:
-        """Average over one window."""
-        value = self._node.value
-        self._instruments.measure(
-            self._node.cell.points, value("window"), value("measure_timeout"), value("min_samples"), PATIENCE, answered
-        )
+        """Average over one window, which begins no earlier than the robot was last seen to stand."""
+        window, timeout, samples = (self._node.value(name) for name in ("window", "measure_timeout", "min_samples"))
+        since = self._joints.until
+        self._instruments.measure(self._node.cell.points, window, timeout, samples, since, PATIENCE, answered)
 
     def confirm(self, command: m.TakeReading, measured: Measured) -> None:
         """Put the readings of one step on the disk, then announce them.

@@ -17,7 +17,7 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 
 from calibration.background import in_executor
-from calibration.conversions import Mean, from_average, to_wrench
+from calibration.conversions import Mean, from_average, to_stamp, to_wrench
 from calibration_core.timeseries import Float1D
 
 Answered = Callable[[Any, str], None]
@@ -119,7 +119,7 @@ class Instruments:
             self.ports["force_torque"] = ActionPort(node, Measure, force_torque)
 
     def measure(
-        self, points: Sequence[str], window: float, timeout: float, samples: int, wait: float,
+        self, points: Sequence[str], window: float, timeout: float, samples: int, since: int, wait: float,
         answered: Callable[[Measured], None],
     ) -> None:  # fmt: skip
         """Average over one window.
@@ -129,6 +129,7 @@ class Instruments:
             window: s.
             timeout: s, longest wait for a settled window, by the instruments' clock.
             samples: Least number, per stream; 0: the node's own.
+            since: ns, stamp before which no sample counts: an instrument's node may lag behind the joint states.
             wait: s of wall time, longest wait for the answer.
             answered: Called once with the averages.
         """
@@ -146,7 +147,7 @@ class Instruments:
 
         for instrument, port in self.ports.items():
             names = list(points) if instrument == "tracker" else []
-            goal = Measure.Goal(names=names, window=window, timeout=timeout, min_samples=samples)
+            goal = Measure.Goal(names=names, window=window, timeout=timeout, min_samples=samples, since=to_stamp(since))
             port.ask(goal, on_answer(instrument), wait)
 
     def cancel(self) -> None:

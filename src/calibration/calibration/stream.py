@@ -134,9 +134,9 @@ class Stream:
             self.frame = sample.frame
         return problem is Problem.FINE
 
-    def start(self, window: float, tolerance: Float1D, min_samples: int) -> Averaging:
-        """Begin an average of the samples that arrive from now on."""
-        one = Averaging(0, window, tolerance, min_samples)
+    def start(self, window: float, tolerance: Float1D, min_samples: int, since: int = 0) -> Averaging:
+        """Begin an average of the samples that arrive from now on, those stamped before `since`, ns, left out."""
+        one = Averaging(since, window, tolerance, min_samples)
         with self._lock:
             self._averagings.append(one)
         return one

@@ -207,3 +207,15 @@ def test_the_contracts_own_topic_is_only_checked(spinning: Any) -> None:
         TrackerNode(context=spinning.context, parameter_overrides=overrides(points=["mp1"], topics=["tracker/mp1"]))
     )
     assert [one.topic for one in node.publishers if "/tracker" in one.topic] == []
+
+
+def test_samples_from_before_are_not_averaged_however_late_they_arrive(spinning: Any, feeds: list[Feed]) -> None:
+    node = spinning.add(TrackerNode(context=spinning.context, parameter_overrides=overrides(points=["mp1"])))
+    client = spinning.plain()
+    start = node.now_ns()
+    publisher = client.create_publisher(PointStamped, "input/mp1", 100)
+    feeds.append(Feed(publisher, lambda k: incoming("PointStamped", HERE + 1e-9 * (k % 7), start + k * 5_000_000)))
+    since = start + 3_000_000_000
+    result = measure(client, "tracker/measure", Measure.Goal(names=["mp1"], since=to_header(since).stamp))
+    assert result.outcome.code == Outcome.OK, result.outcome.text
+    assert stamp_ns(result.averages[0].begin) >= since
