@@ -193,6 +193,7 @@ class CalibrationNode(ManagedNode):
     def announced(self) -> None:
         """Send the health at once: it has changed."""
         self._heartbeat.beat()
+        self.diagnostics.publish()
 
     def stop(self) -> None:
         """End what is under way and give back what is held, before the process ends; the executor still spins."""
@@ -247,9 +248,20 @@ class Diagnostics:
             return 0, ""
         return min(int(gravest.level[0]), 2), f"{gravest.name.partition(': ')[2]}: {gravest.message}"
 
+    @property
+    def state(self) -> DiagnosticStatus:
+        """One line for the node as a whole: the gravest thing, or where in its life it is."""
+        level, text = self.worst
+        label = machine.LABELS[self._node.state]
+        name = self._node.get_name()
+        values = [KeyValue(key="lifecycle", value=label)]
+        return DiagnosticStatus(
+            level=self.LEVELS[level], name=f"{name}: state", message=text or label, hardware_id=name, values=values
+        )
+
     def publish(self) -> None:
-        """Send everything known."""
-        message = DiagnosticArray(status=list(self._status.values()))
+        """Send everything known, the node's state first."""
+        message = DiagnosticArray(status=[self.state, *self._status.values()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 

@@ -98,14 +98,16 @@ def test_diagnostics_at_change_and_once_a_second(spinning: Any, until: Callable[
     until(lambda: one.count_subscribers("/diagnostics"))
     until(lambda: heard)
     one.diagnostics.report("tracker/mp1", 2, "silent", {"age": 1.5})
-    until(lambda: any(array.status for array in heard))
-    status = next(array for array in heard if array.status).status[0]
+    until(lambda: any(len(array.status) > 1 for array in heard))
+    state, status = next(array for array in heard if len(array.status) > 1).status
+    assert (state.name, state.level, state.message) == ("tracker: state", DiagnosticStatus.ERROR, "tracker/mp1: silent")
     assert (status.name, status.level, status.message) == ("tracker: tracker/mp1", DiagnosticStatus.ERROR, "silent")
     assert status.values[0].key == "age"
     seen = len(heard)
     one.diagnostics.report("tracker/mp1", 2, "silent", {"age": 1.6})
     one.diagnostics.report("tracker/mp1", 0, "fine")
-    until(lambda: len(heard) > seen and heard[-1].status[0].level == DiagnosticStatus.OK, timeout=0.9)
+    until(lambda: len(heard) > seen and heard[-1].status[1].level == DiagnosticStatus.OK, timeout=0.9)
+    assert (heard[-1].status[0].level, heard[-1].status[0].message) == (DiagnosticStatus.OK, "active")
 
 
 def test_a_signal_ends_the_node_after_stop() -> None:

@@ -298,7 +298,7 @@ class SimulatedCell(Node):
         arrived = np.array_equal(self.live.q, self._goal_of(goal.request.trajectory))
         if goal.is_cancel_requested:
             goal.canceled()
-            result.outcome = Outcome(code=Outcome.CANCELLED, text="stopped on request")
+            result.outcome = Outcome(code=Outcome.CANCELLED, text="the goal was cancelled")
         elif self._owner is not owner or not arrived:
             goal.abort()
             result.outcome = Outcome(code=Outcome.BLOCKED, text="did not arrive")
