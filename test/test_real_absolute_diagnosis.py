@@ -76,6 +76,7 @@ def test_wam_is_left_where_it_came_from_and_not_elastic() -> None:
 @pytest.mark.parametrize("series", UR10)
 def test_ur10_the_rest_is_located_and_named(series: str) -> None:
     found = _ur10(series)
+    assert len(_in_the_rest(found)) >= 3
     for finding in _in_the_rest(found)[:3]:
         assert finding.held_out_gain > 0.1
         assert finding.magnitude > 0.1e-3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -171,22 +171,71 @@ def _short(name: str, kind: str) -> tuple[World, Protocol]:
     return World(cell, draw_truth(cell, 1)), protocol
 
 
+# Signal-to-noise ratio of typical effects of a 240 kg robot under load (docs/physics.md, A1-A3, L); another geometry.
+STUDY = {
+    "off_axis_compliance": 77,
+    "link_bending": 47,
+    "base_compliance": 100,
+    "tool_compliance": 12,
+    "joint_coupling": 27,
+    "pose_dependent_stiffness": 13,
+    "nonlinear_stiffness": 23,
+    "soft_zone": 32,
+    "backlash": 30,
+    "hysteresis": 47,
+    "creep": 4,
+    "wrench_gain": 11,
+    "wrench_crosstalk": 29,
+    "wrench_frame_misalignment": 19,
+    "wrench_point_offset": 7,
+    "tracker_frame_misalignment": 5,
+    "measurement_point_offset": 5,
+}
+FACTOR = 5.0  # between two robots of one class, at the places that were drawn
+UNSEEN = {"clock_offset", "joint_elasticity"}  # plateaus know no clock; stiffnesses are refitted
+HARDLY = {
+    "tracker_frame_misalignment",
+    "measurement_point_offset",
+    "creep",
+}  # frames, points and stiffnesses take it up
+ABSOLUTE = {name for name in CATALOGUE if CATALOGUE[name].__module__.endswith("absolute")} - UNSEEN
+
+
+def _loudness(robot: str, kind: str, names: Sequence[str], draws: int) -> dict[str, float]:
+    """Return the median signal-to-noise ratio of effects of typical size over places."""
+    world, protocol = _short(robot, kind)
+    cell = world.cell
+    known = background(world, protocol, float(cell.instruments.tracker.sigma or 0.0))
+    found = {}
+    for name in names:
+        effects = []
+        for k in range(draws):
+            place = k % 3 if name == "off_axis_compliance" else None  # the arm's bearings, as in the study
+            rng = np.random.default_rng((5, k))
+            effects.append(MAKERS[name](Draw(MAGNITUDES[robot], np.array(cell.robot.stiffness), 1.0, rng, place)))
+        ratios = [signal_to_noise(known, play(world.with_effects(effect), protocol)) for effect in effects]
+        found[name] = float(np.median(ratios))
+    return found
+
+
+def test_effects_under_load_are_as_loud_as_a_study_found_them() -> None:
+    for name, ratio in _loudness("heavy", "L", tuple(STUDY), 5).items():
+        assert STUDY[name] / FACTOR < ratio < STUDY[name] * FACTOR, name
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_every_effect_shows_where_it_should(robot: str) -> None:
-    """Catalogue and outside: above all that is refitted.  Exceptions are those that no table of readings can show."""
-    world, protocol = _short(robot, "LA")
-    known = background(world, protocol, 2e-5)
-    cell = robot_cell(robot)
-    for name, maker in {**CATALOGUE, **OUTSIDE}.items():
-        draw = Draw(MAGNITUDES[robot], np.array(cell.robot.stiffness), 1.0, np.random.default_rng(5))
-        ratio = signal_to_noise(known, play(world.with_effects(maker(draw)), protocol))
-        if name in {"clock_offset", "joint_elasticity"}:
-            assert ratio < 10.0, name
+    """Catalogue and outside, with loads and at rest: above all that is refitted, but for what that takes up."""
+    for name, ratio in _loudness(robot, "LA", (*CATALOGUE, *OUTSIDE), 3).items():
+        if name in UNSEEN:
+            assert ratio < 1e-6, name
+        elif name in HARDLY:
+            assert 0.1 < ratio < 6.0, name
         else:
-            assert ratio > 0.05, name
+            assert ratio > (15.0 if name in ABSOLUTE else 1.0), name
 
 
-@pytest.mark.parametrize("name", sorted(MAKERS))
+@pytest.mark.parametrize("name", sorted({**CATALOGUE, **ANOMALIES, **OUTSIDE}))
 def test_labels_speak_the_vocabulary(name: str) -> None:
     cell = robot_cell("heavy")
     draw = Draw(MAGNITUDES["heavy"], np.array(cell.robot.stiffness), 1.0, np.random.default_rng(0))
