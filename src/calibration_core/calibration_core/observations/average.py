@@ -71,16 +71,12 @@ def inliers(values: Float2D) -> Bool1D:
     return keep
 
 
-def autocorrelation_time(deviations: Float1D) -> float:
-    """Integrated autocorrelation time of samples (n,) without mean, in samples; at least 1, at most n / 2.
-
-    Negative correlation (an oscillation) is not credited: a mean is never held better than independent samples give.
-    """
-    return float(autocorrelation_times(deviations[:, None])[0])
-
-
 def autocorrelation_times(deviations: Float2D) -> Float1D:
-    """Return the autocorrelation time of every column of samples (n, k) without mean, (k,) in samples."""
+    """Return the integrated autocorrelation time of every column of samples (n, k) without mean, (k,) in samples.
+
+    At least 1, at most n / 2.  Negative correlation (an oscillation) is not credited: a mean is never held better than
+    independent samples give.
+    """
     n, k = deviations.shape
     times = np.ones(k)
     columns = np.ascontiguousarray(deviations.T)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification, JointStiffness
 from calibration_core.model.given import GivenModel
 from calibration_core.report.light import with_light
-from calibration_core.report.output import RESULT, write_files
 from calibration_core.report.phases_result import decoupled_dict, phases_dict
 from calibration_core.report.provenance import digests, software
 from calibration_core.report.scene import space_dict
@@ -76,16 +74,6 @@ def result_dict(
 def result_json(content: dict[str, Any]) -> bytes:
     """Return result.json: UTF-8, indented, same bytes for the same content."""
     return (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()
-
-
-def write_result(identification: Identification, cell: Cell, out_dir: Path, command: str = "identify") -> Path:
-    """Write `result.json` into a directory, which is made if missing, and return its path.
-
-    Raises:
-        OutputError: The directory or file cannot be written.
-    """
-    write_files(out_dir, {RESULT: result_json(result_dict(identification, cell, command))})
-    return out_dir / RESULT
 
 
 def _recording(result: Identification) -> dict[str, Any]:

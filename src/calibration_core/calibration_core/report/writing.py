@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calibration_core.cell import Cell
 from calibration_core.identification.estimate import Identification
-from calibration_core.report.output import REPORT_HTML, RESULT, Content, write_files
+from calibration_core.report.output import RESULT, Content, write_files
 from calibration_core.report.result import result_dict, result_json
 from calibration_core.report.tables import table_files
 
@@ -26,16 +26,6 @@ def report_files(identification: Identification, cell: Cell, evaluated: dt.date 
     from calibration_core.report.rendering import rendered
 
     return rendered(build(identification, cell, evaluated), identification.space)
-
-
-def write_report(identification: Identification, cell: Cell, out_dir: Path, evaluated: dt.date | None = None) -> Path:
-    """Write `report.html` and `report.pdf` into a directory, which is made if missing; return the path of the HTML.
-
-    Raises:
-        OutputError: They cannot be written; then neither of them is.
-    """
-    write_files(out_dir, report_files(identification, cell, evaluated))
-    return out_dir / REPORT_HTML
 
 
 def write_identification(

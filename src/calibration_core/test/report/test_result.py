@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, Safety
 from calibration_core.identification.estimate import Identification, NoiseCheck
-from calibration_core.report.result import correlation, result_dict, result_json, write_result
+from calibration_core.report.result import correlation, result_dict, result_json
 
 CONTRACT = [
     "schema", "command", "robot", "recording", "stiffness", "fit", "verdict", "findings", "anomalies", "unexplained",
@@ -96,10 +95,8 @@ def test_correlation_of_what_has_no_variance_is_unknown(loaded: Identification) 
     assert np.isfinite(np.delete(np.delete(matrix, 2, 0), 2, 1)).all()
 
 
-def test_write(absolute: Identification, absolute_cell: Cell, tmp_path: Path) -> None:
-    path = write_result(absolute, absolute_cell, tmp_path / "a" / "b")
-    assert path == tmp_path / "a" / "b" / "result.json"
-    content = strict(path.read_bytes())
+def test_an_absolute_result(absolute: Identification, absolute_cell: Cell) -> None:
+    content = strict(result_json(result_dict(absolute, absolute_cell, "identify")))
     assert content["recording"]["loaded"] is False
     assert content["stiffness"] == []
     assert [stage["kept"] for stage in content["stages"]] == [True, True, True, False]

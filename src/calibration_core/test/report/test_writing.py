@@ -21,7 +21,7 @@ from calibration_core.report import content, rendering, writing
 from calibration_core.report.document import Document, Facts, Items, Paragraph, Table
 from calibration_core.report.html import render_html
 from calibration_core.report.pdf import _data, render_pdf
-from calibration_core.report.writing import write_identification, write_report
+from calibration_core.report.writing import write_identification
 
 DAY = dt.date(2026, 3, 5)
 Case = tuple[Identification, Cell]
@@ -179,7 +179,7 @@ def test_a_place_that_cannot_be_written_is_an_error_of_the_user(
 ) -> None:
     (tmp_path / "out").write_bytes(b"")
     with pytest.raises(OutputError):
-        write_report(loaded, cell, tmp_path / "out", DAY)
+        write_identification(loaded, cell, tmp_path / "out", {}, DAY)
 
 
 def test_large_recordings_give_reports_of_moderate_size(large: Case, large_document: Document) -> None:

@@ -20,7 +20,6 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Readings
 
-
 SINCE_THE_BEGINNING = {"creep", "tracker_drift", "wrench_drift"}  # of a recording, which a part lacks
 
 
