@@ -7,10 +7,7 @@ the figures asked for here lie below the bars of the whole.
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,16 +17,6 @@ from calibration_sim.proving.cli import main
 SEED, COUNT = 7077, 60  # neither a seed of development nor one that is published
 
 Table = Mapping[str, Mapping[str, Any]]
-
-
-def _has_diagnosis() -> bool:
-    program = Path(sys.executable).with_name("calibration")
-    if not program.is_file():
-        return False
-    return "diagnose" in subprocess.run([program, "--help"], capture_output=True, text=True, check=True).stdout
-
-
-pytestmark = pytest.mark.skipif(not _has_diagnosis(), reason="this version of `calibration` has no command `diagnose`")
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import ObservationError
-from calibration_core.observations.average import average
+from calibration_core.observations.average import average, mean_of
 from calibration_core.observations.clock import clock_offset, corrected, on_one_base
 from calibration_core.observations.conditions import worst
 from calibration_core.observations.plateaus import USUAL_SIGMA, Window, found_windows, marked_windows
@@ -136,7 +136,7 @@ def _row(recording: Recording, cell: Cell, window: Window, point: int, series: T
     joints = _cut(recording.joints, begin, end)
     if settled_from(joints.time, joints.values, np.full(joints.values.shape[1], JOINT_DRIFT)) is None:
         return _unsettled(place, "the joints", joints, 1e3, "mrad")
-    q = average(joints.values).mean if len(joints) else _between(recording.joints, begin, end, NEAREST_JOINTS)
+    q = mean_of(joints.values) if len(joints) else _between(recording.joints, begin, end, NEAREST_JOINTS)
     if q is None:
         return Note("missing", place, "no joint states near this reading")
     force, force_covariance = np.zeros(6), np.zeros((6, 6))

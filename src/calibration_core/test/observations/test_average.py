@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calibration_core.observations.average import autocorrelation_times, average, inliers
+from calibration_core.observations.average import autocorrelation_times, average, inliers, mean_of
 
 
 def correlated(rng: np.random.Generator, memory: float, shape: tuple[int, int]) -> np.ndarray:
@@ -77,3 +77,24 @@ def test_coarse_resolution_is_not_judged() -> None:
     values = np.zeros((100, 1))
     values[:30] = 1.0
     assert inliers(values).all()
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 8, 40])
+def test_the_mean_alone_is_the_mean_of_the_average(n: int) -> None:
+    values = np.random.default_rng(n).normal(size=(n, 3))
+    if n > 8:
+        values[5] = 1e3
+    assert mean_of(values).tolist() == average(values).mean.tolist()
+    kept = values if n <= 8 else np.delete(values, 5, axis=0)
+    assert mean_of(values).tolist() == kept.mean(axis=0).tolist()
+
+
+@pytest.mark.parametrize("n", [30, 31, 40, 41])
+def test_wild_samples_are_those_far_from_the_median(n: int) -> None:
+    values = np.random.default_rng(n).normal(size=(n, 2))
+    values[3, 1] = -60.0
+    distance = np.abs(values - np.median(values, axis=0))
+    assert distance[3, 1] > 8 * 1.4826 * np.median(distance, axis=0)[1]
+    assert np.flatnonzero(~inliers(values)).tolist() == [3]
+    values[2, 0] = np.nan  # an unknown component is not judged
+    assert np.flatnonzero(~inliers(values)).tolist() == [3]
