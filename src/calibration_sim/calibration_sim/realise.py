@@ -15,9 +15,10 @@ from calibration_sim.look import Noise, lagging_sensor, look, spherical_tracker
 from calibration_sim.look_alikes import look_alikes
 from calibration_sim.makers import MAKERS
 from calibration_sim.makers.draw import Draw
+from calibration_sim.makers.farther_out import farther_out
 from calibration_sim.names import renamed
 from calibration_sim.protocols import LOADED, is_loaded, make_protocol, points_of
-from calibration_sim.robots import MAGNITUDES, robot_cell
+from calibration_sim.robots import FIRST_AXIS, MAGNITUDES, robot_cell
 from calibration_sim.scenarios import CLUTTER, NEEDS_SINGLE_STEPS, SINGLES, Planned, Scenario
 from calibration_sim.truth import Spread, draw_truth, generator
 from calibration_sim.world import Played, World, play
@@ -112,9 +113,11 @@ def realise(scenario: Scenario) -> Realised:
 def _draw(scenario: Scenario, stream: tuple[int, ...], planned: Planned, amplitude: float) -> Effect:
     """Draw an effect; the amplitude alone differs between calls for one stream."""
     rng = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=stream))
-    stiffness = np.array(robot_cell(scenario.robot).robot.stiffness)
+    first = FIRST_AXIS.get(scenario.robot, 0)
+    stiffness = np.array(robot_cell(scenario.robot).robot.stiffness)[first:]
     size = MAGNITUDES[scenario.robot]
-    return MAKERS[planned.name](Draw(size, stiffness, amplitude, rng, planned.place, LOADED, planned.plain))
+    effect = MAKERS[planned.name](Draw(size, stiffness, amplitude, rng, planned.place, LOADED, planned.plain))
+    return farther_out(effect, first) if first else effect
 
 
 def _loud_enough(scenario: Scenario, planned: Planned, k: int, known: Background) -> tuple[Effect, float]:

@@ -15,6 +15,7 @@ from calibration_core.cell import Cell, load_cell
 CELLS = Path(__file__).with_name("cells")
 ROBOTS = ("heavy", "light")
 MORE_ROBOTS = ("tiny", "middle", "giant")  # 3, 60 and 500 kg
+FIRST_AXIS = {"column": 1}  # index of the arm's first axis, where the arm stands on further ones
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,9 +238,10 @@ MAGNITUDES = {
         creep_time=150.0,
     ),
 }
+MAGNITUDES["column"] = MAGNITUDES["light"]  # the same arm, on a lifting column
 
 
 @functools.cache
 def robot_cell(name: str) -> Cell:
-    """Return the cell of a robot, one of `ROBOTS` or `MORE_ROBOTS`, as its file states it."""
+    """Return the cell of a robot, one of `ROBOTS` or `MORE_ROBOTS` or `FIRST_AXIS`, as its file states it."""
     return load_cell(CELLS / f"{name}.cell.yaml")

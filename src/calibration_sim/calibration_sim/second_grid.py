@@ -152,6 +152,17 @@ def _nothing(rng: Rng) -> Iterator[_Row]:
         yield _Row(ALL_ROBOTS[k % 5], protocol, names=str(rng.choice(NAMES)))
 
 
+def _prismatic(rng: Rng) -> Iterator[_Row]:
+    effects = ("off_axis_compliance", "link_bending", "nonlinear_stiffness", "backlash", "hysteresis", "joint_coupling")
+    for k in range(26):
+        if k % 13 == 12:
+            yield _Row("column", "LA")
+            continue
+        absolute = k % 3 == 2
+        name = "transmission_error" if absolute else str(rng.choice(effects))
+        yield _Row("column", "A" if absolute else str(rng.choice(["L", "R"])), (_planned(rng, name),))
+
+
 KINDS: MappingProxyType[str, Callable[[Rng], Iterator[_Row]]] = MappingProxyType(
     {
         "rest": _at_rest,
@@ -162,5 +173,6 @@ KINDS: MappingProxyType[str, Callable[[Rng], Iterator[_Row]]] = MappingProxyType
         "other_robot": _other_robot,
         "other_names": _other_names,
         "nothing_else": _nothing,
+        "prismatic": _prismatic,
     }
 )

@@ -27,6 +27,7 @@ from calibration_sim.laws.structure import Base, Beam, Bearing, Coupling, Modula
 from calibration_sim.look_alikes import look_alikes
 from calibration_sim.makers import CATALOGUE, EVERYWHERE, OTHER_SHAPES
 from calibration_sim.makers.draw import Draw
+from calibration_sim.makers.farther_out import farther_out
 from calibration_sim.names import NAMES, renamed
 from calibration_sim.protocols import make_protocol
 from calibration_sim.realise import realise
@@ -48,8 +49,8 @@ def _first(kind: str, **changes: object) -> object:
 def test_the_grid_has_every_kind_robot_and_name_and_at_most_600_recordings() -> None:
     assert len(GRID) <= 600
     assert {s.group for s in GRID} == set(KINDS)
-    assert min(collections.Counter(s.group for s in GRID).values()) >= 40
-    assert {s.robot for s in GRID} == set(ALL_ROBOTS)
+    assert min(collections.Counter(s.group for s in GRID).values()) >= 26
+    assert {s.robot for s in GRID} == {*ALL_ROBOTS, "column"}
     assert {s.names for s in GRID} == set(NAMES)
     assert {p.name for s in GRID for p in s.planned} >= {*OTHER_SHAPES, *EVERYWHERE}
     assert len({s.seed for s in GRID}) == len(GRID)
@@ -94,6 +95,32 @@ def test_protocols_mix_loads_and_single_steps(kind: str, count: tuple[int, int])
 def test_protocols_that_are_none_are_refused(kind: str) -> None:
     with pytest.raises(ValueError, match="protocol"):
         make_protocol(robot_cell("heavy"), kind, 1)
+
+
+def test_a_first_axis_that_slides_is_counted(tmp_path: Path) -> None:
+    plan = (Planned("backlash", 3.0, 0), Planned("joint_coupling", 1.0, 3), Planned("link_bending", 1.0, 1))
+    made = realise(_first("prismatic", protocol="L2", planned=plan))  # type: ignore[arg-type]
+    write_table(tmp_path / "measurements.csv", made.readings)
+    (tmp_path / "cell.yaml").write_text(yaml.safe_dump(made.cell))
+    cell = load_cell(tmp_path / "cell.yaml")
+    assert read_table(tmp_path / "measurements.csv", cell).q.shape[1] == 7
+    assert cell.robot.joint_types is not None
+    assert cell.robot.joint_types[0] == "prismatic"
+    backlash, coupling, beam = made.label["effects"]
+    assert backlash["location"] == {"joint": "joint_2"}
+    assert coupling["location"] == {"joints": ["joint_5", "joint_6"]}
+    assert beam["location"] == {"link": "link_3"}
+    assert backlash["equivalent"] == []
+
+
+def test_an_effect_farther_out_acts_on_the_joints_that_it_names() -> None:
+    draw = Draw(MAGNITUDES["column"], np.full(6, 1e4), 1.0, np.random.default_rng(0), 2)
+    law = farther_out(OTHER_SHAPES["one_sided"](draw), 1)
+    at = At(0, 1, 0, 0.0, 20.0, np.zeros(7), np.zeros(7), np.full(7, 1e-4))
+    moved = [float(np.abs(law.deflect(None, sign * np.ones(7), at)).max()) for sign in (-1.0, 1.0)]  # type: ignore[arg-type]
+    assert law.label.location == {"joint": "joint_4"}
+    assert max(moved) > 0.0
+    assert np.flatnonzero(law.deflect(None, np.sign(moved[1] - moved[0]) * np.ones(7), at)).tolist() == [3]  # type: ignore[arg-type]
 
 
 SMALL = 1e-3  # of the typical size: a spring's first order

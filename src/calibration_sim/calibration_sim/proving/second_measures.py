@@ -8,6 +8,7 @@ from calibration_sim.proving.measures import (
     Case,
     Measure,
     as_table,
+    both,
     costs,
     false_beside,
     first_right,
@@ -24,6 +25,7 @@ SINGLE_CAUSES = {
     "other_robot": "robots of 3, 60 and 500 kg",
     "other_names": "other names of joints and points",
     "everywhere": "every joint a little",
+    "prismatic": "a first axis that slides",
 }
 
 
@@ -36,7 +38,7 @@ def second_measures(cases: Sequence[Case]) -> list[Measure]:
     rows: list[Measure] = []
     for kind, words in SINGLE_CAUSES.items():
         if kind in present:
-            chosen = of_group(kind)
+            chosen = both(of_group(kind), _something)
             rows += [
                 least(f"{words}: named first", cases, chosen, first_right, 0.95),
                 least(f"{words}: place right, given the effect is right", cases, chosen, placed, 0.97),
@@ -54,9 +56,17 @@ def second_measures(cases: Sequence[Case]) -> list[Measure]:
         text = "laws of other shapes: joint and kind right or unexplained, never to the noise"
         rows.append(least(text, cases, of_group("other_law"), lambda _, o: [o.kind_right], 0.95))
     if "nothing_else" in present:
-        chosen = of_group("nothing_else")
+        chosen = _empty
         rows.append(most("nothing missing: a finding", cases, chosen, lambda _, o: [o.found > 0], 0.01))
     return [*rows, *costs(cases, cases)]
+
+
+def _something(case: Case) -> bool:
+    return bool(case.label["effects"])
+
+
+def _empty(case: Case) -> bool:
+    return not case.label["effects"]
 
 
 def _all_found(_: Case, outcome: Outcome) -> list[bool]:
