@@ -158,6 +158,34 @@ class Suite:
                 time.sleep(0.01)
         raise AssertionError("the plan is not accepted")
 
+    def rejected(self, plan: Path) -> str:
+        """Send a goal that is not accepted; return the words that are told of it."""
+        from calibration_interfaces.action import RunPlan
+        from calibration_interfaces.msg import SessionEvent
+        from rclpy.action import ActionClient
+
+        told: list[str] = []
+
+        def take(event: Any) -> None:
+            if event.kind == SessionEvent.REJECTED:
+                told.append(event.text)
+
+        listening = self.client.create_subscription(SessionEvent, "calibration/event", take, 1000)
+        client = ActionClient(self.client, RunPlan, "sequencer/run")
+        assert client.wait_for_server(LONG), self.log("sequencer")
+        end = time.monotonic() + LONG
+        while not self.client.count_publishers("calibration/event"):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        answer = client.send_goal_async(RunPlan.Goal(plan=str(plan), session=str(self.session)))
+        while not (answer.done() and told):
+            assert time.monotonic() < end, self.log("sequencer")
+            time.sleep(0.01)
+        assert not answer.result().accepted
+        client.destroy()
+        self.client.destroy_subscription(listening)
+        return told[-1]
+
     @property
     def session(self) -> Path:
         """Directory of the session."""

@@ -83,13 +83,12 @@ def allow(suite: Any, done: Any) -> None:
 
 def go_on(suite: Any) -> bool:
     """Reset the guard and resume; whether that was possible."""
-    from calibration_interfaces.srv import ResetGuard
-    from std_srvs.srv import Trigger
+    from calibration_interfaces.msg import Outcome
+    from calibration_interfaces.srv import ResetGuard, ResumeMotion
 
-    if not suite.call(ResetGuard, "guard/reset", operator_name="test").permission.permitted:
-        return False
-    suite.call(Trigger, "sequencer/resume")
-    return True
+    suite.call(ResetGuard, "guard/reset", operator_name="test")
+    answer = suite.call(ResumeMotion, "sequencer/resume_motion", operator_name="test")
+    return bool(answer.outcome.code == Outcome.OK)
 
 
 class Killing:

@@ -139,16 +139,17 @@ class Cell:
             self.allow()
 
     def allow(self) -> None:
-        """Reset the guard and resume, as an operator would."""
-        from calibration_interfaces.srv import ResetGuard
-        from std_srvs.srv import Trigger
+        """Reset the guard and resume motion, as an operator would."""
+        from calibration_interfaces.msg import Outcome
+        from calibration_interfaces.srv import ResetGuard, ResumeMotion
 
         end = time.monotonic() + 2.0  # the guard hears of the end of a fault a little later
-        while not self.suite.call(ResetGuard, "guard/reset", operator_name="test").permission.permitted:
-            if time.monotonic() > end:
-                return
+        while time.monotonic() < end:
+            if not self.suite.call(ResetGuard, "guard/reset", operator_name="test").permission.latched:
+                answer = self.suite.call(ResumeMotion, "sequencer/resume_motion", operator_name="test")
+                if answer.outcome.code == Outcome.OK:
+                    return
             time.sleep(0.05)
-        self.suite.call(Trigger, "sequencer/resume")
 
     def strike(self, fault: Fault) -> float:
         """Make a fault happen; return when it was known at the earliest, ns."""

@@ -15,11 +15,14 @@ from typing import Any
 from calibration.motion.stop_path import StopPath
 from calibration.node import CalibrationNode
 from calibration.topics import MOTION_PULSE
+from calibration_core.procedure.stop_proof import Stop
 
 UNHEARD = "the robot moves and no sign of life of the sequencer is heard"
 MOVES = 0.02  # m/s of the fastest point: a robot at rest is never as fast, noise included
 AGAIN = 0.5  # s between stops of such a motion
 WATCHED = "the motion under way is permitted and watched"
+SILENT = "the sequencer is silent while its motion is under way"
+DEAF = "the driver does not acknowledge that it stops: press the emergency stop"
 
 
 class Emergency:
@@ -48,8 +51,13 @@ class Emergency:
         """Tell whether the sequencer gives a sign of life at `now`, s of the steady clock."""
         return now - self._heard <= self._max_age
 
-    def look(self, now: float, *, permitted: bool, speed: float = math.nan) -> None:
-        """Stop, and say so, if a motion is under way that is not permitted, or that nobody watches.
+    @property
+    def moving(self) -> bool:
+        """Whether the sequencer said last that a motion of its own is under way."""
+        return self._moving
+
+    def look(self, now: float, *, permitted: bool, speed: float = math.nan) -> str:
+        """Stop, and say so, if a motion is under way that is not permitted, or that nobody watches; return why.
 
         Args:
             now: s of the steady clock.
@@ -59,26 +67,30 @@ class Emergency:
         fault = self._fault(now, permitted=permitted, speed=speed)
         if fault:
             self._moving = False  # until the sequencer says so again
-            self._command(now, fault)
+            self.command(now, fault)
+        if self._stop.unanswered(now):
+            fault = fault or DEAF
         if fault != self._told and (fault or self._moving):  # what was told stands until a motion is as it should be
             self._told = fault
             self._node.diagnostics.report("motion", 2 if fault else 0, fault or WATCHED)
             if fault:
                 self._node.get_logger().error(fault)
+        return fault
 
     def _fault(self, now: float, *, permitted: bool, speed: float) -> str:
         if not self._moving:
             silent = not self.hears(now) and now - self._unheard > AGAIN
-            if not self._stop.exists or not silent or not speed > MOVES:
+            if self._stop.how is Stop.NONE or not silent or not speed > MOVES:
                 return ""
             self._unheard = now
             return UNHEARD
         if not self.hears(now):
-            return "the sequencer is silent while its motion is under way"
+            return SILENT
         return "" if permitted else "a motion is under way that is not permitted"
 
-    def _command(self, now: float, why: str) -> None:
-        self._stop.command()
-        if self._trace is not None and self._stop.exists:
+    def command(self, now: float, why: str) -> None:
+        """Stop whatever moves, and note why."""
+        self._stop.command(now)
+        if self._trace is not None and self._stop.how is not Stop.NONE:
             with self._trace.open("a", encoding="utf-8") as file:
                 file.write(f"{round(now * 1e9)},stop: {why}\n")

@@ -7,80 +7,52 @@ means no.  It stops the robot itself when the sequencer may not be able to.  It 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 import numpy as np
-from calibration_interfaces.msg import Outcome
-from calibration_interfaces.srv import ConfirmMode, ResetGuard
+from calibration_interfaces.msg import Outcome, Permission
+from calibration_interfaces.srv import ConfirmMode, ProveStop, ResetGuard
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_stamp
-from calibration.emergency import Emergency
-from calibration.guard_messages import mode_names, to_evidence, to_permission, to_robot_state
-from calibration.motion.catalogue import MOTION_INTERFACE
+from calibration.emergency import AGAIN, SILENT, Emergency
+from calibration.guard_messages import to_evidence, to_permission, to_robot_state
+from calibration.guard_parameters import PARAMETERS, configured_adapter, guard_rules
+from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.stop_path import make_stop_path
-from calibration.node import CalibrationNode, Declared, run
-from calibration.robot_state import generic
-from calibration.robot_state.adapter import Adapter, Received, Report, Source, assemble
-from calibration.robot_state.catalogue import GENERIC, NAMES, adapter_of, load_type
+from calibration.node import CalibrationNode, run
+from calibration.process_tree import STANDSTILL
+from calibration.robot_state.adapter import Received, Report, Source, assemble
+from calibration.robot_state.catalogue import load_type
 from calibration.robot_state.confirmation import Confirmation, checked, confirmed
-from calibration.topics import GUARD_EVIDENCE, PERMISSION, ROBOT_STATE
+from calibration.topics import GUARD_EVIDENCE, PERMISSION, ROBOT_STATE, several_publishers
 from calibration_core.cell import load_cell
-from calibration_core.errors import InputError, quoted
+from calibration_core.errors import InputError
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.guard import Decision, Guard, GuardRules
-from calibration_core.procedure.robot_status import OperatingMode
+from calibration_core.procedure.guard import Decision, Guard
 from calibration_core.procedure.speed import Monitored
 from calibration_core.timeseries import NANOSECONDS
 
 PULSE_DEADLINE = 0.1  # s, offered: two pulses of the permission are never farther apart
-LONGEST_AGE = 10.0  # s, of a source's last message
 ASK_EVERY = 1.0  # s, services of an adapter
-RULES = GuardRules()
-MODES = tuple(mode.name for mode in OperatingMode if mode is not OperatingMode.UNKNOWN)
-
-PARAMETERS = (
-    Declared("cell", "", "The cell file.", required=True),
-    Declared("rate", 50.0, "Hz, of the permission.", low=20.0, high=500.0),
-    Declared("evidence_rate", 2.0, "Hz, of the evidence between changes.", low=0.1, high=50.0),
-    Declared("allowed_modes", ["MANUAL_REDUCED"], f"Operating modes in which motion is permitted: {', '.join(MODES)}."),
-    Declared("speed_limit", RULES.speed_limit, "m/s, of every monitored point.", low=0.01, high=0.25),
-    Declared("tolerance", RULES.tolerance, "Share by which a measured speed may exceed the limit.", low=0.0, high=0.2),
-    Declared("max_state_age", RULES.max_state_age, "s, of the robot state.", low=0.05, high=10.0),
-    Declared("max_joints_age", RULES.max_joints_age, "s, of the joint states.", low=0.01, high=1.0),
-    Declared("freeze_time", RULES.freeze_time, "s, joint states repeat while in motion.", low=0.02, high=5.0),
-    Declared("speed_window", RULES.speed_window, "s, over which speed is measured.", low=0.0, high=1.0),
-    Declared("jump_rate", RULES.jump_rate, "rad/s, no joint is faster.", low=1.0, high=100.0),
-    Declared("scaling_zero_time", RULES.scaling_zero_time, "s, speed scaling may be zero.", low=0.0, high=10.0),
-    Declared("max_pause", RULES.max_pause, "s, between two decisions, and between stamps of joint states.", low=0.1),
-    *MOTION_INTERFACE,
-    Declared("sequencer_age", 0.1, "s, of the sequencer's sign of life while it moves the robot.", low=0.05, high=5.0),
-    Declared("trace", "", "File for the monotonic clock's ns of what it stops; empty: none."),
-    Declared("clock_jump", 2.0, "s, the clock may advance between two decisions.", low=0.1, high=3600.0),
-    Declared("robot_state.adapter", "native", "How the controller's state is understood.", choices=NAMES),
-    Declared("robot_state.topics", [], "Names of topics other than the driver's defaults, as key=name."),
-    Declared("robot_state.max_ages", [], "s, that a source's last message counts, other than usual, as key=seconds."),
-    Declared("robot_state.generic.topic", "", "Topic of the generic adapter."),
-    Declared("robot_state.generic.type", "", "Its type, package/msg/Name."),
-    Declared(
-        "robot_state.generic.max_age", 1.0, "s, after which its last message counts no longer.", low=0.05, high=10.0
-    ),
-    *(Declared(f"robot_state.generic.{name}", "", "Rule: path = value: WORD, ...") for name in generic.WORDS),
-)
+LOOK_AROUND = 1.0  # s, who publishes what the guard rests on
+OTHERS = 2.0  # s, that the guard waits for the sequencer to end when both are told to
 
 
 class GuardNode(CalibrationNode):
     """The node around the pure rule."""
+
+    OWNER = "guard"
 
     def __init__(self, **kwargs: Any) -> None:
         """Start to watch.
@@ -91,9 +63,20 @@ class GuardNode(CalibrationNode):
         super().__init__("guard", PARAMETERS, **kwargs)
         self.cell = load_cell(self.value("cell"))
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
-        self.rules = self._rules()
-        self.guard = Guard(self.monitored, self.rules)
-        self.adapter = self._adapter()
+        self.rules = guard_rules(self, self.cell)
+        self.adapter = configured_adapter(self)
+        self._joints = Joints(ArrivalRules())
+        self.stop_path = make_stop_path(
+            self.value("motion.backend"),
+            self,
+            self.cell.robot.joints,
+            interface=self.value("motion.interface"),
+            where=lambda: self._joints.latest,
+            ended=self._on_goal_ended,
+        )
+        self.guard = Guard(self.monitored, self.rules, self.stop_path.how)
+        self._proving = b""  # the goal that is to be stopped for a proof
+        self._deaf = False  # the driver has not acknowledged a stop
         self._received: dict[str, Received] = {}
         self._asked: dict[str, tuple[Any, Any, float]] = {}  # service -> client, pending answer, since
         self._report = Report(self.adapter.translate({}))
@@ -103,64 +86,9 @@ class GuardNode(CalibrationNode):
         self._deciding = threading.RLock()
         self._evidence_sent = -math.inf
         self._ros_time = 0
-        self._stop_path = make_stop_path(
-            self.value("motion.backend"),
-            self,
-            self.cell.robot.joints,
-            interface=self.value("motion.interface"),
-            where=lambda: self._q if np.isfinite(self._q).all() else None,
-        )
-        self._emergency = Emergency(self, self._stop_path, self.value("sequencer_age"), self.value("trace"))
+        self._emergency = Emergency(self, self.stop_path, self.value("sequencer_age"), self.value("trace"))
         self._speak()
         self._listen()
-
-    def _rules(self) -> GuardRules:
-        try:
-            modes = mode_names(self.value("allowed_modes"))
-        except KeyError as error:
-            raise InputError("guard", "allowed_modes", quoted(error.args[0]), f"some of {', '.join(MODES)}") from None
-        declared = None if self.cell.safety is None else self.cell.safety.speed_limit
-        names = {field.name for field in dataclasses.fields(GuardRules)} - {"allowed_modes", "declared_limit"}
-        given = {name: self.value(name) for name in names if name in self._table}
-        return GuardRules(allowed_modes=modes, declared_limit=declared, **given)
-
-    def _adapter(self) -> Adapter:
-        name = self.value("robot_state.adapter")
-        if name == GENERIC:
-            place = "robot_state.generic"
-            rules = {quantity: self.value(f"{place}.{quantity}") for quantity in generic.WORDS}
-            topic, kind, age = (self.value(f"{place}.{key}") for key in ("topic", "type", "max_age"))
-            adapter = generic.adapter(topic, kind, age, rules)
-        else:
-            adapter = adapter_of(name)
-        topics, ages = self._by_key(adapter, "robot_state.topics"), self._by_key(adapter, "robot_state.max_ages")
-        sources = []
-        for source in adapter.sources:
-            age = source.max_age
-            if source.key in ages:
-                age = self._seconds("robot_state.max_ages", ages[source.key])
-            sources.append(dataclasses.replace(source, name=topics.get(source.key, source.name), max_age=age))
-        return dataclasses.replace(adapter, sources=tuple(sources))
-
-    def _by_key(self, adapter: Adapter, name: str) -> dict[str, str]:
-        known = {source.key for source in adapter.sources}
-        found = {}
-        for entry in self.value(name):
-            key, _, text = entry.partition("=")
-            if key not in known or not text:
-                expected = f"key=value with a key of {', '.join(sorted(known)) or 'no topic at all'}"
-                raise InputError("guard", name, quoted(entry), expected)
-            found[key] = text
-        return found
-
-    def _seconds(self, name: str, text: str) -> float:
-        try:
-            seconds = float(text)
-        except ValueError:
-            seconds = math.nan
-        if not 0.0 < seconds <= LONGEST_AGE:
-            raise InputError("guard", name, quoted(text), f"above 0, at most {LONGEST_AGE:g} s")
-        return seconds
 
     def _speak(self) -> None:
         pulse = PERMISSION.qos
@@ -170,6 +98,7 @@ class GuardNode(CalibrationNode):
         self._state = self.create_publisher(ROBOT_STATE.message, ROBOT_STATE.relative, ROBOT_STATE.qos)
         self.create_service(ResetGuard, "~/reset", self._on_reset)
         self.create_service(ConfirmMode, "~/confirm_mode", self._on_confirm)
+        self.create_service(ProveStop, "~/prove_stop", self._on_prove, callback_group=ReentrantCallbackGroup())
 
     def _listen(self) -> None:
         # Best effort is heard from every publisher, and of a state only the newest matters.
@@ -185,6 +114,7 @@ class GuardNode(CalibrationNode):
                 self.create_subscription(kind, source.name, self._hear(source), quality)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / self.value("rate"), self._on_pulse, clock=steady)
+        self.create_timer(LOOK_AROUND, self._look_around, clock=steady)
         if self._asked:
             self.create_timer(ASK_EVERY, self._ask, clock=steady)
 
@@ -215,6 +145,8 @@ class GuardNode(CalibrationNode):
         q = joint_positions(message, self.monitored.chain.joints)
         self._q = np.full(self.monitored.chain.n, math.nan) if q is None else q
         stamp = stamp_ns(message.header.stamp)
+        if q is not None:
+            self._joints.add(stamp or self.now_ns(), q)
         self.guard.on_joints(self._q, time.monotonic(), stamp / NANOSECONDS if stamp else math.nan)
 
     def _ask(self) -> None:
@@ -255,8 +187,34 @@ class GuardNode(CalibrationNode):
         elif not self.adapter.sources and self._confirmation is not None:
             self.guard.on_status(report.status, now)
         self._decide(now)
-        if self._last is not None:
-            self._emergency.look(now, permitted=self._last.permitted, speed=self._last.speed)
+        if self._last is None:
+            return
+        if self.guard.prove(self._last):
+            self._emergency.command(now, "proof of the stop")
+        if self._emergency.look(now, permitted=self._last.permitted, speed=self._last.speed) == SILENT:
+            self.guard.on_silence()
+            self._decide(now)
+        deaf = self.stop_path.unanswered(now)
+        if deaf and not self._deaf:
+            self.guard.proof.void("the driver did not acknowledge a stop")
+        self._deaf = deaf
+
+    def _on_goal_ended(self, goal: bytes, cancelled: bool) -> None:
+        if goal == self._proving:
+            self._proving = b""
+            self.guard.proof.on_ended(time.monotonic(), cancelled=cancelled)
+
+    def _look_around(self) -> None:
+        """See who publishes what the guard rests on: of two, nobody knows which one speaks of the robot."""
+        topics = [self.cell.topics.joint_states.lstrip("/")]
+        topics += [source.name for source in self.adapter.sources if not source.is_service]
+        self.guard.on_sources("; ".join(filter(None, [several_publishers(self, topic) for topic in topics])))
+
+    def on_second(self, words: str, younger: bool) -> None:
+        """Another guard is heard: neither permits anything."""
+        self.guard.on_second_guard()
+        self._decide(time.monotonic())
+        super().on_second(words, younger)
 
     def _watch_clock(self) -> None:
         before, self._ros_time = self._ros_time, self.now_ns()
@@ -268,9 +226,13 @@ class GuardNode(CalibrationNode):
         with self._deciding:
             self._publish(self.guard.decide(now), now)
 
+    def _message(self, decision: Decision, stamp: int, now: float) -> Permission:
+        hears, stop = self._emergency.hears(now), self.stop_path.text
+        return to_permission(decision, self.rules, stamp, hears=hears, stop=stop)
+
     def _publish(self, decision: Decision, now: float) -> None:
         stamp = self.now_ns()
-        message = to_permission(decision, self.rules, stamp, hears=self._emergency.hears(now))
+        message = self._message(decision, stamp, now)
         self._permission.publish(message)
         before, self._last = self._last, decision
         changed = before is None or (before.permitted, before.reasons, before.latched) != (
@@ -294,7 +256,7 @@ class GuardNode(CalibrationNode):
         now = time.monotonic()
         decision = self.guard.decide(now) if not request.operator_name.strip() else self.guard.reset(now)
         self._publish(decision, now)
-        response.permission = to_permission(decision, self.rules, self.now_ns(), hears=self._emergency.hears(now))
+        response.permission = self._message(decision, self.now_ns(), now)
         if not request.operator_name.strip():
             response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, "the name of who answers for it is missing")
         elif decision.latched:
@@ -320,11 +282,55 @@ class GuardNode(CalibrationNode):
         response.outcome = to_outcome(Outcome.OK, text)
         return response
 
+    # --- the proof that the robot can be stopped ---------------------------------------------------------------------
+
+    async def _on_prove(self, request: Any, response: Any) -> Any:
+        proof, now = self.guard.proof, time.monotonic()
+        if proof.running:
+            response.outcome = to_outcome(Outcome.BUSY, "a proof is under way")
+            return response
+        self._proving = bytes(request.goal)
+        proof.begin(now)
+        await _While(lambda: proof.running)
+        self._decide(time.monotonic())
+        if proof.proven:
+            response.outcome = to_outcome(Outcome.OK, f"seen: {self.stop_path.text}")
+        else:
+            response.outcome = to_outcome(Outcome.TEST_FAILED, proof.text)
+        self.get_logger().info(f"proof of the stop: {response.outcome.text}")
+        return response
+
+    # --- the end -----------------------------------------------------------------------------------------------------
+
     def stop(self) -> None:
-        """Take the permission back before the pulse ends."""
+        """Take the permission back, stop what moves, and go when the robot stands: last of all."""
+        began = time.monotonic()
         with self._deciding:  # the executor's thread still decides
             self.guard.stop()
-            self._decide(time.monotonic())
+            self._decide(began)
+        moved, stopped = self._emergency.moving, -math.inf
+        while (now := time.monotonic()) < began + STANDSTILL:
+            standing = self._joints.latest is None or self._joints.standing()
+            moved |= not standing
+            if moved and (not standing or stopped == -math.inf) and now - stopped > AGAIN:
+                stopped = now
+                self._emergency.command(now, "the guard is being shut down")
+            seen = not moved or (standing and now - began > ArrivalRules().dwell and not self.stop_path.waiting)
+            if seen and (not self._emergency.hears(now) or now - began > OTHERS):
+                return
+            time.sleep(0.02)
+        self.get_logger().fatal("the robot does not stand: press the emergency stop")
+
+
+class _While:
+    """Awaits the end of a condition; the guard's pulse looks again and again."""
+
+    def __init__(self, condition: Callable[[], bool]) -> None:
+        self._condition = condition
+
+    def __await__(self) -> Generator[None, None, None]:
+        while self._condition():
+            yield
 
 
 def main(args: Sequence[str] | None = None) -> int:

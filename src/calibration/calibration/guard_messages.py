@@ -51,8 +51,16 @@ def to_robot_state(report: Report, time: int, *, steady_to_ros: int) -> RobotSta
     )
 
 
-def to_permission(decision: Decision, rules: GuardRules, time: int, *, hears: bool) -> Permission:
-    """Return a decision as a message; `hears`: whether the sequencer gives a sign of life."""
+def to_permission(decision: Decision, rules: GuardRules, time: int, *, hears: bool, stop: str) -> Permission:
+    """Return a decision as a message.
+
+    Args:
+        decision: The decision.
+        rules: Limits.
+        time: ns.
+        hears: Whether the sequencer gives a sign of life.
+        stop: How the guard stops a motion.
+    """
     return Permission(
         header=to_header(time),
         permitted=decision.permitted,
@@ -63,6 +71,7 @@ def to_permission(decision: Decision, rules: GuardRules, time: int, *, hears: bo
         speed_point=decision.speed_point,
         speed_limit=rules.speed_limit,
         hears_sequencer=hears,
+        stop=stop,
     )
 
 

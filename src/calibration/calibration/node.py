@@ -33,6 +33,7 @@ from rclpy.signals import SignalHandlerOptions
 from calibration.lifecycle import machine
 from calibration.lifecycle.heartbeat import Heartbeat
 from calibration.lifecycle.managed import ManagedNode
+from calibration.presence import Presence, refuse_second
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.yaml_file import read_yaml
 
@@ -42,6 +43,7 @@ NODE_NAMES = (
 BUILT_IN = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 MAX_PARAMETER_BYTES = 1 << 20
 POLL = 0.1  # s between looks at the flag that ends the process
+HELD_SIGNALS = 2  # launch sends SIGINT, then SIGTERM
 
 Value = bool | int | float | str | list[str] | list[float] | list[int] | list[bool]
 
@@ -119,7 +121,10 @@ class CalibrationNode(ManagedNode):
     Attributes:
         diagnostics: What the node tells about its health, once a second and at every change.
         failed: Set when the node cannot go on; the process then ends with exit code 1.
+        OWNER: What of which there may be one in a namespace this kind of node is, for example "guard"; empty: nothing.
     """
+
+    OWNER = ""
 
     def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
         """Declare the parameters; configure and activate the node, unless a manager is to do that.
@@ -141,6 +146,8 @@ class CalibrationNode(ManagedNode):
             self.add_on_set_parameters_callback(self._check)
             self.diagnostics = Diagnostics(self)
             self._heartbeat = Heartbeat(self)
+            if self.OWNER:
+                Presence(self, self.OWNER, self.on_second)
             if self.value("autostart"):
                 self.start()
         except Exception:
@@ -194,6 +201,13 @@ class CalibrationNode(ManagedNode):
         """Send the health at once: it has changed."""
         self._heartbeat.beat()
         self.diagnostics.publish()
+
+    def on_second(self, words: str, younger: bool) -> None:
+        """Another node of this kind is heard: the younger one ends; the elder one says so, and stops what it does."""
+        self.diagnostics.report("owner", 2, words)
+        if younger and not self.failed.is_set():
+            self.get_logger().fatal(words)
+            self.failed.set()
 
     def stop(self) -> None:
         """End what is under way and give back what is held, before the process ends; the executor still spins."""
@@ -294,8 +308,10 @@ def _sections(data: object, prefix: str = "") -> list[str]:
 def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = None) -> int:
     """Run a node until a signal or its own failure ends it; the exit code of the process.
 
+    Two signals are held until the node has stopped what it does; the third one ends the process at once.
+
     Args:
-        make: Makes the node, once ROS is initialised.
+        make: Makes the node, once ROS is initialised: its class.
         arguments: Command line without the program's name; None: the process's own.
 
     Returns:
@@ -303,8 +319,13 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
     """
     stop = threading.Event()
 
-    def on_signal(_number: int, _frame: FrameType | None) -> None:
+    held: list[int] = []
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
         stop.set()
+        held.append(number)
+        if len(held) > HELD_SIGNALS:
+            os._exit(128 + number)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
@@ -313,6 +334,9 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
         try:
             rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
             check_parameter_files(given)
+            owner = str(getattr(make, "OWNER", ""))
+            if owner:
+                refuse_second(owner)
             node = make()
         except InputError as error:
             print(error, file=sys.stderr)

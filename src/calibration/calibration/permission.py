@@ -6,6 +6,8 @@ import math
 import threading
 from typing import Any
 
+from calibration_interfaces.msg import Permission
+
 SILENT = "the guard is silent"
 
 
@@ -17,13 +19,15 @@ class PermissionWatch:
         self._max_age = max_age
         self._lock = threading.Lock()
         self._permitted, self._text, self._heard = False, SILENT, -math.inf
-        self._hears = False
+        self._hears = self._latched = False
+        self._reasons: frozenset[int] = frozenset()
 
     def hear(self, message: Any, now: float) -> None:
         """Take a `Permission` that arrived at `now`."""
         with self._lock:
             self._permitted, self._text, self._heard = bool(message.permitted), str(message.text), now
-            self._hears = bool(message.hears_sequencer)
+            self._hears, self._latched = bool(message.hears_sequencer), bool(message.latched)
+            self._reasons = frozenset(int(reason) for reason in message.reasons)
 
     def at(self, now: float) -> tuple[bool, str]:
         """Return whether motion is permitted at `now`, and the guard's words."""
@@ -36,3 +40,20 @@ class PermissionWatch:
         """Tell whether the guard, as of `now`, hears the sequencer's sign of life."""
         with self._lock:
             return self._hears and now - self._heard <= self._max_age
+
+    def ready(self, now: float) -> bool:
+        """Tell whether nothing speaks against motion at `now`, but for a proof of the stop that may be missing."""
+        with self._lock:
+            return now - self._heard <= self._max_age and self._reasons <= {Permission.STOP_UNPROVEN}
+
+    @property
+    def latched(self) -> bool:
+        """Whether the guard's last word was that a fault is latched."""
+        with self._lock:
+            return self._latched
+
+    @property
+    def unproven(self) -> bool:
+        """Whether the guard's last word was that it is not known to be able to stop the robot."""
+        with self._lock:
+            return Permission.STOP_UNPROVEN in self._reasons

@@ -12,6 +12,7 @@ from calibration.cell_port import call_and_wait
 from calibration.clients import ActionPort
 from calibration.motion.arrival import Joints
 from calibration.motion.calls import succeeded
+from calibration.permission import PermissionWatch
 
 Check = Callable[[float], str]
 """Waits up to so many s of wall time; returns what is missing, empty if nothing is."""
@@ -58,3 +59,16 @@ def joints_heard(joints: Joints, topic: str) -> Check:
         return ""
 
     return check
+
+
+def guard_ready(watch: PermissionWatch, wait: float) -> bool:
+    """Wait for the guard to find nothing against motion, but for the proof; a latched fault does not go by itself.
+
+    Where it finds something, nothing moves before the operator resumes motion, whatever is reset meanwhile.
+    """
+    end = time.monotonic() + wait
+    while not watch.ready(time.monotonic()):
+        if time.monotonic() > end or watch.latched:
+            return False
+        time.sleep(POLL)
+    return True

@@ -15,7 +15,7 @@ from calibration_core.errors import InputError, quoted
 
 Scalar = bool | int | float | str
 
-SIGTERM_AFTER = 5.0  # s, from SIGINT; as launch does it by itself
+SIGTERM_AFTER = 10.0  # s, from SIGINT; launch gives 5 s by itself, in which a busy computer does not close a bag
 SIGKILL_AFTER = 5.0  # s, from SIGTERM
 STANDSTILL = 10.0  # s, that whoever stops the robot waits for it to stand, whatever signals say meanwhile
 OUTLIVES = STANDSTILL + 5.0  # s, from SIGINT to SIGTERM, of a process that waits for standstill

@@ -50,6 +50,8 @@ Item = tuple[Topic, int, bytes]
 class RecorderNode(CalibrationNode):
     """Records until it is stopped or told to close."""
 
+    OWNER = "recorder"
+
     def __init__(self, **kwargs: Any) -> None:
         """Make the node."""
         super().__init__("recorder", PARAMETERS, **kwargs)

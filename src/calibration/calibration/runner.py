@@ -20,6 +20,7 @@ from calibration.clients import Measured
 from calibration.motion.arrival import Joints
 from calibration.motion.base import Backend, End
 from calibration.motion.ladder import StopLadder
+from calibration.motion.prover import Prover
 from calibration.permission import PermissionWatch
 from calibration.reading_checks import PostureError
 from calibration.readings import ReadingError
@@ -39,6 +40,7 @@ SLACK = 1.5  # times a trajectory's length, and ...
 SLACK_TIME = 10.0  # s more, a motion may take
 PATIENCE = 2.0  # s of wall time, joint states may come after the averages of the same window
 WIND_DOWN = 1.2  # s of wall time, the robot has to come to rest at the end
+UNSEEN = "it has not been seen in this run that the guard can stop the robot"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,9 +147,11 @@ class Runner:
         watch: PermissionWatch,
         monitored: Monitored,
         limits: MotionLimits,
+        prover: Prover,
         *,
         settle_time: float,
         rungs: int,
+        haste: float = 1.0,
     ) -> None:
         """Prepare; `run` begins.
 
@@ -159,12 +163,15 @@ class Runner:
             watch: The guard's word.
             monitored: Points whose speed is bounded.
             limits: Of motions.
+            prover: Shows the guard that it can stop the robot, before the first motion.
             settle_time: s, that everything has to stand before a reading.
             rungs: Of the stop ladder.
+            haste: How much faster than the steady clock the cell's goes.
         """
         self.sequence, self._cell, self._backend, self._joints = sequence, cell, backend, joints
         self.observer = Observer(sequence)
         self._watch, self._monitored, self._limits, self._settle_time = watch, monitored, limits, settle_time
+        self._prover, self._haste = prover, haste
         self._ladder = StopLadder(rungs)
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._motion: _Motion | None = None
@@ -188,9 +195,10 @@ class Runner:
         """Put an event into the queue, from any thread."""
         self._events.put(event)
 
-    def run(self) -> m.Finish:
-        """Run to the end; return how it ended."""
-        self._handle(m.Start(self._cell.seconds()))
+    def run(self, *, held: bool = False) -> m.Finish:
+        """Run to the end; return how it ended.  `held`: nothing moves before the operator resumes motion."""
+        self._prover.reset()
+        self._handle(m.Start(self._cell.seconds(), held))
         while self.finish is None:
             try:
                 event = self._events.get(timeout=LOOK)
@@ -285,9 +293,12 @@ class Runner:
     def _look(self) -> None:
         steady, now = time.monotonic(), self._cell.seconds()
         permitted, text = self._watch.at(steady)
+        if permitted and not self._prover.proven:
+            permitted, text = False, UNSEEN
         self._handle(m.PermissionChanged(now, permitted, text))  # both are passed over where nothing has changed
         self._handle(m.GuardHearing(now, self._watch.hears(steady)))
         self._backend.tick(steady)
+        self._prove(steady, now)
         self._cell.look(steady)
         self._climb(steady)
         behind, self._behind = self._behind, None
@@ -306,6 +317,21 @@ class Runner:
             self._ticked = steady
             self._handle(m.Tick(now))
             self._cell.progress()
+
+    def _prove(self, steady: float, now: float) -> None:
+        """Have the guard prove that it can stop the robot, once a motion is wanted and nothing else is in its way."""
+        prover = self._prover
+        waits = self.sequence.state is m.State.READY and not self.sequence.paused and not self._ladder.climbing
+        if prover.running:
+            prover.tick(steady)
+        elif self._watch.unproven:
+            prover.proven = not self._backend.commands
+        if prover.fault:
+            self._cell.carry_out(m.AskOperator(f"the stop cannot be proven: {prover.fault}; resume to try again"))
+            prover.reset()
+            self._handle(m.Pause(now))
+        elif waits and not (prover.proven or prover.running) and self._watch.ready(steady) and self._joints.standing():
+            prover.begin(steady, self._haste)
 
     def _climb(self, steady: float) -> None:
         rung = self._ladder.climb(steady, standing=self._joints.standing())
@@ -359,6 +385,8 @@ class Runner:
 
     def _wind_down(self) -> None:
         """Climb the stop ladder until the robot stands, for a while."""
+        if self._prover.running:
+            self._backend.stop()
         end = time.monotonic() + WIND_DOWN
         while self._ladder.climbing and time.monotonic() < end:
             self._climb(time.monotonic())

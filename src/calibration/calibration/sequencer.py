@@ -1,12 +1,13 @@
 """`sequencer`: measures a plan in the cell.
 
 The action `~/run` starts a thread that runs the pure procedure; callbacks only put what they hear into its queue.  The
-operator's services are `~/pause`, `~/resume`, `~/stop` and `~/load_applied`.  The robot is moved only while the guard
-says yes; whatever takes that away stops the motion at once, and nothing moves again before the operator resumes.
+robot is moved only while the guard says yes, and has been seen to be able to stop it; whatever takes that away stops
+the motion at once, and nothing moves again before the operator resumes motion by name.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -16,31 +17,33 @@ from pathlib import Path
 from typing import Any
 
 from calibration_interfaces.action import RunPlan
-from calibration_interfaces.msg import MeasurementStep, Outcome, Permission
-from calibration_interfaces.srv import LoadApplied, OverrideCondition
-from rclpy.action import ActionServer, CancelResponse
+from calibration_interfaces.msg import MeasurementStep, Outcome, Permission, SessionEvent
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
+from calibration.admission import refusal
 from calibration.background import Background
 from calibration.cell_port import CellPort
+from calibration.client_watch import ClientWatch
 from calibration.clients import Instruments, LoadDevice
-from calibration.conditions_watch import ConditionsWatch, refused
-from calibration.conversions import joint_positions, stamp_ns, to_outcome
+from calibration.conditions_watch import ConditionsWatch
+from calibration.conversions import joint_positions, stamp_ns, to_header, to_outcome
 from calibration.feedback import Feedback
 from calibration.guard import PULSE_DEADLINE
 from calibration.motion.arrival import Joints
 from calibration.motion.calls import parse_call
 from calibration.motion.catalogue import make_backend
+from calibration.motion.prover import Prover, haste_of
 from calibration.node import CalibrationNode, run
+from calibration.operator_services import OperatorServices
 from calibration.permission import PermissionWatch
 from calibration.plan_markers import plan_markers
-from calibration.preflight import joints_heard, missing, prepared, served
+from calibration.preflight import guard_ready, joints_heard, missing, prepared, served
 from calibration.provenance import provenance
 from calibration.reading_checks import ReadingChecks
 from calibration.recorder_client import Recorder
@@ -51,20 +54,21 @@ from calibration.stopper import RUNGS, Stopper
 from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, PLAN_MARKERS, READING, Quality, profile
 from calibration.wrench_watch import WrenchWatch
 from calibration_core.cell import load_cell
-from calibration_core.errors import InputError, SessionError
+from calibration_core.errors import InputError
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure import messages as m
 from calibration_core.procedure.plan import Plan
 from calibration_core.procedure.plan_file import read_plan
 from calibration_core.procedure.sequence import Sequence
-from calibration_core.procedure.session import DATABASE, Session
+from calibration_core.procedure.session import Session
 from calibration_core.procedure.speed import Monitored
 from calibration_core.recording.session_values import Decision
 from calibration_core.timeseries import NANOSECONDS
 
 PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way
 END_TIME = 1.6  # s of wall time, a run has to end when the process does
+ALONE = 1.0  # s, since another sequencer was heard
 OUTCOMES = {
     m.Outcome.COMPLETED: Outcome.OK,
     m.Outcome.INCOMPLETE: Outcome.BLOCKED,
@@ -80,7 +84,12 @@ class SequencerNode(CalibrationNode):
         cell: The cell.
         steps: Publisher of step markers; likewise `events` and `readings`.
         stopper: Stops the robot.
+        watch: The guard's word.
+        runner: Runs the procedure; None while no plan is being measured, and likewise `port`.
+        conditions: Judges the conditions of the standard.
     """
+
+    OWNER = "sequencer"
 
     def __init__(self, **kwargs: Any) -> None:
         """Connect to the cell.
@@ -93,9 +102,9 @@ class SequencerNode(CalibrationNode):
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
         self._rules, self._limits = sequence_rules(self), motion_limits(self, self.cell)
         self._joints = Joints(arrival_rules(self))
-        self._watch = PermissionWatch(self.value("permission_age"))
-        self._runner: Runner | None = None
-        self._port: CellPort | None = None
+        self.watch = PermissionWatch(self.value("permission_age"))
+        self.runner: Runner | None = None
+        self.port: CellPort | None = None
         self._ended = threading.Event()
         self._ended.set()
         self._decided: tuple[Any, ...] = ()
@@ -108,6 +117,8 @@ class SequencerNode(CalibrationNode):
             where=lambda: self._joints.latest,
             ask=lambda text: self.diagnostics.report("operator", 1, text),
         )
+        self._prover = Prover(self, self._backend, self.cell.robot.joints, lambda: self._joints.latest)
+        self._second = (-math.inf, "")  # when another sequencer was heard, s of the steady clock, and words about it
         self._prepare = self._callers("motion.prepare_services")
         self.stopper = Stopper(
             self,
@@ -121,7 +132,7 @@ class SequencerNode(CalibrationNode):
         by_device = self.value("load.by") == DEVICE
         self._load_device = LoadDevice(self, self.value("load.interface")) if by_device else None
         self._instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
-        self._conditions = ConditionsWatch(self)
+        self.conditions = ConditionsWatch(self)
         self._wrench = WrenchWatch(self) if self.value("force_torque") else None
         self.feedback = Feedback(self, advise=self.value("progress"))
         self._speak()
@@ -139,13 +150,16 @@ class SequencerNode(CalibrationNode):
         self._markers = self.create_publisher(PLAN_MARKERS.message, PLAN_MARKERS.relative, PLAN_MARKERS.qos)
         self._pulse = self.create_publisher(MOTION_PULSE.message, MOTION_PULSE.relative, MOTION_PULSE.qos)
         group = ReentrantCallbackGroup()
-        self.create_service(Trigger, "~/pause", self._on_pause)
-        self.create_service(Trigger, "~/resume", self._on_resume)
-        self.create_service(Trigger, "~/stop", self._on_stop)
-        self.create_service(LoadApplied, "~/load_applied", self._on_load_applied)
-        self.create_service(OverrideCondition, "~/override_condition", self._on_override)
+        OperatorServices(self)
+        self._client = ClientWatch(self, "~/run")
         self._action = ActionServer(
-            self, RunPlan, "~/run", self._on_run, callback_group=group, cancel_callback=self._on_cancel
+            self,
+            RunPlan,
+            "~/run",
+            self._on_run,
+            callback_group=group,
+            goal_callback=self._on_goal,
+            cancel_callback=self._on_cancel,
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / PULSE, self._on_timer, clock=steady)
@@ -167,7 +181,7 @@ class SequencerNode(CalibrationNode):
             self._joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
 
     def _on_permission(self, message: Permission) -> None:
-        self._watch.hear(message, time.monotonic())
+        self.watch.hear(message, time.monotonic())
         if not message.permitted:
             self._halt(str(message.text))
         decided = (bool(message.permitted), bool(message.latched), tuple(message.reasons))
@@ -176,19 +190,19 @@ class SequencerNode(CalibrationNode):
             self._store(message)
 
     def _on_silence(self) -> None:
-        permitted, text = self._watch.at(time.monotonic())
+        permitted, text = self.watch.at(time.monotonic())
         if not permitted:
             self._halt(text)
 
     def _halt(self, why: str) -> None:
         """Stop a motion without waiting for anybody's turn; the procedure hears of it at its next look."""
-        runner = self._runner
+        runner = self.runner
         if runner is not None and runner.moving and not runner.stopping:
             self.stopper.take(0)
             runner.post(m.PermissionChanged(0.0, False, why))
 
     def _store(self, message: Permission) -> None:
-        runner, port = self._runner, self._port
+        runner, port = self.runner, self.port
         if runner is None or port is None:
             return
         reasons = tuple(filter(None, str(message.text).split("; "))) if not message.permitted else ()
@@ -197,43 +211,34 @@ class SequencerNode(CalibrationNode):
 
     def _on_timer(self) -> None:
         self._on_silence()  # its event may come but once, and the runner may be waiting for a disk
-        runner = self._runner
+        runner = self.runner
         self._pulse.publish(MOTION_PULSE.message(data=runner is not None and runner.moving))
 
-    # --- what the operator says --------------------------------------------------------------------------------------
+    # --- what others want ---------------------------------------------------------------------------------------------
 
-    def _post(self, event: m.Event, response: Any) -> Any:
-        runner = self._runner
-        response.success = runner is not None
-        response.message = "" if runner is not None else "no plan is being measured"
-        if runner is not None:
-            runner.post(event)
-        return response
+    def on_second(self, words: str, younger: bool) -> None:
+        """Another sequencer is heard: neither moves the robot."""
+        self._second = (time.monotonic(), words)
+        self._halt(words)
+        if self.runner is not None:
+            self.runner.post(m.PermissionChanged(0.0, False, words))
+        super().on_second(words, younger)
 
-    def _on_pause(self, _request: Any, response: Any) -> Any:
-        return self._post(m.Pause(0.0), response)
-
-    def _on_resume(self, _request: Any, response: Any) -> Any:
-        return self._post(m.Resume(0.0), response)
-
-    def _on_stop(self, _request: Any, response: Any) -> Any:
-        return self._post(m.Stop(0.0), response)
-
-    def _on_load_applied(self, request: Any, response: Any) -> Any:
-        port = self._port
-        absent = (Outcome.INPUT_UNUSABLE, "no plan is being measured")
-        response.outcome = to_outcome(*(absent if port is None else port.load_applied(request)))
-        return response
-
-    def _on_override(self, request: Any, response: Any) -> Any:
-        runner, port = self._runner, self._port
-        response.outcome = refused(request.override, running=runner is not None) or to_outcome(Outcome.OK, "")
-        if response.outcome.code == Outcome.OK and runner is not None and port is not None:
-            runner.post(Call(lambda: self._conditions.override(request.override, port.session)))
-        return response
+    def _on_goal(self, request: Any) -> GoalResponse:
+        """Reject what cannot be begun; as a rejected goal carries no words, they are told otherwise."""
+        why = self._second[1] if time.monotonic() - self._second[0] < ALONE else ""
+        why = why or ("" if self._ended.is_set() else "a plan is being measured")
+        why = why or refusal(request, self.cell)
+        if not why:
+            return GoalResponse.ACCEPT
+        self.get_logger().error(f"the goal is rejected: {why}")
+        self.diagnostics.report("run", 1, f"the goal is rejected: {why}")
+        header = to_header(self.now_ns())
+        self.events.publish(SessionEvent(header=header, kind=SessionEvent.REJECTED, source="sequencer", text=why))
+        return GoalResponse.REJECT
 
     def _on_cancel(self, _goal: Any) -> CancelResponse:
-        runner = self._runner
+        runner = self.runner
         if runner is not None:
             runner.post(m.Stop(0.0))
         return CancelResponse.ACCEPT
@@ -251,13 +256,13 @@ class SequencerNode(CalibrationNode):
             result = await Background(self, lambda: self._measure(goal))
         except InputError as error:  # once a run is under way, it is the disk that cannot be used any more
             self._backend.stop()
-            result.outcome = to_outcome(Outcome.INPUT_UNUSABLE if self._runner is None else Outcome.FAULT, str(error))
+            result.outcome = to_outcome(Outcome.INPUT_UNUSABLE if self.runner is None else Outcome.FAULT, str(error))
         except Exception as error:  # noqa: BLE001  # a defect of ours: it must reach whoever asked
             self.get_logger().error(f"{type(error).__name__}: {error}")
             self._backend.stop()
             result.outcome = to_outcome(Outcome.INTERNAL, f"{type(error).__name__}: {error}")
         finally:
-            self._runner = self._port = None
+            self.runner = self.port = None
             self.feedback.end(str(result.outcome.text))
             self._ended.set()
         if goal.is_cancel_requested:
@@ -276,31 +281,31 @@ class SequencerNode(CalibrationNode):
         self._markers.publish(plan_markers(plan, self.cell, *(self.value(f"markers.{name}") for name in LOOK)))
         directory = Path(request.session)
         text = Path(request.plan).read_text(encoding="utf-8")
-        if not request.resume and (directory / DATABASE).exists():
-            raise SessionError(directory, "", "a session", "a new directory, or resume to continue this one")
         absent = self._missing()
         if absent:
             return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, absent))
-        wrong = self._conditions.begin(plan, self._limits.allowed, self._rules.startup_period, request.overrides)
+        held = not guard_ready(self.watch, self.value("server_wait"))
+        wrong = self.conditions.begin(plan, self._limits.allowed, self._rules.startup_period, request.overrides)
         if wrong:
             return RunPlan.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, wrong))
-        violated = "" if request.resume else self._conditions.violated()
+        violated = "" if request.resume else self.conditions.violated()
         if violated:  # before there is a session that would have to be resumed
             return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
         open_session = Session.resume if request.resume else Session.create
         with open_session(directory, text, self.cell) as session:
             parameters = {name: self.value(name) for name in sorted(self._table)}
-            self._conditions.opened(session)
-            violated = self._conditions.violated()
+            self.conditions.opened(session)
+            violated = self.conditions.violated()
             if violated:
                 return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
             session.begin_run(self.now_ns(), provenance(self.cell, text, parameters))
             self._recorder.open()
             runner = self._start(plan, session)
             self.feedback.begin(goal, runner)
-            finish = runner.run()
+            self._client.begin(time.monotonic())
+            finish = runner.run(held=held)
             done, skipped = len(runner.sequence.agenda.completed), len(runner.sequence.agenda.given_up)
-            readings = self._port.confirmed if self._port is not None else 0
+            readings = self.port.confirmed if self.port is not None else 0
         self._recorder.close()
         recording = Path(self.value("recording") or directory / "bag")
         return RunPlan.Result(
@@ -321,7 +326,7 @@ class SequencerNode(CalibrationNode):
             given_up=given_up,
             visits=session.reference_visits,
         )
-        self._port = CellPort(
+        self.port = CellPort(
             self,
             session,
             self._joints,
@@ -329,27 +334,30 @@ class SequencerNode(CalibrationNode):
             self._load_device,
             ReadingChecks(self.cell, plan.tolerances, self._joints, self._wrench),
             later=self._later,
-            temperature=lambda: self._conditions.temperature,
+            temperature=lambda: self.conditions.temperature,
             progress=self._progress,
-            scaling=lambda: self._conditions.scaling,
+            scaling=lambda: self.conditions.scaling,
         )
-        self._decided = ()
-        self._runner = Runner(
+        haste = haste_of(self)
+        self.runner = Runner(
             sequence,
-            self._port,
+            self.port,
             self._backend,
             self._joints,
-            self._watch,
+            self.watch,
             self.monitored,
             self._limits,
+            self._prover,
             settle_time=self.value("settle_time"),
             rungs=RUNGS,
+            haste=haste,
         )
-        return self._runner
+        self._decided = ()  # what the guard says next is stored
+        return self.runner
 
     def _later(self, work: Callable[[], None]) -> None:
         """Have something done by the runner's thread, if there is one."""
-        runner = self._runner
+        runner = self.runner
         if runner is not None:
             runner.post(Call(work))
 
@@ -361,19 +369,22 @@ class SequencerNode(CalibrationNode):
             self._backend.prepare,
             *map(served, ports),
             joints_heard(self._joints, self.cell.topics.joint_states),
-            self._conditions.thermometer_heard,
+            self.conditions.thermometer_heard,
         ]
         return missing(checks, self.value("server_wait"))
 
     def _progress(self) -> None:
-        runner, port = self._runner, self._port
+        runner, port = self.runner, self.port
         if runner is not None and port is not None:
-            self._conditions.look(port, runner)
+            self.conditions.look(port, runner)
             self.feedback.send()
+            if self._client.vanished(time.monotonic()):
+                port.ask("nobody takes the feedback of the run any more: resume when somebody minds it")
+                runner.post(m.Pause(0.0))
 
     def stop(self) -> None:
         """End the run: the motion is stopped, the session closed."""
-        runner = self._runner
+        runner = self.runner
         if runner is not None:
             runner.post(m.Stop(0.0))
         self._ended.wait(END_TIME)

@@ -143,6 +143,18 @@ def subscription_profile(node: Node, name: str, depth: int = SAMPLES_DEPTH) -> Q
     )
 
 
+def several_publishers(node: Node, name: str) -> str:
+    """Return the names of a topic's publishers where there are more than one; empty otherwise.
+
+    One that was killed is counted for 20 s more.
+    """
+    found = node.get_publishers_info_by_topic(name)
+    if len(found) < 2:
+        return ""
+    names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found)
+    return f"{node.resolve_topic_name(name)} is published by {', '.join(names)}"
+
+
 def incompatible(node: Node, name: str, asked: QoSProfile) -> list[str]:
     """Return why publishers of a topic cannot be heard with the profile asked for; empty if all can."""
     why = []

@@ -27,7 +27,7 @@ TREES = {
     "simulated_cell": process_tree.SIMULATED_CELL,
     "replay": process_tree.REPLAY,
 }
-MODULES = {"sequencer": "sequencer_parameters", "guard": "guard"}
+MODULES = {"sequencer": "sequencer_parameters", "guard": "guard_parameters"}
 HEAD = """# Reference
 
 Made by `reference.py` from the tables of the code; a test compares. What to do with it stands in [nodes.md](nodes.md).

@@ -16,7 +16,7 @@ pytest.importorskip("calibration_interfaces")
 
 from action_msgs.srv import CancelGoal
 from calibration_interfaces.action import MoveTo
-from calibration_interfaces.msg import Outcome
+from calibration_interfaces.msg import Outcome, Permission
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import SetBool, Trigger
@@ -134,11 +134,11 @@ def test_the_guards_silence_is_no() -> None:
     watch = PermissionWatch(0.1)
     assert watch.at(0.0) == (False, SILENT)
     assert not watch.hears(0.0)
-    watch.hear(SimpleNamespace(permitted=True, text="yes", hears_sequencer=True), 1.0)
+    watch.hear(Permission(permitted=True, text="yes", hears_sequencer=True), 1.0)
     assert watch.at(1.09) == (True, "yes")
     assert watch.at(1.11) == (False, SILENT)
     assert (watch.hears(1.09), watch.hears(1.11)) == (True, False)
-    watch.hear(SimpleNamespace(permitted=False, text="drives off", hears_sequencer=False), 2.0)
+    watch.hear(Permission(permitted=False, text="drives off", hears_sequencer=False), 2.0)
     assert not watch.hears(2.0)
     assert watch.at(2.0) == (False, "drives off")
 
@@ -372,9 +372,9 @@ def test_motion_by_the_operator() -> None:
     assert backend.prepare(0.0) == ""
     assert not backend.commands
     backend.move(TRAJECTORY, Ends())
-    assert asked == ["move the robot to 17.189, 5.730, -5.730 degrees"]
+    assert asked == ["move the robot to 17.189, 5.730, -5.730 degrees; only the hand on the pendant stops it"]
     backend.stop()
-    assert asked[-1] == "stop the robot"
+    assert asked[-1] == "stop the robot: only your hand on the pendant can"
 
 
 def options(**changes: Any) -> dict[str, Any]:

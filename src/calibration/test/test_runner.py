@@ -15,6 +15,8 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("calibration_interfaces")
 
+from calibration_interfaces.msg import Permission
+
 from calibration import runner as module
 from calibration.clients import Measured
 from calibration.motion.arrival import ArrivalRules, Joints
@@ -87,6 +89,15 @@ class Robot:
     def end(self) -> None:
         self._running = False
         self._thread.join()
+
+
+class Proven:
+    """A guard that has been seen to stop the robot; the proof has tests of its own, with real processes."""
+
+    proven, running, fault = True, False, ""
+
+    def reset(self) -> None:
+        pass
 
 
 class Cell:
@@ -163,7 +174,12 @@ class Bench:
     def _pulse(self) -> None:
         while self._guarding:
             if self.told_by_guard:
-                message = SimpleNamespace(permitted=self.permitted, text=self.text, hears_sequencer=self.hears)
+                message = Permission(
+                    permitted=self.permitted,
+                    text=self.text,
+                    hears_sequencer=self.hears,
+                    reasons=[] if self.permitted else [Permission.DRIVES_OFF],
+                )
                 self.watch.hear(message, time.monotonic())
             time.sleep(0.01)
 
@@ -171,7 +187,7 @@ class Bench:
         sequence = Sequence(self.plan, SequenceRules(attempts=2, readings=2))
         limits = MotionLimits()
         self.runner = Runner(
-            sequence, self.cell, self.robot, self.robot.joints, self.watch, self.monitored, limits,
+            sequence, self.cell, self.robot, self.robot.joints, self.watch, self.monitored, limits, Proven(),
             settle_time=0.05, rungs=4,
         )  # fmt: skip
         thread = threading.Thread(target=self.runner.run, daemon=True)
@@ -259,7 +275,7 @@ def test_a_motion_that_somebody_else_cancelled_waits_for_the_operator(bench: Ben
     assert len(bench.robot.moves) == 1
     assert runner.sequence.paused
     bench.robot.end_by = End.SUCCESS
-    runner.post(m.Resume(0.0))
+    runner.post(m.ResumeMotion(0.0, "A. Smith"))
     thread.join(30.0)
     assert runner.finish is not None
     assert runner.finish.outcome is m.Outcome.COMPLETED
@@ -289,7 +305,7 @@ def test_a_loss_of_permission_stops_and_waits_for_the_operator(bench: Bench, unt
     assert runner.sequence.paused
     time.sleep(0.3)
     assert len(bench.robot.moves) == moves  # nothing moves by itself
-    runner.post(m.Resume(0.0))
+    runner.post(m.ResumeMotion(0.0, "A. Smith"))
     thread.join(30.0)
     assert runner.finish is not None
     assert runner.finish.outcome is m.Outcome.COMPLETED

@@ -51,7 +51,10 @@ Access = dict[str, set[str]]
 
 # Allowed, and not seen in the simulated cell: what the back ends and adapters of real cells need.
 REAL: dict[tuple[str, str], set[str]] = {
-    ("guard", "subscribe"): {"/robot_status"},  # adapter industrial
+    ("guard", "subscribe"): {  # adapter industrial, and a driver's goals
+        "/robot_status",
+        "/joint_trajectory_controller/follow_joint_trajectory/_action/status",
+    },
     ("guard", "request"): {"/joint_trajectory_controller/follow_joint_trajectory/_action/cancel_goal"},
     ("guard", "publish"): {"/joint_trajectory_controller/joint_trajectory"},
     ("sequencer", "call"): {"/joint_trajectory_controller/follow_joint_trajectory"},

@@ -49,7 +49,7 @@ def test_a_cell_at_twenty_times_life_is_not_latched_while_idle(
     runner = TreeRunner(SIMULATED_CELL, source_environment, tmp_path, **said)
     try:
         runner.start()
-        until(lambda: heard and heard[-1].permitted, timeout=60.0)
+        until(lambda: heard and list(heard[-1].reasons) == [Permission.STOP_UNPROVEN], timeout=60.0)
         time.sleep(3.0)
         latched = {one.text for one in heard if one.latched}
     finally:

@@ -262,7 +262,7 @@ class SimulatedCell(Node):
                 return
             self.live.follow(path)
             self._owner = owner
-            self.log("motion")
+            self.log("motion" if np.ptp(path.position, axis=0).any() else "stand")
 
     def _on_trajectory(self, trajectory: JointTrajectory) -> None:
         try:

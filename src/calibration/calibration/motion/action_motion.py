@@ -68,6 +68,13 @@ class ActionMotion:
         """The robot moves by our command."""
         return True
 
+    @property
+    def goal(self) -> bytes | None:
+        """Identifier of the goal under way; None: it is not accepted yet, or over."""
+        with self._lock:
+            goal = self._goal
+            return None if goal is None or goal.over or goal.handle is None else bytes(goal.handle.goal_id.uuid)
+
     def prepare(self, timeout: float) -> str:
         """Wait for the driver's action server."""
         return "" if self._client.wait_for_server(timeout) else f"no action server {self._name}"

@@ -42,6 +42,10 @@ class Backend(Protocol):
         """Whether `done` is ever called."""
 
     @property
+    def goal(self) -> bytes | None:
+        """Identifier of the goal under way, 16 bytes, zeros where there are no goals; None: none was accepted yet."""
+
+    @property
     def commands(self) -> bool:
         """Whether the robot moves by our command, so that arrival may be awaited for a limited time only."""
 

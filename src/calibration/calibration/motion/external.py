@@ -1,6 +1,7 @@
 """The robot is moved by somebody else (a pendant program, hold-to-run): we ask, and see from joint states that it came.
 
-This is how to measure where a driver moves the robot in automatic mode alone.
+This is how to measure where a driver moves the robot in automatic mode alone.  Nothing is commanded, so nothing can be
+stopped either: only the hand on the pendant stops the robot.
 """
 
 from __future__ import annotations
@@ -26,6 +27,11 @@ class ExternalMotion:
         return False
 
     @property
+    def goal(self) -> bytes | None:
+        """Nothing is ever sent."""
+        return None
+
+    @property
     def commands(self) -> bool:
         """The operator takes the time that it takes."""
         return False
@@ -37,11 +43,11 @@ class ExternalMotion:
     def move(self, trajectory: Trajectory, done: Done) -> None:  # noqa: ARG002  # the joint states tell
         """Ask the operator."""
         angles = ", ".join(f"{angle:.3f}" for angle in np.degrees(trajectory.position[-1]))
-        self._ask(f"move the robot to {angles} degrees")
+        self._ask(f"move the robot to {angles} degrees; only the hand on the pendant stops it")
 
     def stop(self) -> None:
         """Ask the operator."""
-        self._ask("stop the robot")
+        self._ask("stop the robot: only your hand on the pendant can")
 
     def tick(self, now: float) -> None:
         """Nothing is awaited."""

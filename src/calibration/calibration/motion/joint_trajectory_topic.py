@@ -42,6 +42,11 @@ class TopicMotion:
         return False
 
     @property
+    def goal(self) -> bytes | None:
+        """There are no goals."""
+        return bytes(16)
+
+    @property
     def commands(self) -> bool:
         """The robot moves by our command."""
         return True

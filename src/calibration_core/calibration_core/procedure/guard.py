@@ -15,11 +15,15 @@ import numpy as np
 from calibration_core.errors import TrajectoryError
 from calibration_core.procedure.robot_status import TEXT, Drives, OperatingMode, Reason, RobotStatus, Safety
 from calibration_core.procedure.speed import SAFETY_RATED_SPEED, Monitored
+from calibration_core.procedure.stop_proof import Stop, StopProof
 from calibration_core.timeseries import Float1D
 
-ALWAYS_LATCHED = frozenset({Reason.OVER_SPEED, Reason.JOINTS_JUMPED, Reason.CLOCK_JUMPED})
+ALWAYS_LATCHED = frozenset(
+    {Reason.OVER_SPEED, Reason.JOINTS_JUMPED, Reason.CLOCK_JUMPED, Reason.SEQUENCER_SILENT, Reason.TWO_GUARDS}
+)
 SHORTEST_STEP = 1e-3  # s, stamps closer than that are not trusted to tell a jump
-NEVER_LATCHED = frozenset({Reason.PLANNED_OVER_SPEED, Reason.LATCHED, Reason.NOT_STARTED})
+NEVER_LATCHED = frozenset({Reason.PLANNED_OVER_SPEED, Reason.LATCHED, Reason.NOT_STARTED, Reason.STOP_UNPROVEN})
+DURING_PROOF = frozenset({Reason.STOP_UNPROVEN, Reason.JOINTS_FROZEN})  # a robot that is sent where it stands
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,6 +81,8 @@ class Decision:
         rates: (n,) rad/s, that the speeds rest on; NaN: not known.
         state_age: s; NaN: none received.
         joints_age: s; NaN: none received.
+        stop: Why it is not known that the guard can stop the robot; empty if it is.
+        sources: What is published by two, with their names; empty if nothing is.
     """
 
     time: float
@@ -89,12 +95,18 @@ class Decision:
     rates: Float1D
     state_age: float
     joints_age: float
+    stop: str = ""
+    sources: str = ""
 
     @property
     def text(self) -> str:
         """The reasons as one line for a person."""
-        latched = ", ".join(TEXT[reason] for reason in self.latched)
-        said = [TEXT[reason] + (f" ({latched})" if reason is Reason.LATCHED else "") for reason in self.reasons]
+        more = {
+            Reason.LATCHED: ", ".join(TEXT[reason] for reason in self.latched),
+            Reason.STOP_UNPROVEN: self.stop,
+            Reason.TWO_SOURCES: self.sources,
+        }
+        said = [TEXT[reason] + (f" ({more[reason]})" if more.get(reason) else "") for reason in self.reasons]
         return "; ".join(said) or "motion is permitted"
 
 
@@ -110,10 +122,16 @@ class Guard:
 
     All times are s on one clock; `now` is handed in.  Hand over every robot state and joint state as it arrives, and
     call `decide` at a fixed rate and after every arrival that matters.
+
+    Attributes:
+        proof: Whether it is known that the guard can stop the robot.
     """
 
-    def __init__(self, monitored: Monitored, rules: GuardRules) -> None:
+    def __init__(self, monitored: Monitored, rules: GuardRules, stop: Stop) -> None:
         self._monitored, self._rules = monitored, rules
+        self.proof = StopProof(stop)
+        self._silent = self._two_guards = False
+        self._two_sources = ""
         self._status: RobotStatus | None = None
         self._status_received = math.nan
         self._scaled_to_zero_since = math.nan
@@ -160,11 +178,13 @@ class Guard:
                 return
             if elapsed < 0.0 or elapsed > self._rules.max_pause:
                 self._samples.clear()  # the sender's clock went back, or nothing came for long: begin anew
+                self.proof.void("joint states paused: the driver may be another one")
             if np.abs(q - before.q).max() > self._rules.jump_rate * max(elapsed, SHORTEST_STEP):
                 self._jumped = True
         if before is None or not np.array_equal(q, before.q):
             self._unchanged_since = now
         self._fresh_joints = now
+        self.proof.on_joints(q, now)
         self._samples.append(_Sample(q, time, now))
         while len(self._samples) > 2 and self._samples[1].time <= time - self._rules.speed_window:
             del self._samples[0]
@@ -172,6 +192,18 @@ class Guard:
     def on_clock_jump(self) -> None:
         """Take note that the clock by which messages are stamped went back or leapt."""
         self._clock_jumped = True
+
+    def on_silence(self) -> None:
+        """Take note that the sequencer fell silent while its motion was under way."""
+        self._silent = True
+
+    def on_second_guard(self) -> None:
+        """Take note that another guard is heard."""
+        self._two_guards = True
+
+    def on_sources(self, text: str) -> None:
+        """Take note of what is published by more than one, with their names; empty: nothing is."""
+        self._two_sources = text
 
     def stop(self) -> None:
         """Permit nothing any more: the guard is being shut down."""
@@ -191,7 +223,7 @@ class Guard:
         live = self._live(now, speeds, planned_speed)
         lost = live - NEVER_LATCHED if self._permitted else live & ALWAYS_LATCHED
         self._latched |= lost
-        self._jumped = self._clock_jumped = False
+        self._jumped = self._clock_jumped = self._silent = self._two_guards = False
         reasons = live | ({Reason.LATCHED} if self._latched else set())
         self._permitted = not reasons
         fastest = int(np.argmax(speeds)) if np.isfinite(speeds).all() else -1
@@ -206,12 +238,22 @@ class Guard:
             rates=rates,
             state_age=now - self._status_received,
             joints_age=now - self._fresh_joints,
+            stop=self.proof.text,
+            sources=self._two_sources,
         )
 
+    def prove(self, decision: Decision) -> bool:
+        """Go on with a proof of the stop under way; return whether the robot is to be stopped for it now."""
+        against = set(decision.reasons) - DURING_PROOF
+        return self.proof.step(decision.time, ", ".join(TEXT[reason] for reason in sorted(against)))
+
     def reset(self, now: float, planned_speed: float | None = None) -> Decision:
-        """Release latched faults on an operator's word, if nothing else speaks against motion; decide."""
+        """Release latched faults on an operator's word, if nothing else speaks against motion; decide.
+
+        That it has not been seen that the guard can stop the robot is no obstacle: it cannot be shown before.
+        """
         decision = self.decide(now, planned_speed)
-        if not set(decision.reasons) - {Reason.LATCHED, Reason.PLANNED_OVER_SPEED}:
+        if not set(decision.reasons) - {Reason.LATCHED, Reason.PLANNED_OVER_SPEED, Reason.STOP_UNPROVEN}:
             self._latched.clear()
             decision = self.decide(now, planned_speed)
         return decision
@@ -233,6 +275,10 @@ class Guard:
             Reason.PLANNED_OVER_SPEED: planned_speed is not None and not planned_speed <= rules.speed_limit,
             Reason.STATE_ABSENT: self._status is None,
             Reason.STATE_STALE: self._old(now, self._status_received, rules.max_state_age),
+            Reason.STOP_UNPROVEN: not self.proof.proven,
+            Reason.SEQUENCER_SILENT: self._silent,
+            Reason.TWO_GUARDS: self._two_guards,
+            Reason.TWO_SOURCES: bool(self._two_sources),
         }
         reasons = {reason for reason, holds in found.items() if holds}
         return reasons if self._status is None else reasons | self._of_status(self._status, now)

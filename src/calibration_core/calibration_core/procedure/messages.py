@@ -14,9 +14,14 @@ from calibration_core.timeseries import Float1D, Phase
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """The operator wants the plan measured."""
+    """The operator wants the plan measured.
+
+    Where motion is not permitted then, for more than a missing proof of the stop, it is `held`: nothing moves before
+    the operator says so, whatever is reset or switched on meanwhile.
+    """
 
     now: float
+    held: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,9 +123,17 @@ class Pause:
 
 @dataclasses.dataclass(frozen=True)
 class Resume:
-    """The operator wants to go on, after a pause or a loss of permission."""
+    """The operator wants to go on after a pause; after a loss of permission this does not suffice."""
 
     now: float
+
+
+@dataclasses.dataclass(frozen=True)
+class ResumeMotion:
+    """The operator, by name, wants the robot to move again after a loss of permission."""
+
+    now: float
+    operator: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,7 +162,7 @@ class Enough:
 Answer = Arrived | Blocked | LoadReached | LoadFailed | Settled | ReadingConfirmed | ReadingFailed
 Event = (
     Start | Tick | PermissionChanged | GuardHearing | Arrived | Blocked | LoadReached | LoadFailed | Settled
-    | ReadingConfirmed | ReadingFailed | Pause | Resume | Stop | Fault | Enough
+    | ReadingConfirmed | ReadingFailed | Pause | Resume | ResumeMotion | Stop | Fault | Enough
 )  # fmt: skip
 
 
@@ -265,6 +278,7 @@ class Kind(enum.IntEnum):
     ENOUGH = 22
     LOAD_OVERRIDDEN = 23
     READING_REJECTED = 24
+    REJECTED = 25
 
 
 @dataclasses.dataclass(frozen=True)

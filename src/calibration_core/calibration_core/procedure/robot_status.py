@@ -67,6 +67,10 @@ class Reason(enum.IntEnum):
     LATCHED = 22
     STOPPING = 23
     SPEED_UNKNOWN = 24
+    STOP_UNPROVEN = 25
+    SEQUENCER_SILENT = 26
+    TWO_GUARDS = 27
+    TWO_SOURCES = 28
 
 
 TEXT = {
@@ -95,6 +99,10 @@ TEXT = {
     Reason.LATCHED: "an earlier fault waits for the operator's reset",
     Reason.STOPPING: "the guard is being shut down",
     Reason.SPEED_UNKNOWN: "the speed is not known yet: it takes two joint states in a row",
+    Reason.STOP_UNPROVEN: "it has not been seen yet that the guard can stop the robot",
+    Reason.SEQUENCER_SILENT: "the sequencer fell silent while its motion was under way",
+    Reason.TWO_GUARDS: "there are two guards",
+    Reason.TWO_SOURCES: "the same is published by two",
 }
 
 

@@ -68,14 +68,14 @@ class Sequence:
         return self._state
 
     @property
-    def finished(self) -> bool:
-        """Whether it is over."""
-        return self._state is State.FINISHED
-
-    @property
     def paused(self) -> bool:
         """Whether nothing new begins before the operator resumes."""
         return self._paused or self._held
+
+    @property
+    def held(self) -> bool:
+        """Whether the operator has to resume motion by name, for the permission was lost."""
+        return self._held
 
     @property
     def position(self) -> tuple[int, int, Phase] | None:
@@ -100,7 +100,7 @@ class Sequence:
     def _dispatch(self, event: m.Event) -> None:
         match event:
             case m.Start() if self._state is State.IDLE:
-                self._start()
+                self._start(event)
             case m.Tick():
                 self._tick()
             case m.PermissionChanged() if event.permitted != self._permitted:
@@ -109,8 +109,8 @@ class Sequence:
                 self._hearing(event)
             case m.Pause() if not self._paused and self._state is not State.IDLE:
                 self._pause()
-            case m.Resume() if self.paused:
-                self._resume()
+            case m.Resume() | m.ResumeMotion() if self.paused and not (self._held and isinstance(event, m.Resume)):
+                self._resume(event)
             case m.Enough():
                 self.agenda.enough(self._item)
                 self._say(Kind.ENOUGH, event.text)
@@ -147,8 +147,8 @@ class Sequence:
             case m.ReadingFailed(), State.SETTLING | State.READING:
                 self._failed(event.reason, moved=event.moved)
 
-    def _start(self) -> None:
-        self._begun = self._now
+    def _start(self, event: m.Start) -> None:
+        self._begun, self._held = self._now, event.held
         text = f"{len(self.agenda.completed)} of {self.agenda.target} configurations are measured already"
         self._out.append(m.Record(Kind.RESUMED if self._resumed else Kind.STARTED, 0, 0, text if self._resumed else ""))
         self._advance()
@@ -186,9 +186,9 @@ class Sequence:
         self._say(Kind.PAUSED, "")
         self._interrupt("paused")
 
-    def _resume(self) -> None:
+    def _resume(self, event: m.Resume | m.ResumeMotion) -> None:
         self._paused = self._held = self._asked = False
-        self._say(Kind.CONTINUED, "")
+        self._say(Kind.CONTINUED, f"by {event.operator}" if isinstance(event, m.ResumeMotion) else "")
         self._go_on()
 
     def _interrupt(self, reason: str) -> None:
@@ -224,8 +224,10 @@ class Sequence:
             self._load_or_settle()
 
     def _may_begin(self, *, moving: bool) -> bool:
-        if self.paused:
-            self._ask("resume when it is safe to go on" if self._permitted else "reset the guard, then resume")
+        if self._held:
+            self._ask("see that it is safe, reset the guard where it is latched, then resume motion with your name")
+        elif self._paused:
+            self._ask("resume when it is safe to go on")
         elif moving and not self._permitted:
             self._ask("motion is not permitted yet")
         elif moving and not self._heard:

@@ -259,7 +259,9 @@ class World:
             return
         if action == "pause":
             self.paused = self.sequence.state is not State.IDLE
-        elif action == "resume":
+        elif action == "resume" and not self.lost:
+            self.paused = False
+        elif action == "resume_motion":
             self.paused = self.lost = False
         events = {
             "gain": m.PermissionChanged(self.now, True),
@@ -268,6 +270,7 @@ class World:
             "unheard": m.GuardHearing(self.now, False),
             "pause": m.Pause(self.now),
             "resume": m.Resume(self.now),
+            "resume_motion": m.ResumeMotion(self.now, "A. Smith"),
             "tick": m.Tick(self.now),
             "wait": m.Tick(self.now),
             "stop": m.Stop(self.now),
@@ -277,7 +280,7 @@ class World:
 
     def run(self, limit: int = 2000) -> m.Finish:
         """Let everything go well until the end."""
-        for action in ("resume", "gain", "heard", "resume"):
+        for action in ("resume_motion", "gain", "heard", "resume_motion"):
             self.act(action)
         for _ in range(limit):
             if self.finish is not None:

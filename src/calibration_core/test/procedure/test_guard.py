@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from calibration_core.procedure.guard import Guard, GuardRules
 from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
 from calibration_core.procedure.speed import Monitored
+from calibration_core.procedure.stop_proof import Stop
 
 GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, Safety.NORMAL, True, False, False, 1.0)
 RULES = GuardRules()
@@ -248,7 +249,7 @@ def test_never_a_permission_that_the_rules_forbid(
     plane_arm: Monitored, sequence: list, declared: float | None, warm: bool
 ) -> None:
     rules = dataclasses.replace(RULES, allowed_modes=MODES, declared_limit=declared)
-    guard, history, sender, now = Guard(plane_arm, rules), History(rules), _Sender(), 0.0
+    guard, history, sender, now = Guard(plane_arm, rules, Stop.NONE), History(rules), _Sender(), 0.0
     good = [(0.02, ("both", "move"))] * 2 if warm else []
     for gap, (kind, value) in [*good, *sequence]:
         now += gap

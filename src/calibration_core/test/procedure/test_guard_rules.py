@@ -14,6 +14,7 @@ from calibration_core.model.robot import chain_of
 from calibration_core.procedure.guard import Guard, GuardRules
 from calibration_core.procedure.robot_status import TEXT, Drives, OperatingMode, Reason, RobotStatus, Safety
 from calibration_core.procedure.speed import Monitored
+from calibration_core.procedure.stop_proof import Stop
 
 GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, Safety.NORMAL, True, False, False, 1.0)
 RULES = GuardRules()
@@ -22,7 +23,7 @@ MODES = frozenset({OperatingMode.MANUAL_REDUCED, OperatingMode.AUTOMATIC, Operat
 
 def permitting(arm: Monitored, start: float = 0.0) -> tuple[Guard, float]:
     """Return a guard that permits motion, and the time."""
-    guard, now = Guard(arm, RULES), start
+    guard, now = Guard(arm, RULES, Stop.NONE), start
     for _ in range(3):
         now += 0.02
         guard.on_status(GOOD, now)
@@ -98,7 +99,7 @@ def test_over_speed_is_measured(demo_cell: Cell, rate: float) -> None:
     """A turn of joint 1: the farthest point's speed is its distance from the axis times the rate."""
     chain = chain_of(demo_cell)
     monitored = Monitored.of(chain, nominal_parameters(demo_cell))
-    guard, q, now = Guard(monitored, RULES), np.array([0.0, 0.2, -0.3, 0.1, 0.8, 0.0]), 0.0
+    guard, q, now = Guard(monitored, RULES, Stop.NONE), np.array([0.0, 0.2, -0.3, 0.1, 0.8, 0.0]), 0.0
     unit = monitored.speeds(q[None], np.eye(6)[:1])[0].max()
     speed = rate * RULES.speed_limit
     seen = []
@@ -124,7 +125,7 @@ def test_modes_other_than_reduced_need_a_declared_limit(plane_arm: Monitored) ->
         (0.3, 0.5, False),
     ):
         rules = dataclasses.replace(RULES, allowed_modes=MODES, declared_limit=declared)
-        guard = Guard(plane_arm, rules)
+        guard = Guard(plane_arm, rules, Stop.NONE)
         for now in (0.0, 0.02):
             guard.on_status(dataclasses.replace(automatic, speed_limit=reported), now)
             guard.on_joints(np.zeros(3), now, now)
@@ -134,7 +135,7 @@ def test_modes_other_than_reduced_need_a_declared_limit(plane_arm: Monitored) ->
 
 
 def test_operator_confirmation_expires(plane_arm: Monitored) -> None:
-    guard = Guard(plane_arm, dataclasses.replace(RULES, allowed_modes=MODES))
+    guard = Guard(plane_arm, dataclasses.replace(RULES, allowed_modes=MODES), Stop.NONE)
     confirmed = dataclasses.replace(
         GOOD, operating_mode=OperatingMode.MANUAL_UNSPECIFIED, operator_confirmed=True, confirmed_until=0.05
     )
@@ -177,7 +178,7 @@ def test_every_reason_has_a_text() -> None:
 
 
 def test_joint_states_that_came_are_never_called_absent(plane_arm: Monitored) -> None:
-    guard = Guard(plane_arm, RULES)
+    guard = Guard(plane_arm, RULES, Stop.NONE)
     guard.on_status(GOOD, 0.0)
     assert Reason.JOINTS_ABSENT in guard.decide(0.0).reasons
     guard.on_joints(np.array([0.0, math.nan, 0.0]), 0.01, 0.01)

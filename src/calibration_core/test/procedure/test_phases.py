@@ -193,7 +193,7 @@ def test_phases_come_first_and_are_announced(started: Started, plan_of: Plans) -
 
 def test_a_standstill_that_is_not_seen_is_left_out(started: Started, plan_of: Plans) -> None:
     world = started(with_phases(plan_of()))
-    for action in ("resume", "gain", "heard", "resume"):
+    for action in ("resume_motion", "gain", "heard", "resume_motion"):
         world.act(action)
     while world.finish is None:
         in_the_way = getattr(world.asked, "configuration", 0) == 1002
@@ -211,7 +211,7 @@ def test_a_resumed_plan_goes_on_within_its_phases(started: Started, plan_of: Pla
 
 def test_enough_ends_after_the_configuration_under_way(started: Started, plan_of: Plans) -> None:
     world = started()
-    for action in ("resume", "gain", "heard", "resume"):
+    for action in ("resume_motion", "gain", "heard", "resume_motion"):
         world.act(action)
     while len(world.completed) < 2:
         world.act("answer" if world.asked is not None else "tick")

@@ -20,6 +20,7 @@ from calibration_core.procedure import messages as m
 from calibration_core.procedure.agenda import SequenceRules
 from calibration_core.procedure.messages import Kind, Outcome, State
 from calibration_core.procedure.plan import Plan
+from calibration_core.procedure.sequence import Sequence
 from calibration_core.timeseries import Phase
 
 Started, Plans = Callable[..., Any], Callable[..., Plan]
@@ -29,7 +30,21 @@ RULES = SequenceRules(startup_period=500.0)
 ACTIONS = st.sampled_from(
     ["answer"] * 12
     + ["fail"] * 2
-    + ["loss", "gain", "gain", "pause", "resume", "resume", "tick", "wait", "stale", "late", "heard", "unheard"]
+    + [
+        "loss",
+        "gain",
+        "gain",
+        "pause",
+        "resume",
+        "resume_motion",
+        "resume_motion",
+        "tick",
+        "wait",
+        "stale",
+        "late",
+        "heard",
+        "unheard",
+    ]
 )
 
 
@@ -118,8 +133,23 @@ def test_loss_of_permission_while_moving_needs_the_operator(started: Started) ->
     assert any(isinstance(command, m.AskOperator) for command in commands)
     assert not any(isinstance(c, m.Move) for c in world.sequence.handle(m.PermissionChanged(6.0, True)))
     assert not any(isinstance(c, m.Move) for c in world.sequence.handle(m.Tick(7.0)))
-    again = world.sequence.handle(m.Resume(8.0))
+    assert world.sequence.held
+    assert world.sequence.handle(m.Resume(7.5)) == ()  # which is for a pause
+    again = world.sequence.handle(m.ResumeMotion(8.0, "A. Smith"))
+    assert not world.sequence.held
+    assert any(isinstance(c, m.Record) and c.text == "by A. Smith" for c in again)
     assert np.array_equal(next(c for c in again if isinstance(c, m.Move)).q, target)
+
+
+def test_started_without_permission_it_waits_for_the_operator(plan_of: Plans) -> None:
+    """Neither a reset of the guard nor drives that are switched on set the robot in motion."""
+    sequence = Sequence(plan_of(), RULES)
+    said = [*sequence.handle(m.Start(0.0, held=True)), *sequence.handle(m.GuardHearing(0.0, True))]
+    for event in (m.PermissionChanged(1.0, True), m.Tick(2.0), m.Resume(3.0), m.PermissionChanged(4.0, False)):
+        said += sequence.handle(event)
+    said += sequence.handle(m.PermissionChanged(5.0, True))
+    assert not any(isinstance(command, m.Move) for command in said)
+    assert any(isinstance(c, m.Move) for c in sequence.handle(m.ResumeMotion(6.0, "A. Smith")))
 
 
 def test_no_motion_begins_before_the_guard_hears(started: Started) -> None:
@@ -156,6 +186,8 @@ def test_reading_under_way_survives_a_pause_and_a_loss(started: Started) -> None
     assert world.asked is None
     assert world.sequence.state is State.READY
     world.act("resume")
+    assert world.asked is None
+    world.act("resume_motion")
     assert isinstance(world.asked, m.RequestLoad)  # a change of load is no motion
 
 
@@ -203,7 +235,7 @@ def test_answers_to_an_interrupted_motion_are_out_of_date(started: Started) -> N
     old = world.asked.request
     world.act("loss")
     world.act("gain")
-    world.act("resume")
+    world.act("resume_motion")
     assert world.asked.request != old
     assert world.sequence.handle(m.Arrived(world.now, old)) == ()
     assert world.sequence.handle(m.Blocked(world.now, old, "stopped")) == ()

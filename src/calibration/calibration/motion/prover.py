@@ -1,0 +1,119 @@
+"""Shows the guard that it can stop the robot: sends the robot where it stands, and has the guard stop that."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import ProveStop
+from rclpy.node import Node
+
+from calibration.background import in_executor
+from calibration.motion.base import Backend, End, Standing
+from calibration_core.procedure.stop_proof import ProofRules
+from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.timeseries import Float1D
+
+SERVICE = "guard/prove_stop"
+PATIENCE = 5.0  # s of wall time, from the goal to the guard's verdict
+ATTEMPTS = 5  # on a busy machine a goal may end before it is cancelled
+NO_GOAL = bytes(16)
+
+
+class Prover:
+    """One proof after another; called by one thread, answered by another.
+
+    Attributes:
+        proven: Whether the guard has seen that it can stop the robot.
+        running: Whether a proof is under way.
+        fault: Why there is none after the last try; empty: none was tried, or there is one.
+    """
+
+    def __init__(self, node: Node, backend: Backend, joints: tuple[str, ...], where: Standing) -> None:
+        """Take who moves the robot, the joints in the order of q, and what tells where the robot stands."""
+        self._node, self._backend, self._joints, self._where = node, backend, joints, where
+        self._client = node.create_client(ProveStop, SERVICE) if backend.commands else None
+        self.proven, self.running, self.fault = not backend.commands, False, ""
+        self._tries = 0
+        self._begun = 0.0
+        self._asked = False
+        self._lock = threading.Lock()
+        self._answer: tuple[bool, str] | None = None
+
+    def reset(self) -> None:
+        """Want a new proof, for instance of a new run."""
+        self.proven, self.fault, self._tries = not self._backend.commands, "", 0
+
+    def begin(self, now: float, haste: float) -> None:
+        """Send the robot where it stands.
+
+        Args:
+            now: s of the steady clock.
+            haste: How much faster than the steady clock the robot's own goes; the guard has its own time.
+        """
+        where = self._where()
+        if where is None or self._client is None:
+            return
+        self.running, self.fault, self._begun, self._asked, self._answer = True, "", now, False, None
+        self._backend.move(held(self._joints, where, ProofRules().hold * max(haste, 1.0)), self._on_end)
+
+    def tick(self, now: float) -> None:
+        """Go on with a proof under way."""
+        if not self.running:
+            return
+        goal = self._backend.goal
+        if goal is not None and not self._asked:
+            self._asked = True
+            self._ask(goal)
+        with self._lock:
+            answer = self._answer
+        if answer is None and now - self._begun > PATIENCE:
+            answer = (False, "the guard does not answer")
+        if answer is not None:
+            self._end(*answer)
+
+    def _ask(self, goal: bytes) -> None:
+        client = self._client
+
+        def send() -> None:
+            request = ProveStop.Request(goal=np.frombuffer(goal, dtype=np.uint8))
+            client.call_async(request).add_done_callback(self._on_answer)  # type: ignore[union-attr]
+
+        in_executor(self._node, send)
+
+    def _on_answer(self, future: Any) -> None:
+        outcome = None if future.exception() is not None else future.result().outcome
+        success = outcome is not None and outcome.code == Outcome.OK
+        with self._lock:
+            self._answer = (success, str(future.exception() if outcome is None else outcome.text))
+
+    def _on_end(self, how: End, text: str) -> None:
+        """The goal is over: rejected at once, or, as it should be, cancelled by the guard, which tells the rest."""
+        if how is End.FAILURE and not self._asked:
+            with self._lock:
+                self._answer = (False, text or "the driver does not take the goal")
+
+    def _end(self, success: bool, text: str) -> None:
+        self.running, self.proven = False, success
+        self._tries += 1
+        if not success:
+            self._backend.stop()
+            if self._tries >= ATTEMPTS:
+                self.fault, self._tries = text or "no reason is given", 0
+
+
+def held(joints: tuple[str, ...], q: Float1D, seconds: float) -> Trajectory:
+    """Return the trajectory that keeps a robot where it stands, q (n,) rad, for a while."""
+    middle = 0.5 * seconds
+    position = np.tile(q, (3, 1))
+    return Trajectory(joints, np.array([0.0, middle, seconds]), position, np.zeros_like(position), 0.0)
+
+
+def haste_of(node: Node, over: float = 0.2) -> float:
+    """Return how much faster than the steady clock the node's clock goes; it takes `over` s."""
+    began, clock = time.monotonic_ns(), node.get_clock().now().nanoseconds
+    time.sleep(over)
+    return float((node.get_clock().now().nanoseconds - clock) / (time.monotonic_ns() - began))
