@@ -29,7 +29,7 @@ FILES = (ROOT / "README.md", *sorted((PACKAGE / "doc").glob("*.md")), *sorted((P
 LAUNCHED = {"real_cell": process_tree.REAL_CELL, "simulated_cell": process_tree.SIMULATED_CELL,
             "replay": process_tree.REPLAY}  # fmt: skip
 FREE = {"NAME", "TYPE", "NODE"}  # stands for any
-OF_OTHERS = {"bag", "lifecycle", "security", "pkg", "interface", "param"}  # commands about packages of others
+OF_OTHERS = {"bag", "interface", "lifecycle", "node", "param", "pkg", "security"}  # commands about packages of others
 REFERENCE = runpy.run_path(str(PACKAGE / "doc" / "reference.py"))
 
 
