@@ -39,7 +39,7 @@ class ConditionsWatch:
     """
 
     def __init__(self, node: Any) -> None:
-        """Listen to thermometer and robot state."""
+        """Offer the topic of the conditions."""
         self._node = node
         self.scaling = math.nan
         self._thermometer = Thermometer()
@@ -50,6 +50,10 @@ class ConditionsWatch:
         self._looked = self._sent = -math.inf
         topics = node.cell.topics
         self._publisher = node.create_publisher(Conditions, topics.conditions.lstrip("/"), profile(CONDITIONS_QUALITY))
+
+    def listen(self) -> None:
+        """Listen to thermometer and robot state."""
+        node, topics = self._node, self._node.cell.topics
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
         node.create_subscription(Temperature, topics.temperature.lstrip("/"), self._on_temperature, newest)
         kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -29,7 +29,7 @@ class Emergency:
     """Stops what nobody watches; times are s of the steady clock."""
 
     def __init__(self, node: CalibrationNode, stop: StopPath, max_age: float, trace: str) -> None:
-        """Listen to the sequencer's sign of life.
+        """Prepare.
 
         Args:
             node: The guard.
@@ -41,7 +41,11 @@ class Emergency:
         self._trace = Path(trace) if trace else None
         self._moving, self._heard, self._told = False, -math.inf, ""
         self._unheard = -math.inf
-        node.create_subscription(MOTION_PULSE.message, MOTION_PULSE.relative, self._on_pulse, MOTION_PULSE.qos)
+
+    def listen(self) -> None:
+        """Listen to the sequencer's sign of life."""
+        self._moving, self._heard = False, -math.inf
+        self._node.create_subscription(MOTION_PULSE.message, MOTION_PULSE.relative, self._on_pulse, MOTION_PULSE.qos)
 
     def _on_pulse(self, message: Any) -> None:
         self._moving = bool(message.data)

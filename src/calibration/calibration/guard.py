@@ -27,6 +27,7 @@ from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_st
 from calibration.emergency import AGAIN, SILENT, Emergency
 from calibration.guard_messages import to_evidence, to_permission, to_robot_state
 from calibration.guard_parameters import PARAMETERS, configured_adapter, guard_rules
+from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.stop_path import make_stop_path
 from calibration.node import CalibrationNode, run
@@ -40,12 +41,14 @@ from calibration_core.errors import InputError
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.guard import Decision, Guard
+from calibration_core.procedure.robot_status import Reason
 from calibration_core.procedure.speed import Monitored
 from calibration_core.timeseries import NANOSECONDS
 
 PULSE_DEADLINE = 0.1  # s, offered: two pulses of the permission are never farther apart
 ASK_EVERY = 1.0  # s, services of an adapter
 LOOK_AROUND = 1.0  # s, who publishes what the guard rests on
+RUNS_ON = "the robot does not stand: press the emergency stop"
 OTHERS = 2.0  # s, that the guard waits for the sequencer to end when both are told to
 
 
@@ -55,12 +58,16 @@ class GuardNode(CalibrationNode):
     OWNER = "guard"
 
     def __init__(self, **kwargs: Any) -> None:
-        """Start to watch.
+        """Make the node; it watches while it is active.
 
         Raises:
             InputError: A parameter or the cell file cannot be used, or a message package is not installed.
         """
+        self._latched: tuple[Reason, ...] = ()  # outlives every transition: only an operator's reset ends it
         super().__init__("guard", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Read the cell, choose adapter and stop path, and offer what the guard says."""
         self.cell = load_cell(self.value("cell"))
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
         self.rules = guard_rules(self, self.cell)
@@ -74,20 +81,29 @@ class GuardNode(CalibrationNode):
             where=lambda: self._joints.latest,
             ended=self._on_goal_ended,
         )
-        self.guard = Guard(self.monitored, self.rules, self.stop_path.how)
+        self._asked: dict[str, tuple[Any, Any, float]] = {}  # service -> client, pending answer, since
+        self._deciding = threading.RLock()
+        self._emergency = Emergency(self, self.stop_path, self.value("sequencer_age"), self.value("trace"))
+        self._begin_anew()
+        self._speak()
+
+    def _begin_anew(self) -> None:
+        """Know nothing, permit nothing, and have the stop proven again; what was latched stays latched."""
+        self.guard = Guard(self.monitored, self.rules, self.stop_path.how, latched=self._latched)
         self._proving = b""  # the goal that is to be stopped for a proof
         self._deaf = False  # the driver has not acknowledged a stop
         self._received: dict[str, Received] = {}
-        self._asked: dict[str, tuple[Any, Any, float]] = {}  # service -> client, pending answer, since
         self._report = Report(self.adapter.translate({}))
         self._confirmation: Confirmation | None = None
         self._q = np.full(self.monitored.chain.n, math.nan)
         self._last: Decision | None = None
-        self._deciding = threading.RLock()
         self._evidence_sent = -math.inf
         self._ros_time = 0
-        self._emergency = Emergency(self, self.stop_path, self.value("sequencer_age"), self.value("trace"))
-        self._speak()
+
+    def on_activate(self) -> None:
+        """Watch from now on."""
+        self._begin_anew()
+        self._emergency.listen()
         self._listen()
 
     def _speak(self) -> None:
@@ -99,6 +115,9 @@ class GuardNode(CalibrationNode):
         self.create_service(ResetGuard, "~/reset", self._on_reset)
         self.create_service(ConfirmMode, "~/confirm_mode", self._on_confirm)
         self.create_service(ProveStop, "~/prove_stop", self._on_prove, callback_group=ReentrantCallbackGroup())
+        for source in self.adapter.sources:
+            if source.is_service:
+                self._asked[source.key] = (self.create_client(load_type(source.type), source.name), None, -math.inf)
 
     def _listen(self) -> None:
         # Best effort is heard from every publisher, and of a state only the newest matters.
@@ -106,12 +125,9 @@ class GuardNode(CalibrationNode):
         kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(JointState, self.cell.topics.joint_states.lstrip("/"), self._on_joints, newest)
         for source in self.adapter.sources:
-            kind = load_type(source.type)
-            if source.is_service:
-                self._asked[source.key] = (self.create_client(kind, source.name), None, -math.inf)
-            else:
+            if not source.is_service:
                 quality = newest if source.max_age is not None else kept
-                self.create_subscription(kind, source.name, self._hear(source), quality)
+                self.create_subscription(load_type(source.type), source.name, self._hear(source), quality)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / self.value("rate"), self._on_pulse, clock=steady)
         self.create_timer(LOOK_AROUND, self._look_around, clock=steady)
@@ -212,8 +228,9 @@ class GuardNode(CalibrationNode):
 
     def on_second(self, words: str, younger: bool) -> None:
         """Another guard is heard: neither permits anything."""
-        self.guard.on_second_guard()
-        self._decide(time.monotonic())
+        if self.active:
+            self.guard.on_second_guard()
+            self._decide(time.monotonic())
         super().on_second(words, younger)
 
     def _watch_clock(self) -> None:
@@ -235,6 +252,7 @@ class GuardNode(CalibrationNode):
         message = self._message(decision, stamp, now)
         self._permission.publish(message)
         before, self._last = self._last, decision
+        self._latched = decision.latched
         changed = before is None or (before.permitted, before.reasons, before.latched) != (
             decision.permitted, decision.reasons, decision.latched,
         )  # fmt: skip
@@ -302,7 +320,7 @@ class GuardNode(CalibrationNode):
 
     # --- the end -----------------------------------------------------------------------------------------------------
 
-    def stop(self) -> None:
+    def on_deactivate(self) -> None:
         """Take the permission back, stop what moves, and go when the robot stands: last of all."""
         began = time.monotonic()
         with self._deciding:  # the executor's thread still decides
@@ -319,7 +337,7 @@ class GuardNode(CalibrationNode):
             if seen and (not self._emergency.hears(now) or now - began > OTHERS):
                 return
             time.sleep(0.02)
-        self.get_logger().fatal("the robot does not stand: press the emergency stop")
+        raise TransitionError(RUNS_ON)
 
 
 class _While:

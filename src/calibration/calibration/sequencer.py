@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import sys
-import threading
 import time
 from collections.abc import Callable
 from collections.abc import Sequence as Arguments
@@ -17,24 +16,21 @@ from pathlib import Path
 from typing import Any
 
 from calibration_interfaces.action import RunPlan
-from calibration_interfaces.msg import MeasurementStep, Outcome, Permission, SessionEvent
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
+from calibration_interfaces.msg import MeasurementStep, Outcome, Permission
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from calibration.admission import refusal
-from calibration.background import Background
 from calibration.cell_port import CellPort
 from calibration.client_watch import ClientWatch
 from calibration.clients import Instruments, LoadDevice
 from calibration.conditions_watch import ConditionsWatch
-from calibration.conversions import joint_positions, stamp_ns, to_header, to_outcome
+from calibration.conversions import joint_positions, stamp_ns, to_outcome
 from calibration.feedback import Feedback
 from calibration.guard import PULSE_DEADLINE
+from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import Joints
 from calibration.motion.calls import parse_call
 from calibration.motion.catalogue import make_backend
@@ -48,13 +44,13 @@ from calibration.provenance import provenance
 from calibration.reading_checks import ReadingChecks
 from calibration.recorder_client import Recorder
 from calibration.robot_state.catalogue import load_type
+from calibration.run_action import NAME, RunAction
 from calibration.runner import Call, Runner
 from calibration.sequencer_parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
 from calibration.stopper import RUNGS, Stopper
 from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, PLAN_MARKERS, READING, Quality, profile
 from calibration.wrench_watch import WrenchWatch
 from calibration_core.cell import load_cell
-from calibration_core.errors import InputError
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure import messages as m
@@ -92,21 +88,19 @@ class SequencerNode(CalibrationNode):
     OWNER = "sequencer"
 
     def __init__(self, **kwargs: Any) -> None:
-        """Connect to the cell.
+        """Make the node.
 
         Raises:
             InputError: A parameter or the cell file cannot be used, or a message package is not installed.
         """
         super().__init__("sequencer", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Connect to the cell."""
         self.cell = load_cell(self.value("cell"))
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
-        self._rules, self._limits = sequence_rules(self), motion_limits(self, self.cell)
-        self._joints = Joints(arrival_rules(self))
-        self.watch = PermissionWatch(self.value("permission_age"))
         self.runner: Runner | None = None
         self.port: CellPort | None = None
-        self._ended = threading.Event()
-        self._ended.set()
         self._decided: tuple[Any, ...] = ()
         self._backend = make_backend(
             self.value("motion.backend"),
@@ -133,9 +127,15 @@ class SequencerNode(CalibrationNode):
         self._load_device = LoadDevice(self, self.value("load.interface")) if by_device else None
         self._instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
         self.conditions = ConditionsWatch(self)
-        self._wrench = WrenchWatch(self) if self.value("force_torque") else None
         self.feedback = Feedback(self, advise=self.value("progress"))
         self._speak()
+
+    def on_activate(self) -> None:
+        """Listen to the cell; no plan is being measured, and nothing moves before somebody asks for one."""
+        self._joints = Joints(arrival_rules(self))
+        self.watch = PermissionWatch(self.value("permission_age"))
+        self._wrench = WrenchWatch(self) if self.value("force_torque") else None
+        self.conditions.listen()
         self._listen()
 
     def _callers(self, name: str) -> list[tuple[Any, Any]]:
@@ -149,20 +149,9 @@ class SequencerNode(CalibrationNode):
         self.readings = self.create_publisher(READING.message, READING.relative, READING.qos)
         self._markers = self.create_publisher(PLAN_MARKERS.message, PLAN_MARKERS.relative, PLAN_MARKERS.qos)
         self._pulse = self.create_publisher(MOTION_PULSE.message, MOTION_PULSE.relative, MOTION_PULSE.qos)
-        group = ReentrantCallbackGroup()
         OperatorServices(self)
-        self._client = ClientWatch(self, "~/run")
-        self._action = ActionServer(
-            self,
-            RunPlan,
-            "~/run",
-            self._on_run,
-            callback_group=group,
-            goal_callback=self._on_goal,
-            cancel_callback=self._on_cancel,
-        )
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0 / PULSE, self._on_timer, clock=steady)
+        self._client = ClientWatch(self, NAME)
+        self._action = RunAction(self, self._measure, self._backend.stop, self._second_heard)
         self._recorder = Recorder(self, self.value("recorder"))
 
     def _listen(self) -> None:
@@ -172,6 +161,7 @@ class SequencerNode(CalibrationNode):
         pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
         silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
         self.create_subscription(Permission, PERMISSION.relative, self._on_permission, pulse, event_callbacks=silence)
+        self.create_timer(1.0 / PULSE, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     # --- what arrives ------------------------------------------------------------------------------------------------
 
@@ -219,64 +209,22 @@ class SequencerNode(CalibrationNode):
     def on_second(self, words: str, younger: bool) -> None:
         """Another sequencer is heard: neither moves the robot."""
         self._second = (time.monotonic(), words)
-        self._halt(words)
-        if self.runner is not None:
-            self.runner.post(m.PermissionChanged(0.0, False, words))
+        if self.active:
+            self._halt(words)
+            if self.runner is not None:
+                self.runner.post(m.PermissionChanged(0.0, False, words))
         super().on_second(words, younger)
 
-    def _on_goal(self, request: Any) -> GoalResponse:
-        """Reject what cannot be begun; as a rejected goal carries no words, they are told otherwise."""
-        why = self._second[1] if time.monotonic() - self._second[0] < ALONE else ""
-        why = why or ("" if self._ended.is_set() else "a plan is being measured")
-        why = why or refusal(request, self.cell)
-        if not why:
-            return GoalResponse.ACCEPT
-        self.get_logger().error(f"the goal is rejected: {why}")
-        self.diagnostics.report("run", 1, f"the goal is rejected: {why}")
-        header = to_header(self.now_ns())
-        self.events.publish(SessionEvent(header=header, kind=SessionEvent.REJECTED, source="sequencer", text=why))
-        return GoalResponse.REJECT
-
-    def _on_cancel(self, _goal: Any) -> CancelResponse:
-        runner = self.runner
-        if runner is not None:
-            runner.post(m.Stop(0.0))
-        return CancelResponse.ACCEPT
+    def _second_heard(self) -> str:
+        heard, words = self._second
+        return words if time.monotonic() - heard < ALONE else ""
 
     # --- a run -------------------------------------------------------------------------------------------------------
-
-    async def _on_run(self, goal: Any) -> Any:
-        if not self._ended.is_set():
-            goal.abort()
-            return RunPlan.Result(outcome=to_outcome(Outcome.BUSY, "a plan is being measured"))
-        self._ended.clear()
-        self.feedback.prepare(goal.request)
-        result = RunPlan.Result()
-        try:
-            result = await Background(self, lambda: self._measure(goal))
-        except InputError as error:  # once a run is under way, it is the disk that cannot be used any more
-            self._backend.stop()
-            result.outcome = to_outcome(Outcome.INPUT_UNUSABLE if self.runner is None else Outcome.FAULT, str(error))
-        except Exception as error:  # noqa: BLE001  # a defect of ours: it must reach whoever asked
-            self.get_logger().error(f"{type(error).__name__}: {error}")
-            self._backend.stop()
-            result.outcome = to_outcome(Outcome.INTERNAL, f"{type(error).__name__}: {error}")
-        finally:
-            self.runner = self.port = None
-            self.feedback.end(str(result.outcome.text))
-            self._ended.set()
-        if goal.is_cancel_requested:
-            result.outcome.code = Outcome.CANCELLED
-            goal.canceled()
-        elif result.outcome.code == Outcome.OK:
-            goal.succeed()
-        else:
-            goal.abort()
-        return result
 
     def _measure(self, goal: Any) -> Any:
         """Measure a plan from beginning to end; runs in a thread of its own."""
         request = goal.request
+        self._rules, self._limits = sequence_rules(self), motion_limits(self, self.cell)  # as they are set now
         plan = read_plan(request.plan, self.cell)
         self._markers.publish(plan_markers(plan, self.cell, *(self.value(f"markers.{name}") for name in LOOK)))
         directory = Path(request.session)
@@ -382,12 +330,20 @@ class SequencerNode(CalibrationNode):
                 port.ask("nobody takes the feedback of the run any more: resume when somebody minds it")
                 runner.post(m.Pause(0.0))
 
-    def stop(self) -> None:
+    def busy(self) -> str:
+        """Say that a plan is being measured: what it is measured with does not change meanwhile."""
+        return self._action.busy
+
+    def on_deactivate(self) -> None:
         """End the run: the motion is stopped, the session closed."""
         runner = self.runner
         if runner is not None:
             runner.post(m.Stop(0.0))
-        self._ended.wait(END_TIME)
+        if not self._action.wait(END_TIME):
+            raise TransitionError(f"the run has not ended within {END_TIME:g} s")
+
+    def on_cleanup(self) -> None:
+        """End the process that works progress out."""
         self.feedback.close()
 
 

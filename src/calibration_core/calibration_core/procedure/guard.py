@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -123,11 +124,17 @@ class Guard:
     All times are s on one clock; `now` is handed in.  Hand over every robot state and joint state as it arrives, and
     call `decide` at a fixed rate and after every arrival that matters.
 
+    Args:
+        monitored: Points whose speed is watched.
+        rules: Limits and ages.
+        stop: How the robot is stopped.
+        latched: What another guard before this one had latched: only a reset ends it.
+
     Attributes:
         proof: Whether it is known that the guard can stop the robot.
     """
 
-    def __init__(self, monitored: Monitored, rules: GuardRules, stop: Stop) -> None:
+    def __init__(self, monitored: Monitored, rules: GuardRules, stop: Stop, latched: Iterable[Reason] = ()) -> None:
         self._monitored, self._rules = monitored, rules
         self.proof = StopProof(stop)
         self._silent = self._two_guards = False
@@ -140,7 +147,7 @@ class Guard:
         self._fresh_joints = math.nan
         self._bad_joints = self._jumped = self._clock_jumped = self._stopping = False
         self._permitted = False
-        self._latched: set[Reason] = set()
+        self._latched: set[Reason] = set(latched)
         self._last = math.nan
 
     def on_status(self, status: RobotStatus, now: float) -> None:
