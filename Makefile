@@ -14,7 +14,7 @@ DEMO := build/demo
 RECORD := build/record
 STILL := src/calibration_core/test src/calibration_sim/test test
 CONCEALED := test/test_concealed.py
-LIVE := src/calibration/test test/ros/test_ros_end_to_end.py test/ros/test_ros_readings.py
+LIVE := src/calibration/test test/ros/test_ros_end_to_end.py test/ros/test_ros_namespaces.py test/ros/test_ros_readings.py
 # Published; for development other seeds were used.
 PROVE_SEED ?= 20261
 CELL := config/cells/demo.cell.yaml

@@ -59,7 +59,8 @@ def left(mark: str) -> list[str]:
 class Suite:
     """Processes of one cell, and a client's view of them."""
 
-    def __init__(self, environment: dict[str, str], client: Any, directory: Path) -> None:
+    def __init__(self, environment: dict[str, str], client: Any, directory: Path, namespace: str = "") -> None:
+        self.namespace = namespace
         self.mark = str(uuid.uuid4())
         self.environment, self.client, self.directory = {**environment, MARK: self.mark}, client, directory
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -73,15 +74,17 @@ class Suite:
         command = [str(ROOT / "install" / package / "lib" / package / name), "--ros-args"]
         for file in (ROOT / "config" / "ros.yaml", *files):
             command += ["--params-file", str(file)]
+        if self.namespace:
+            command += ["-r", f"__ns:={self.namespace}", "-r", "/clock:=clock"]
         for key, value in ({"cell": CELL} | parameters).items():
             text = value if isinstance(value, str | Path) else json.dumps(value)
             command += ["-p", f"{key.replace('__', '.')}:={text}"]
         self.given[name] = command
         self.again(name)
 
-    def start_fast(self, speed: float = SPEED) -> None:
+    def start_fast(self, speed: float = SPEED, seed: int = 1) -> None:
         """Start everything that a measurement needs, faster than life."""
-        self.start("simulated_cell", FAST, speed=speed, seed=1, motion_log=self.directory / "motion.log")
+        self.start("simulated_cell", FAST, speed=speed, seed=seed, motion_log=self.directory / "motion.log")
         for name in ("guard", "tracker", "force_torque", "sequencer"):
             self.start(name, FAST)
         self.start("recorder", FAST, out=self.bag)

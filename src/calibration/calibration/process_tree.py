@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from calibration_core.errors import InputError, quoted
 
@@ -92,11 +93,13 @@ class Tree:
         arguments: What may be said when it is started.
         processes: The nodes.
         tools: What else is started.
+        remappings: Of every node: name, and what it stands for in the cell's namespace.
     """
 
     arguments: tuple[Argument, ...]
     processes: tuple[Process, ...]
     tools: tuple[Tool, ...] = ()
+    remappings: Mapping[str, str] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
 
 
 DEFAULTS = "config/ros.yaml"  # every parameter of every node, in the share folder of the package `calibration`
@@ -108,11 +111,17 @@ NAMESPACE = Argument("namespace", "Namespace of the cell.", "")
 BACKENDS = ("follow_joint_trajectory", "joint_trajectory_topic", "external", "simulated")
 BACKEND = Argument("backend", "How the robot is moved, and stopped.", "follow_joint_trajectory", choices=BACKENDS)
 INTERFACE = Argument("interface", "Action or topic that moves the robot; empty: the back end's usual one.", "")
-ADAPTER = Argument("adapter", "How the controller's state is understood.", "industrial")
+ADAPTERS = (
+    "native", "industrial", "ur", "kuka_kss", "kuka_fri", "abb", "fanuc", "staubli", "manual_confirm", "generic",
+)  # fmt: skip
+ADAPTER = Argument("adapter", "How the controller's state is understood.", "industrial", choices=ADAPTERS)
+LEVELS = ("debug", "info", "warn", "error", "fatal")
+LOG_LEVEL = Argument("log_level", "From which level on the nodes log.", "info", choices=LEVELS)
 RATE = Argument("rate", "Multiple of real time.", "1.0", type=float)
 SPEED = Argument("speed", "Multiple of real time; above 1, config/simulation.yaml holds.", "1.0", type=float)
 
 SWITCH = ("true", "false")
+USE_SIM_TIME = Argument("use_sim_time", "Whether time comes from /clock.", "false", type=bool, choices=SWITCH)
 RVIZ = Argument("rviz", "Whether RViz is started, where it is installed.", "false", choices=SWITCH)
 TRANSFORMS = "Whether robot_state_publisher is started, where it is installed"
 OF_DRIVER = Argument("transforms", f"{TRANSFORMS}; the drivers of most robots bring it.", "false", choices=SWITCH)
@@ -124,22 +133,27 @@ BAG = {"recording": Given("session", "bag")}
 
 def _suite(everywhere: Mapping[str, Value], motion: Mapping[str, Value], adapter: Value, load: Mapping[str, Value]
            ) -> tuple[Process, ...]:  # fmt: skip
-    """Return the nodes of a cell: who moves the robot and who stops it are told the same way to it."""
+    """Return the nodes of a cell: who moves the robot and who stops it are told the same way to it.
+
+    The manager brings the others up, in an order of its own: whoever comes back after a crash is brought up again.
+    """
+    managed: dict[str, Value] = {**everywhere, "autostart": False}
     return (
-        Process("recorder", {**everywhere, "out": Given("session", "bag")}),
-        Process("tracker", everywhere),
-        Process("force_torque", everywhere),
-        Process("guard", {**everywhere, **motion, "robot_state.adapter": adapter}, sigterm_after=OUTLIVES),
-        Process("sequencer", {**everywhere, **motion, **load, **BAG}),
-        Process("identification", {**CELL_FILE, **BAG}),
+        Process("recorder", {**managed, "out": Given("session", "bag")}),
+        Process("tracker", managed),
+        Process("force_torque", managed),
+        Process("guard", {**managed, **motion, "robot_state.adapter": adapter}, sigterm_after=OUTLIVES),
+        Process("sequencer", {**managed, **motion, **load, **BAG}),
+        Process("identification", {**CELL_FILE, **BAG, "autostart": False}),
         Process("manager", everywhere),
     )
 
 
 REAL_CELL = Tree(
-    (CELL, SESSION, PARAMETERS_FILE, NAMESPACE, BACKEND, INTERFACE, ADAPTER, RVIZ, OF_DRIVER),
-    _suite(CELL_FILE, {"motion.backend": Given("backend"), "motion.interface": Given("interface")},
-           Given("adapter"), {}),
+    (CELL, SESSION, PARAMETERS_FILE, NAMESPACE, LOG_LEVEL, USE_SIM_TIME, BACKEND, INTERFACE, ADAPTER, RVIZ,
+     OF_DRIVER),
+    _suite({**CELL_FILE, "use_sim_time": Given("use_sim_time")},
+           {"motion.backend": Given("backend"), "motion.interface": Given("interface")}, Given("adapter"), {}),
 )  # fmt: skip
 SIMULATED_CELL = Tree(
     (
@@ -147,6 +161,7 @@ SIMULATED_CELL = Tree(
         SESSION,
         PARAMETERS_FILE,
         NAMESPACE,
+        LOG_LEVEL,
         SPEED,
         Argument("seed", "Of the hidden truth and of the noise.", "1", type=int),
         RVIZ,
@@ -161,9 +176,19 @@ SIMULATED_CELL = Tree(
         ),
         *_suite({**CELL_FILE, "use_sim_time": True}, {"motion.backend": "simulated"}, "native", {"load.by": "device"}),
     ),
+    remappings=MappingProxyType({"/clock": "clock"}),  # each cell has its own
 )
 REPLAY = Tree(
-    (CELL, Argument("recording", "The bag.", path="file or directory"), PARAMETERS_FILE, NAMESPACE, RATE, RVIZ, OF_US),
+    (
+        CELL,
+        Argument("recording", "The bag.", path="file or directory"),
+        PARAMETERS_FILE,
+        NAMESPACE,
+        LOG_LEVEL,
+        RATE,
+        RVIZ,
+        OF_US,
+    ),
     (Process("identification", {**CELL_FILE, "recording": Given("recording")}),),
     (Tool(("ros2", "bag", "play", Given("recording"), "--clock", "--rate", Given("rate"))),),
 )
@@ -227,7 +252,11 @@ def parameters_of(tree: Tree, process: Process, values: Mapping[str, str]) -> di
     for name, value in process.parameters.items():
         if isinstance(value, Given):
             said = values[value.argument]
-            found[name] = f"{said}/{value.inside}" if value.inside else types[value.argument](said)
+            found[name] = f"{said}/{value.inside}" if value.inside else _typed(said, types[value.argument])
         else:
             found[name] = value
     return found
+
+
+def _typed(said: str, kind: type[Scalar]) -> Scalar:
+    return said == SWITCH[0] if kind is bool else kind(said)

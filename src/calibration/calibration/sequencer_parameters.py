@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any, Protocol
 
@@ -16,14 +17,40 @@ OPERATOR, DEVICE = "operator", "device"
 LOOK = ("base", "flange", "size")  # of markers
 ARRIVAL, LIMITS, RULES = ArrivalRules(), MotionLimits(), SequenceRules()
 
-PARAMETERS = (
+# May be changed while the node runs, but not during a run: the next run takes them as they are then.
+FREE = frozenset(
+    {
+        "motion.speed",
+        "motion.margin",
+        "motion.joint_speed",
+        "motion.joint_acceleration",
+        "motion.max_points",
+        "load.timeout",
+        "settle_time",
+        "window",
+        "measure_timeout",
+        "min_samples",
+        "attempts",
+        "readings",
+        "startup_cycles",
+        "startup_period",
+        "motion_limit",
+        "settling_limit",
+        "reading_limit",
+        "server_wait",
+        "markers.size",
+    }
+)
+_TABLE = (
     Declared("cell", "", "The cell file.", required=True),
     *MOTION_INTERFACE,
-    Declared("motion.speed", LIMITS.speed, "m/s, of every monitored point.", low=0.01, high=0.25, read_only=False),
-    Declared("motion.margin", LIMITS.margin, "Share of the speed that is kept free.", low=0.01, high=0.9, read_only=False),
-    Declared("motion.joint_speed", 0.8, "rad/s, of every joint.", low=0.001, high=10.0, read_only=False),
-    Declared("motion.joint_acceleration", 0.6, "rad/s^2, of every joint.", low=0.001, high=100.0, read_only=False),
-    Declared("motion.max_points", LIMITS.max_points, "Points of one trajectory.", low=3, high=10000, read_only=False),
+    Declared("motion.speed", LIMITS.speed, "m/s, of every monitored point.", low=0.01, high=0.25),
+    Declared(
+        "motion.margin", LIMITS.margin, "Share of the speed that is kept free.", low=0.01, high=0.9, read_only=False
+    ),
+    Declared("motion.joint_speed", 0.8, "rad/s, of every joint.", low=0.001, high=10.0),
+    Declared("motion.joint_acceleration", 0.6, "rad/s^2, of every joint.", low=0.001, high=100.0),
+    Declared("motion.max_points", LIMITS.max_points, "Points of one trajectory.", low=3, high=10000),
     Declared("motion.prepare_services", [], "Called before the first motion: name=package/srv/Type{field: value}."),
     Declared("motion.hold_topic", "", "Topic that takes a hold trajectory, the second rung of the stop ladder."),
     Declared("motion.stop_services", [], "Called as the third rung of the stop ladder: name=package/srv/Type{...}."),
@@ -32,30 +59,58 @@ PARAMETERS = (
     Declared("arrival.dwell", ARRIVAL.dwell, "s, for which both hold.", low=0.01, high=10.0),
     Declared("load.by", OPERATOR, "Who changes the load.", choices=(OPERATOR, DEVICE)),
     Declared("load.interface", "driver/apply_load", "Action of the load device."),
-    Declared("load.timeout", 60.0, "s of the cell's time, that the load device may take.", low=0.1, high=3600.0, read_only=False),
-    Declared("settle_time", 1.5, "s, that everything has stood before a reading.", low=0.0, high=600.0, read_only=False),
-    Declared("window", 2.0, "s, that a reading is averaged over.", low=0.001, high=600.0, read_only=False),
-    Declared("measure_timeout", 30.0, "s, that an instrument may wait for a settled window.", low=0.1, high=600.0, read_only=False),
-    Declared("min_samples", 0, "That every average must have; 0: as the instruments' nodes say.", low=0, read_only=False),
+    Declared(
+        "load.timeout",
+        60.0,
+        "s of the cell's time, that the load device may take.",
+        low=0.1,
+        high=3600.0,
+        read_only=False,
+    ),
+    Declared(
+        "settle_time", 1.5, "s, that everything has stood before a reading.", low=0.0, high=600.0, read_only=False
+    ),
+    Declared("window", 2.0, "s, that a reading is averaged over.", low=0.001, high=600.0),
+    Declared(
+        "measure_timeout",
+        30.0,
+        "s, that an instrument may wait for a settled window.",
+        low=0.1,
+        high=600.0,
+        read_only=False,
+    ),
+    Declared(
+        "min_samples", 0, "That every average must have; 0: as the instruments' nodes say.", low=0, read_only=False
+    ),
     Declared("tracker", "tracker/measure", "Action of the tracker."),
     Declared("force_torque", "force_torque/measure", "Action of the force/torque sensor; empty: the cell has none."),
     Declared("recorder", "recorder", "Node whose bag is opened and closed with a run; empty: none."),
     Declared("recording", "", "The bag that belongs to a run; empty: bag/ in the session's directory."),
-    Declared("attempts", RULES.attempts, "Times that a configuration is tried.", low=1, high=20, read_only=False),
-    Declared("readings", RULES.readings, "Times that a reading is tried.", low=1, high=20, read_only=False),
-    Declared("startup_cycles", RULES.startup_cycles, "Times of the start-up cycle before measuring.", low=0, high=100, read_only=False),
-    Declared("startup_period", RULES.startup_period, "s, after which it is repeated; 0: never.", low=0.0, read_only=False),
-    Declared("motion_limit", RULES.motion_limit, "s, of one motion.", low=1.0, read_only=False),
-    Declared("settling_limit", RULES.settling_limit, "s, of settling.", low=1.0, read_only=False),
-    Declared("reading_limit", RULES.reading_limit, "s, of one reading.", low=1.0, read_only=False),
+    Declared("attempts", RULES.attempts, "Times that a configuration is tried.", low=1, high=20),
+    Declared("readings", RULES.readings, "Times that a reading is tried.", low=1, high=20),
+    Declared(
+        "startup_cycles",
+        RULES.startup_cycles,
+        "Times of the start-up cycle before measuring.",
+        low=0,
+        high=100,
+        read_only=False,
+    ),
+    Declared(
+        "startup_period", RULES.startup_period, "s, after which it is repeated; 0: never.", low=0.0, read_only=False
+    ),
+    Declared("motion_limit", RULES.motion_limit, "s, of one motion.", low=1.0),
+    Declared("settling_limit", RULES.settling_limit, "s, of settling.", low=1.0),
+    Declared("reading_limit", RULES.reading_limit, "s, of one reading.", low=1.0),
     Declared("permission_age", 0.1, "s, of the guard's last word; older means no.", low=0.02, high=1.0),
-    Declared("server_wait", 10.0, "s, that the other nodes may take to appear.", low=0.1, high=300.0, read_only=False),
+    Declared("server_wait", 10.0, "s, that the other nodes may take to appear.", low=0.1, high=300.0),
     Declared("progress", True, "Whether it is worked out after every configuration what the session has told."),
     Declared("markers.base", "", "Name of the robot's base frame; empty: the cell file's, or base_link."),
     Declared("markers.flange", "", "Name of the robot's flange frame; empty: the cell file's, or flange."),
-    Declared("markers.size", 0.02, "m, diameter of a point that is shown.", low=1e-4, high=1.0, read_only=False),
+    Declared("markers.size", 0.02, "m, diameter of a point that is shown.", low=1e-4, high=1.0),
     Declared("trace", "", "File for stop commands with the monotonic clock's ns; empty: none."),
 )
+PARAMETERS = tuple(dataclasses.replace(one, read_only=one.name not in FREE) for one in _TABLE)
 
 
 class Values(Protocol):

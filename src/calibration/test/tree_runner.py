@@ -46,6 +46,9 @@ class TreeRunner:
         """Return the command line that launch would make."""
         words = [str(INSTALL / process.package / "lib" / process.package / process.name), "--ros-args"]
         words += ["--enclave", process.enclave, "-r", f"__ns:=/{self._values['namespace'].strip('/')}"]
+        for name, there in self.tree.remappings.items():
+            words += ["-r", f"{name}:={there}"]
+        words += ["--log-level", self._values["log_level"]]
         for file in self._files:
             words += ["--params-file", str(file)]
         given = {**parameters_of(self.tree, process, self._values), **self._more.get(process.name, {})}
