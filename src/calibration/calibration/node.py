@@ -281,17 +281,23 @@ class Diagnostics:
 
 
 def check_parameter_files(arguments: Sequence[str]) -> None:
-    """Refuse parameter files with sections for nodes that do not exist: they would be ignored without a word.
+    """Refuse parameter files with sections that no node takes: they would be ignored without a word.
 
     Raises:
-        ParameterError: A file cannot be read, or names an unknown node.
+        ParameterError: A file cannot be read, names an unknown node, or has a section that holds without a namespace
+            alone although the node has one.
     """
+    spaces = [value.partition(":=")[2] for flag, value in itertools.pairwise(arguments) if flag == "-r"
+              and value.startswith("__ns:=")]  # fmt: skip
+    space = spaces[-1].strip("/") if spaces else ""
     files = [value for flag, value in itertools.pairwise(arguments) if flag == "--params-file"]
     for file in files:
         for key in _sections(read_yaml(file, MAX_PARAMETER_BYTES, "parameter file (YAML)", ParameterError).data):
             last = key.rstrip("/").rpartition("/")[2]
             if last not in NODE_NAMES and "*" not in last:
                 raise ParameterError(file, key, "an unknown node", f"one of {', '.join(NODE_NAMES)}, or /**")
+            if space and key.strip("/") == last and "*" not in last:
+                raise ParameterError(file, key, "a section that holds without a namespace alone", f"/**/{last}")
 
 
 def _sections(data: object, prefix: str = "") -> list[str]:

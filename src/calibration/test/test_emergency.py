@@ -29,6 +29,7 @@ class Watch:
         self.cancelled = 0
         self.node.create_service(CancelGoal, "move/_action/cancel_goal", self._on_cancel)
         self.emergency = Emergency(self.node, CancelGoals(self.node, "move", lambda *_: None), AGE, str(trace))
+        self.emergency.listen()
         self.pulse = spinning.plain().create_publisher(MOTION_PULSE.message, MOTION_PULSE.relative, MOTION_PULSE.qos)
 
     def _on_cancel(self, _request: Any, response: Any) -> Any:

@@ -176,7 +176,7 @@ def test_every_argument_is_declared_described_and_used(description: list[Made], 
     values = [*(value for process in tree.processes for value in process.parameters.values()),
               *(word for tool in tree.tools for word in tool.words)]  # fmt: skip
     used = {value.argument for value in values if isinstance(value, process_tree.Given)}
-    assert used | {"namespace", "params_file", "rviz", "transforms"} == set(declared)
+    assert used | {"namespace", "params_file", "log_level", "rviz", "transforms"} == set(declared)
     assert all(one.named["description"].endswith(".") for one in of("DeclareLaunchArgument", description))
 
 
@@ -239,8 +239,8 @@ def test_later_parameter_files_overrule_and_all_are_installed(tmp_path: Path) ->
 
 def test_the_file_of_a_fast_simulation_knows_what_it_names_and_is_wide_throughout() -> None:
     file = yaml.safe_load((ROOT / "config" / "simulation.yaml").read_text("utf-8"))
-    for node, section in file.items():
-        given = section["ros__parameters"]
+    for key, section in file.items():
+        node, given = key.removeprefix("/**/"), section["ros__parameters"]
         assert given.keys() <= known(node)
         for one in TABLES.get(node, ()):
             value = given.get(one.name)
@@ -260,11 +260,11 @@ def test_launch_files_compute_nothing() -> None:
 
 def test_the_parameter_file_holds_every_parameter_with_its_default() -> None:
     text = (ROOT / "config" / "ros.yaml").read_text("utf-8")
-    file = yaml.safe_load(text)
+    file = {key.removeprefix("/**/"): section for key, section in yaml.safe_load(text).items()}
     assert set(file) == set(NODE_NAMES)
     for node, table in TABLES.items():
         given = file[node]["ros__parameters"]
-        section = text.partition(f"\n{node}:\n")[2]
+        section = text.partition(f"\n/**/{node}:\n")[2]
         for one in table:
             if one.default == []:
                 assert f"# {one.name}: []" in section

@@ -13,7 +13,7 @@ from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import ResetGuard
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from stand_ins import CELL, call
+from stand_ins import CELL, Feed, call
 
 from calibration.guard import GuardNode
 from calibration.lifecycle.machine import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE
@@ -43,10 +43,15 @@ def latched(node: GuardNode) -> bool:
 
 
 @pytest.mark.parametrize("way", [(DEACTIVATE, ACTIVATE), (DEACTIVATE, CLEANUP, CONFIGURE, ACTIVATE)])
-def test_no_transition_releases_what_is_latched(spinning: Any, until: Any, way: tuple[int, ...]) -> None:
+def test_no_transition_releases_what_is_latched(
+    spinning: Any, until: Any, feeds: list[Any], way: tuple[int, ...]
+) -> None:
     node = guard(spinning)
     jump(node)
     until(lambda: latched(node))
+    joints = spinning.plain("driver").create_publisher(JointState, "joint_states", 10)
+    feeds.append(Feed(joints, lambda _: JointState(name=JOINTS, position=[3.0] * 6)))  # the robot stands
+    until(node._joints.standing)
     for transition in way:
         assert node.change(transition), node.trouble
     until(lambda: node._last is not None and latched(node))

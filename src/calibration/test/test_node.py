@@ -87,6 +87,12 @@ def test_parameter_files(tmp_path: Path) -> None:
         ParameterError, match=r"ros.yaml: cell/traker: found an unknown node, expected one of .*tracker"
     ):
         check_parameter_files(["--params-file", str(file)])
+    file.write_text("/**/guard: {ros__parameters: {a: 1}}\n/left/guard: {ros__parameters: {a: 1}}\n")
+    check_parameter_files(["--ros-args", "-r", "__ns:=/left", "--params-file", str(file)])
+    file.write_text("guard: {ros__parameters: {a: 1}}\n")
+    check_parameter_files(["--ros-args", "-r", "__ns:=/", "--params-file", str(file)])
+    with pytest.raises(ParameterError, match=r"holds without a namespace alone, expected /\*\*/guard"):
+        check_parameter_files(["--ros-args", "-r", "__ns:=/left", "--params-file", str(file)])
     with pytest.raises(ParameterError, match="No such file"):
         check_parameter_files(["--params-file", str(tmp_path / "none.yaml")])
 
