@@ -92,7 +92,7 @@ class Cell:
             suite.start(name, **sim)
         suite.start(
             "sequencer", **sim, motion__backend="simulated", load__by="device", trace=suite.directory / "trace.csv",
-            server_wait=30.0,
+            server_wait=30.0, recorder="''",
         )  # fmt: skip
         self.run = suite.run(plan)
 

@@ -13,7 +13,7 @@ from calibration.clients import Instruments, LoadDevice, Measured
 from calibration.conversions import to_header, to_step
 from calibration.motion.arrival import Joints
 from calibration.reading_checks import ReadingChecks
-from calibration.readings import confirmed_readings, to_reading
+from calibration.readings import ReadingError, confirmed_readings, to_reading
 from calibration_core.procedure import messages as m
 from calibration_core.procedure.plan import REFERENCE_NUMBER
 from calibration_core.procedure.session import Session
@@ -48,6 +48,7 @@ class CellPort:
         checks: ReadingChecks,
         *,
         later: Callable[[Callable[[], None]], None],
+        equipment: Any,
         temperature: Callable[[], float],
         progress: Callable[[], None],
         scaling: Callable[[], float],
@@ -62,12 +63,14 @@ class CellPort:
             load_device: None: an operator changes the load.
             checks: What readings and loads are held against.
             later: Has something done by the runner's thread.
+            equipment: The `Equipment` of the cell.
             temperature: Returns the last temperature, degrees Celsius, or NaN.
             progress: Tells how far it is.
             scaling: Returns the controller's speed scaling, or NaN.
         """
         self._node, self.session, self._joints = node, session, joints
         self._instruments, self._load_device, self._checks, self._later = instruments, load_device, checks, later
+        self._equipment = equipment
         self._temperature, self.progress, self.scaling = temperature, progress, scaling
         self._plan = session.plan_sha256
         self._attempt: tuple[int, int, int] | None = None  # row of the session, configuration, count
@@ -156,9 +159,12 @@ class CellPort:
         """Put the readings of one step on the disk, then announce them.
 
         Raises:
-            ReadingError: They are not what was planned: another posture, another load, or not known.
+            ReadingError: They are not what was planned: another posture, another load, or not recorded.
             SessionError: They are there already.
         """
+        lost = self.lost(time.monotonic())
+        if lost:
+            raise ReadingError(lost)
         self._checks.reading(command, measured)
         place = (command.configuration, command.step)
         temperature = self._temperature()
@@ -228,6 +234,18 @@ class CellPort:
     def stop_rung(self, rung: int) -> None:
         """Take a rung of the stop ladder."""
         self._node.stopper.take(rung)
+
+    def ready(self, since: float) -> bool:
+        """Tell whether all that a reading needs has given a sign of life since then, s of the steady clock."""
+        return bool(self._equipment.ready(since))
+
+    def recorded(self, since: float) -> bool:
+        """Tell whether the recorder has."""
+        return bool(self._equipment.recorded(since))
+
+    def lost(self, now: float) -> str:
+        """Say which recorder or instrument has fallen silent; empty if none has."""
+        return str(self._equipment.fault(now))
 
     def look(self, now: float) -> None:
         """Give up requests that are not answered."""

@@ -22,13 +22,14 @@ from calibration_interfaces import srv
 from calibration_interfaces.action import Identify
 from calibration_interfaces.msg import Outcome
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.qos import QoSProfile
 
 from calibration import results
 from calibration.background import Background
 from calibration.conversions import to_outcome
 from calibration.markers import Look, to_markers
 from calibration.node import CalibrationNode, Declared, run
-from calibration.topics import MARKERS
+from calibration.topics import MARKERS, RECORDING
 from calibration.worker import CancelledError, Worker
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
@@ -36,7 +37,7 @@ from calibration_core.report.scene import scene_of
 
 PARAMETERS = (
     Declared("cell", "", "The cell file taken where a request names none.", read_only=False),
-    Declared("recording", "", "Recording of the current session.", read_only=False),
+    Declared("recording", "", "Taken where a request names none and no session was recorded.", read_only=False),
     Declared("out", "", "Directory for results; empty: beside the recording.", read_only=False),
     Declared("feedback_period", 0.2, "Time between two reports of progress, s.", low=0.01),
     Declared("markers.scale", 200.0, "Deflections are drawn so many times as long.", low=0.0, read_only=False),
@@ -44,6 +45,8 @@ PARAMETERS = (
     Declared("markers.base", "", "Name of the robot's base frame; empty: the cell file's, or base_link."),
     Declared("markers.flange", "", "Name of the robot's flange frame; empty: the cell file's, or flange."),
 )
+MANY = QoSProfile(depth=1000)  # requests at once: those beyond it would never be answered
+PACE = 0.005  # s between two refusals: a client keeps ten answers, and would lose what comes faster than it takes them
 ERRORS = {
     "InputError": Outcome.INPUT_UNUSABLE,
     "IdentificationError": Outcome.NOT_IDENTIFIABLE,
@@ -115,10 +118,16 @@ class IdentificationNode(CalibrationNode):
         self._stopping = threading.Event()
         group = ReentrantCallbackGroup()
         for offer in OFFERS.values():
-            self.create_service(offer.kind, f"~/{offer.name}", self._service(offer), callback_group=group)
+            name, answer = f"~/{offer.name}", self._service(offer)
+            self.create_service(offer.kind, name, answer, qos_profile=MANY, callback_group=group)
         self._action = self.create_action_server(Identify, "~/identify", self._on_goal)
+        self._session = ""  # bag of the last session that was recorded
         self._markers = self.create_publisher(MARKERS.message, MARKERS.relative, MARKERS.qos)
         self.diagnostics.report("evaluation", 0, "idle")
+
+    def _on_recording(self, message: Any) -> None:
+        if message.plan_sha256:
+            self._session = str(message.directory)
 
     def _aside(self, what: str, work: Callable[[], object]) -> None:
         """Do what nobody waits for beside the callbacks; tell of a defect."""
@@ -187,7 +196,8 @@ class IdentificationNode(CalibrationNode):
         return Identify.Result(outcome=answer.outcome, result_json=answer.result_json, report_path=answer.report_path)
 
     def _job(self, offer: Offer, request: Any) -> Job | Evaluated:
-        cell, recording = request.cell or self.value("cell"), request.recording or self.value("recording")
+        cell = request.cell or self.value("cell")
+        recording = request.recording or self._session or self.value("recording")
         for name, value in (("cell", cell), ("recording", recording)):
             if not value:
                 text = f"{name}: found nothing, expected one in the request or as parameter of the node"
@@ -206,6 +216,7 @@ class IdentificationNode(CalibrationNode):
         if isinstance(job, Evaluated):
             return job
         if not self._busy.acquire(blocking=False):
+            time.sleep(PACE)
             return Evaluated(Outcome.BUSY, "another evaluation is under way")
         try:
             self.diagnostics.report("evaluation", 0, " ".join(job.arguments[:2]))
@@ -253,8 +264,9 @@ class IdentificationNode(CalibrationNode):
         return Evaluated(code, done.text)
 
     def on_activate(self) -> None:
-        """Show the cell, and answer from now on."""
+        """Show the cell, listen where the recorder records, and answer from now on."""
         self._stopping.clear()
+        self.create_subscription(RECORDING.message, RECORDING.relative, self._on_recording, RECORDING.qos)
         if self.value("cell"):
             self._show(self.value("cell"), "")
 

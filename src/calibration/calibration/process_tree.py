@@ -143,7 +143,7 @@ def _suite(everywhere: Mapping[str, Value], motion: Mapping[str, Value], adapter
         Process("tracker", managed),
         Process("force_torque", managed),
         Process("guard", {**managed, **motion, "robot_state.adapter": adapter}, sigterm_after=OUTLIVES),
-        Process("sequencer", {**managed, **motion, **load, **BAG}),
+        Process("sequencer", {**managed, **motion, **load}),
         Process("identification", {**CELL_FILE, **BAG, "autostart": False}),
         Process("manager", everywhere),
     )

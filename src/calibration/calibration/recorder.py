@@ -3,12 +3,16 @@
 Callbacks only append; a thread of its own writes and syncs.  `~/close` ends the bag's file, so that it can be evaluated
 while the node lives on; `~/open` continues the bag with a further file.  `~/hears` tells whether every instrument that
 publishes has been heard: what is measured before that would be missing in the bag.
+
+Where the bag is, the session decides that is measured: `~/record` closes the present bag and goes on in the session's.
+Twenty times a second the recorder says what it does; whoever measures and does not hear that stops.
 """
 
 from __future__ import annotations
 
 import collections
 import math
+import struct
 import sys
 import threading
 import time
@@ -16,30 +20,38 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import Record
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import Trigger
 
+from calibration.conversions import stamp_ns, to_header, to_outcome
 from calibration.definitions import definition
 from calibration.node import CalibrationNode, Declared, run
 from calibration.topics import (
+    RECORDING,
     Quality,
     Topic,
     contract_topics,
     incompatible,
     offered_qos,
     recorded_topics,
+    session_topics,
     subscription_profile,
 )
 from calibration_core.cell import load_cell
 from calibration_core.errors import OutputError
 from calibration_core.recording.live_writer import LiveBag, LiveTopic
+from calibration_core.timeseries import NANOSECONDS
 
 LOOK = 0.05  # s of wall time between looks for new publishers
 THOROUGH = 1.0  # s of wall time between looks at what all publishers offer
+SIGN = 0.05  # s of wall time between two signs of life
+STAMP = {True: struct.Struct("<iI"), False: struct.Struct(">iI")}  # little-endian or not: s and ns of a header in CDR
 
 PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
-    Declared("out", "", "Directory of the bag; one that is there is continued.", required=True),
+    Declared("out", "", "Directory of a bag from the start on; empty: nothing is recorded before a session asks."),
     Declared("sync_period", 0.25, "Wall time after which what came is on the disk, s.", low=0.01, high=1.0),
     Declared("compression", "none", "Of the chunks.", choices=("none", "lz4", "zstd")),
 )
@@ -65,8 +77,12 @@ class RecorderNode(CalibrationNode):
         self._infos: dict[str, LiveTopic] = {}
         self._numbers: dict[str, int] = {}
         self._lock = threading.RLock()  # the bag and what belongs to it
+        self._place = self.value("out")
+        self._session_topics, self._since = session_topics(cell), 0
+        self._signs = self.create_publisher(RECORDING.message, RECORDING.relative, RECORDING.qos)
         self._bag: LiveBag | None = None
         self._ending = threading.Event()
+        self.create_service(Record, "~/record", self._on_record)
         self.create_service(Trigger, "~/close", self._on_close)
         self.create_service(Trigger, "~/open", self._on_open)
         self.create_service(Trigger, "~/hears", self._on_hears)
@@ -76,17 +92,19 @@ class RecorderNode(CalibrationNode):
         self._heard: dict[str, tuple[Any, Any]] = {}
         self._counted: dict[str, int] = {}
         self._looked = -math.inf  # s of the monotonic clock
-        self._bag = self._new_bag()
+        self._written = time.monotonic()  # when everything that had come was last on the disk
+        self._bag = self._new_bag() if self._place else None
         self._ending.clear()
         self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
         self._writer.start()
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(SIGN, self._sign, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(1.0, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._look()
 
-    def _new_bag(self) -> LiveBag:
+    def _new_bag(self, plan_sha256: str = "") -> LiveBag:
         self._numbers = {}
-        return LiveBag(Path(self.value("out")), self.value("compression"))
+        return LiveBag(Path(self._place), self.value("compression"), plan_sha256)
 
     # --- what comes in ----------------------------------------------------------------------------------------
 
@@ -122,6 +140,8 @@ class RecorderNode(CalibrationNode):
         def take(payload: bytes) -> None:
             if topic.name not in self._infos:
                 self._infos[topic.name] = self._info(topic)
+            if topic.name in self._session_topics and stamp_of(payload) < self._since:
+                return  # of an earlier session: who comes late gets everything that was announced
             self._queue.append((topic, self.now_ns(), payload))
 
         return take
@@ -169,11 +189,44 @@ class RecorderNode(CalibrationNode):
                     written = True
                 if written and self._bag is not None:
                     self._bag.sync()
+                self._written = time.monotonic()
         except OutputError as error:
             self.get_logger().fatal(str(error))
             self.failed.set()
             return False
         return True
+
+    def _on_record(self, request: Any, response: Any) -> Any:
+        """Go on in the bag of a session; what was announced of it before the recorder came is asked for again."""
+        with self._lock:
+            try:
+                if self._bag is not None and self._bag.path.absolute() == Path(request.directory).absolute():
+                    self._bag.belong_to(request.plan_sha256)
+                else:
+                    self._begin(request)
+            except OutputError as error:
+                response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
+                return response
+            assert self._bag is not None  # noqa: S101 - it has just been opened
+            response.outcome, response.file = to_outcome(Outcome.OK, ""), str(self._bag.file)
+        self._tell()
+        return response
+
+    def _begin(self, request: Any) -> None:
+        if self._bag is not None:
+            self._drain()
+            self._write(last=True)
+            self._bag.close()
+            self._bag = None
+        self._place = request.directory
+        self._bag = self._new_bag(request.plan_sha256)
+        self._since = stamp_ns(request.since)
+        kept = [topic.name for topic in self._topics if topic.quality in (Quality.STATE, Quality.EVENTS)]
+        for name in kept:
+            if name in self._heard:
+                self.destroy_subscription(self._heard.pop(name)[0])
+        self._looked = -math.inf
+        self._look()
 
     def _on_close(self, _request: Any, response: Any) -> Any:
         with self._lock:
@@ -194,6 +247,8 @@ class RecorderNode(CalibrationNode):
                 response.success, response.message = False, f"{self._bag.file} is open"
                 return response
             try:
+                if not self._place:
+                    raise OutputError("out", "", "nothing", "the directory of a bag")
                 self._bag = self._new_bag()
             except OutputError as error:
                 response.success, response.message = False, str(error)
@@ -212,6 +267,20 @@ class RecorderNode(CalibrationNode):
         response.message = f"nothing is heard yet of {', '.join(silent)}" if silent else ""
         return response
 
+    def _sign(self) -> None:
+        bag = self._bag
+        self._signs.publish(
+            RECORDING.message(
+                header=to_header(self.now_ns()),
+                recording=bag is not None and not self.failed.is_set(),
+                directory=str(Path(self._place).absolute()) if self._place else "",
+                file="" if bag is None else str(bag.file),
+                plan_sha256="" if bag is None else bag.plan_sha256,
+                messages=0 if bag is None else bag.messages,
+                behind=time.monotonic() - self._written,
+            )
+        )
+
     def _tell(self) -> None:
         bag = self._bag
         if bag is None:
@@ -228,6 +297,12 @@ class RecorderNode(CalibrationNode):
             if self._bag is not None and not self.failed.is_set() and self._write(last=True):
                 self._bag.close()
             self._bag = None
+
+
+def stamp_of(payload: bytes) -> int:
+    """Return the stamp, ns, of a message whose first field is a header, as CDR with its encapsulation header."""
+    seconds, nanoseconds = STAMP[bool(payload[1] & 1)].unpack_from(payload, 4)
+    return int(seconds) * NANOSECONDS + int(nanoseconds)
 
 
 def main(arguments: list[str] | None = None) -> int:

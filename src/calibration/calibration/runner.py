@@ -12,10 +12,11 @@ import math
 import queue
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
+from calibration.cell_interface import Cell
 from calibration.clients import Measured
 from calibration.motion.arrival import Joints
 from calibration.motion.base import Backend, End
@@ -66,37 +67,6 @@ class Call:
     """Something to be done in this thread."""
 
     work: Callable[[], None]
-
-
-class Cell(Protocol):
-    """What the cell offers; implemented by the node.  Every method returns at once."""
-
-    def seconds(self) -> float:
-        """Return the cell's time, s."""
-
-    def measure(self, answered: Callable[[Measured], None]) -> None:
-        """Average over one window."""
-
-    def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
-        """Change the load, or ask the operator to."""
-
-    def confirm(self, command: m.TakeReading, measured: Measured) -> None:
-        """Put readings on the disk and announce them; raise ReadingError or SessionError."""
-
-    def carry_out(self, command: m.Command) -> None:
-        """Announce or store what needs no answer: marks, attempts, records, questions."""
-
-    def stop_rung(self, rung: int) -> None:
-        """Take a rung of the stop ladder; 0 is the back end's own stop."""
-
-    def scaling(self) -> float:
-        """Return the share of the programmed speed at which the controller moves; NaN: not known."""
-
-    def look(self, now: float) -> None:
-        """Give up requests that are not answered; `now` is s of the steady clock."""
-
-    def progress(self) -> None:
-        """Tell how far it is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -220,6 +190,8 @@ class Runner:
                     self._motion.ended, self._motion.ended_at = event, _Since(self._cell.seconds())
             case MeasuredFor():
                 self._on_measured(event)
+            case m.Resume() | m.ResumeMotion() if lost := self._cell.lost(time.monotonic()):
+                self._cell.carry_out(m.AskOperator(f"{lost}: bring it back, then resume"))
             case _:
                 self._handle(dataclasses.replace(event, now=self._cell.seconds()))
 
@@ -271,11 +243,14 @@ class Runner:
             self._handle(m.ReadingFailed(now, event.request, event.measured.fault))
             return
         means = [*event.measured.points, *filter(None, [event.measured.wrench])]
-        behind = max(mean.end for mean in means) > self._joints.until
+        behind = max(mean.end for mean in means) > self._joints.until or not self._cell.recorded(event.since)
         if behind and time.monotonic() - event.since < PATIENCE:
-            self._behind = event  # joint states of the same window are still on their way
+            self._behind = event  # joint states of the same window, or the recorder's word, are still on their way
             return
         del self._reading[event.request]
+        if not self._cell.recorded(event.since):
+            self._handle(m.ReadingFailed(now, event.request, "the recorder gave no sign of life after it"))
+            return
         try:
             self._cell.confirm(command, event.measured)
         except PostureError as error:  # somebody or something has moved the robot: nobody knows what else
@@ -300,6 +275,7 @@ class Runner:
         self._backend.tick(steady)
         self._prove(steady, now)
         self._cell.look(steady)
+        self._look_at_equipment(now, steady)
         self._climb(steady)
         behind, self._behind = self._behind, None
         if behind is not None:
@@ -333,6 +309,13 @@ class Runner:
         elif waits and not (prover.proven or prover.running) and self._watch.ready(steady) and self._joints.standing():
             prover.begin(steady, self._haste)
 
+    def _look_at_equipment(self, now: float, steady: float) -> None:
+        """Pause where what is measured would not be recorded, or could not be measured; nothing begins after that."""
+        lost = "" if self.sequence.paused else self._cell.lost(steady)
+        if lost:
+            self._cell.carry_out(m.AskOperator(f"{lost}: bring it back, then resume"))
+            self._handle(m.Pause(now))
+
     def _climb(self, steady: float) -> None:
         rung = self._ladder.climb(steady, standing=self._joints.standing())
         if rung is not None:
@@ -358,6 +341,8 @@ class Runner:
             self._handle(m.Blocked(now, motion.request, "the motion takes too long"))
 
     def _begin(self, motion: _Motion, now: float) -> None:
+        if not self._cell.ready(motion.asked.steady):
+            return  # they are lost if this lasts
         where = self._joints.latest
         if where is None or not self._joints.standing() or self._ladder.climbing:
             if motion.asked.longer(now, CALM):

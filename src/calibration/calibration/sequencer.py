@@ -28,22 +28,23 @@ from calibration.client_watch import ClientWatch
 from calibration.clients import Instruments, LoadDevice
 from calibration.conditions_watch import ConditionsWatch
 from calibration.conversions import joint_positions, stamp_ns, to_outcome
+from calibration.equipment import Equipment
 from calibration.feedback import Feedback
 from calibration.guard import PULSE_DEADLINE
 from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import Joints
-from calibration.motion.calls import parse_call
+from calibration.motion.calls import callers
 from calibration.motion.catalogue import make_backend
 from calibration.motion.prover import Prover, haste_of
 from calibration.node import CalibrationNode, run
 from calibration.operator_services import OperatorServices
+from calibration.outcomes import OUTCOMES
 from calibration.permission import PermissionWatch
 from calibration.plan_markers import plan_markers
 from calibration.preflight import guard_ready, joints_heard, missing, prepared, served
 from calibration.provenance import provenance
 from calibration.reading_checks import ReadingChecks
-from calibration.recorder_client import Recorder
-from calibration.robot_state.catalogue import load_type
+from calibration.recorder_client import Recorder, Wanted
 from calibration.run_action import NAME, RunAction
 from calibration.runner import Call, Runner
 from calibration.sequencer_parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
@@ -63,14 +64,9 @@ from calibration_core.recording.session_values import Decision
 from calibration_core.timeseries import NANOSECONDS
 
 PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way
+BAG = "bag"  # in the session's directory
 END_TIME = 1.6  # s of wall time, a run has to end when the process does
 ALONE = 1.0  # s, since another sequencer was heard
-OUTCOMES = {
-    m.Outcome.COMPLETED: Outcome.OK,
-    m.Outcome.INCOMPLETE: Outcome.BLOCKED,
-    m.Outcome.STOPPED: Outcome.STOPPED,
-    m.Outcome.FAULT: Outcome.FAULT,
-}
 
 
 class SequencerNode(CalibrationNode):
@@ -113,14 +109,14 @@ class SequencerNode(CalibrationNode):
         )
         self._prover = Prover(self, self._backend, self.cell.robot.joints, lambda: self._joints.latest)
         self._second = (-math.inf, "")  # when another sequencer was heard, s of the steady clock, and words about it
-        self._prepare = self._callers("motion.prepare_services")
+        self._prepare = callers(self, "motion.prepare_services")
         self.stopper = Stopper(
             self,
             self._backend,
             self.cell.robot.joints,
             lambda: self._joints.latest,
             hold_topic=self.value("motion.hold_topic"),
-            calls=self._callers("motion.stop_services"),
+            calls=callers(self, "motion.stop_services"),
             trace=self.value("trace"),
         )
         by_device = self.value("load.by") == DEVICE
@@ -138,10 +134,6 @@ class SequencerNode(CalibrationNode):
         self.conditions.listen()
         self._listen()
 
-    def _callers(self, name: str) -> list[tuple[Any, Any]]:
-        calls = [parse_call(text) for text in self.value(name)]
-        return [(self.create_client(load_type(call.type), call.name), call.request()) for call in calls]
-
     def _speak(self) -> None:
         step = self.cell.topics.step.lstrip("/")
         self.steps = self.create_publisher(MeasurementStep, step, profile(Quality.EVENTS))
@@ -152,7 +144,8 @@ class SequencerNode(CalibrationNode):
         OperatorServices(self)
         self._client = ClientWatch(self, NAME)
         self._action = RunAction(self, self._measure, self._backend.stop, self._second_heard)
-        self._recorder = Recorder(self, self.value("recorder"))
+        self._recorder = Recorder(self, self.value("recorder"), self.value("recorder_age"))
+        self._equipment = Equipment(self._recorder, self.value("instrument_age"))
 
     def _listen(self) -> None:
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -162,6 +155,9 @@ class SequencerNode(CalibrationNode):
         silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
         self.create_subscription(Permission, PERMISSION.relative, self._on_permission, pulse, event_callbacks=silence)
         self.create_timer(1.0 / PULSE, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._equipment.listen(self)
+        if self._wrench is not None:
+            self._wrench.listen()
 
     # --- what arrives ------------------------------------------------------------------------------------------------
 
@@ -247,7 +243,9 @@ class SequencerNode(CalibrationNode):
             if violated:
                 return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
             session.begin_run(self.now_ns(), provenance(self.cell, text, parameters))
-            self._recorder.open()
+            lost = self._recorder.record(Wanted(directory.absolute() / BAG, session.plan_sha256, self.now_ns()))
+            if lost:
+                return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, lost), session=str(directory))
             runner = self._start(plan, session)
             self.feedback.begin(goal, runner)
             self._client.begin(time.monotonic())
@@ -255,11 +253,12 @@ class SequencerNode(CalibrationNode):
             done, skipped = len(runner.sequence.agenda.completed), len(runner.sequence.agenda.given_up)
             readings = self.port.confirmed if self.port is not None else 0
         self._recorder.close()
-        recording = Path(self.value("recording") or directory / "bag")
+        recorded, lost = self._recorder.recorded(directory, BAG)
+        how = (Outcome.FAULT, f"{lost}; {finish.text}") if lost else (OUTCOMES[finish.outcome], finish.text)
         return RunPlan.Result(
-            outcome=to_outcome(OUTCOMES[finish.outcome], finish.text),
+            outcome=to_outcome(*how),
             session=str(directory),
-            recording=str(recording) if recording.exists() else "",
+            recording=str(recorded),
             configurations_done=done,
             configurations_skipped=skipped,
             readings=readings,
@@ -282,6 +281,7 @@ class SequencerNode(CalibrationNode):
             self._load_device,
             ReadingChecks(self.cell, plan.tolerances, self._joints, self._wrench),
             later=self._later,
+            equipment=self._equipment,
             temperature=lambda: self.conditions.temperature,
             progress=self._progress,
             scaling=lambda: self.conditions.scaling,
@@ -304,7 +304,6 @@ class SequencerNode(CalibrationNode):
         return self.runner
 
     def _later(self, work: Callable[[], None]) -> None:
-        """Have something done by the runner's thread, if there is one."""
         runner = self.runner
         if runner is not None:
             runner.post(Call(work))
@@ -318,6 +317,7 @@ class SequencerNode(CalibrationNode):
             *map(served, ports),
             joints_heard(self._joints, self.cell.topics.joint_states),
             self.conditions.thermometer_heard,
+            self._recorder.missing,
         ]
         return missing(checks, self.value("server_wait"))
 

@@ -84,8 +84,9 @@ _TABLE = (
     ),
     Declared("tracker", "tracker/measure", "Action of the tracker."),
     Declared("force_torque", "force_torque/measure", "Action of the force/torque sensor; empty: the cell has none."),
-    Declared("recorder", "recorder", "Node whose bag is opened and closed with a run; empty: none."),
-    Declared("recording", "", "The bag that belongs to a run; empty: bag/ in the session's directory."),
+    Declared("recorder", "recorder", "Node that records to bag/ in the session; empty: the session alone is kept."),
+    Declared("recorder_age", 1.0, "s, of the recorder's last sign of life; older pauses the run.", low=0.2, high=60.0),
+    Declared("instrument_age", 1.5, "s, likewise of instruments and identification.", low=0.5, high=60.0),
     Declared("attempts", RULES.attempts, "Times that a configuration is tried.", low=1, high=20),
     Declared("readings", RULES.readings, "Times that a reading is tried.", low=1, high=20),
     Declared(

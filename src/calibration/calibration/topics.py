@@ -79,6 +79,7 @@ TARE = Topic("/calibration/tare", "calibration_interfaces/msg/TareEvent", Qualit
 SAMPLE_CHECK = Topic("/calibration/sample_check", "calibration_interfaces/msg/SampleCheck", Quality.SAMPLES)
 LOAD_STATE = Topic("/calibration/load_state", "calibration_interfaces/msg/LoadState", Quality.STATE)
 MOTION_PULSE = Topic("/calibration/motion_pulse", "std_msgs/msg/Bool", Quality.PULSE)
+RECORDING = Topic("/calibration/recording", "calibration_interfaces/msg/RecordingState", Quality.PULSE)
 MARKERS = Topic("/calibration/markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
 PLAN_MARKERS = Topic("/calibration/plan_markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
 PROCEDURE = Topic("/calibration/procedure", "calibration_interfaces/msg/ProcedureState", Quality.STATE)
@@ -103,6 +104,11 @@ def contract_topics(cell: Cell) -> tuple[Topic, ...]:
         Topic(names.step, STEP_TYPE, Quality.EVENTS),
         Topic(names.conditions, CONDITIONS_TYPE, CONDITIONS_QUALITY),
     )
+
+
+def session_topics(cell: Cell) -> frozenset[str]:
+    """Return the topics on which the sequencer tells of one session after the other."""
+    return frozenset({cell.topics.step, cell.topics.conditions, EVENT.name, READING.name, PROGRESS.name})
 
 
 def recorded_topics(cell: Cell) -> tuple[Topic, ...]:

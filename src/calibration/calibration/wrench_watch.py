@@ -29,14 +29,17 @@ class WrenchWatch:
     """
 
     def __init__(self, node: Any) -> None:
-        """Listen."""
+        """Prepare; `listen` begins."""
         self._node, self.topic = node, node.cell.topics.wrench
         self._samples: collections.deque[tuple[int, Float1D]] = collections.deque(maxlen=KEPT)
         self._heard = -np.inf  # s of the steady clock
         self.tares = self.tare = 0
+
+    def listen(self) -> None:
+        """Listen to wrench and tares."""
         newest = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(WrenchStamped, self.topic.lstrip("/"), self._on_wrench, newest)
-        node.create_subscription(TARE.message, TARE.relative, self._on_tare, TARE.qos)
+        self._node.create_subscription(WrenchStamped, self.topic.lstrip("/"), self._on_wrench, newest)
+        self._node.create_subscription(TARE.message, TARE.relative, self._on_tare, TARE.qos)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         values = wrench_values(message.wrench)

@@ -203,7 +203,9 @@ def test_values_of_a_tree(tmp_path: Path) -> None:
     given = process_tree.parameters_of(process_tree.SIMULATED_CELL, rows["simulated_cell"], values)
     assert (given["speed"], given["seed"], given["cell"]) == (2.5, 1, str(CELL))
     sequencer = process_tree.parameters_of(process_tree.SIMULATED_CELL, rows["sequencer"], values)
-    assert sequencer["recording"] == "/s/bag"
+    assert "recording" not in sequencer  # the goal's session decides
+    recorder = process_tree.parameters_of(process_tree.SIMULATED_CELL, rows["recorder"], values)
+    assert recorder["out"] == "/s/bag"
 
 
 @pytest.mark.parametrize(

@@ -28,9 +28,8 @@ from std_srvs.srv import Trigger
 
 from calibration.conversions import to_header, to_step, to_wrench
 from calibration.definitions import definition
-from calibration.node import ParameterError
 from calibration.recorder import RecorderNode
-from calibration.recorder_client import Recorder
+from calibration.recorder_client import Recorder, Wanted
 from calibration.topics import EVENT, OWN, contract_topics, recorded_topics
 from calibration_core.cell import load_cell
 from calibration_core.errors import RecordingError
@@ -204,22 +203,34 @@ def test_an_instrument_that_publishes_and_is_not_heard_is_named(
     until(lambda: hears.call(Trigger.Request()).success)
 
 
-def test_the_sequencer_waits_until_the_recorder_hears(
+def test_the_sequencer_waits_until_the_recorder_hears_and_has_its_bag(
     spinning: Any, until: Callable[..., None], tmp_path: Path
 ) -> None:
     node, client, publisher = matched(spinning, until, tmp_path)
-    user = Recorder(client, "recorder")
-    until(lambda: all(one.service_is_ready() for one in user._clients.values()))
-    opening = threading.Thread(target=user.open)
-    opening.start()
-    opening.join(0.5)
-    assert opening.is_alive(), "nothing has been heard"
+    user = Recorder(client, "recorder", 1.0)
+    user.listen()
+    missing: list[str] = []
+    asking = threading.Thread(target=lambda: missing.append(user.missing(10.0)))
+    asking.start()
+    asking.join(0.5)
+    assert asking.is_alive(), "nothing has been heard"
     publisher.publish(joint_state(0))
-    opening.join(4.0)
-    assert not opening.is_alive()
+    asking.join(10.0)
+    assert missing == [""]
+    wanted = Wanted(tmp_path / "session" / "bag", "a" * 64, 0)
+    assert user.record(wanted) == ""
+    assert node._bag.path == wanted.directory
+    assert user.fault(time.monotonic()) == ""
+    publisher.publish(joint_state(1))
+    until(lambda: node._bag.messages)
+    assert "found the bag of another plan" in user.record(Wanted(wanted.directory, "b" * 64, 0))
+    assert user.record(wanted) == ""
     user.close()
     until(lambda: node._bag is None)
-    Recorder(client, "").open()  # without a recorder nothing is waited for
+    assert user.recorded(tmp_path / "session", "bag") == (wanted.directory, "")
+    none = Recorder(client, "", 1.0)  # without a recorder nothing is waited for
+    assert (none.missing(0.1), none.record(wanted), none.fault(time.monotonic())) == ("", "", "")
+    assert none.recorded(tmp_path, "bag") == (tmp_path, "")
 
 
 def test_what_came_before_the_bag_was_closed_is_in_it(
@@ -237,8 +248,6 @@ def test_what_came_before_the_bag_was_closed_is_in_it(
 
 
 def test_places_that_cannot_be_used(context: Any, tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="out: found nothing"):
-        recorder(context, "")
     (tmp_path / "file").write_text("x")
     with pytest.raises(Exception, match="expected a directory"):
         recorder(context, tmp_path / "file")
@@ -298,8 +307,12 @@ def test_a_bag_with_configurations_of_two_plans_is_refused(
     events.publish(SessionEvent(plan_sha256="a" * 64))
     events.publish(SessionEvent(plan_sha256="a" * 64))
     until(lambda: node._bag.messages >= 102)
+    moment = time.monotonic()
+    until(lambda: node._written > moment)  # on the disk
     assert read_bag(tmp_path / "bag", CELL).provenance.plan_sha256 == "a" * 64
     events.publish(SessionEvent(plan_sha256="b" * 64))
     until(lambda: node._bag.messages >= 103)
+    moment = time.monotonic()
+    until(lambda: node._written > moment)
     with pytest.raises(RecordingError, match=r"found configurations of 2 plans \(SHA-256 a{12}…, b{12}…\)"):
         read_bag(tmp_path / "bag", CELL)

@@ -107,6 +107,7 @@ class Cell:
         self.robot = robot
         self.told: list[Any] = []
         self.confirmed: list[m.TakeReading] = []
+        self.absent = ""
         self.rungs: list[int] = []
         self.load_works, self.fault, self.refuses = True, "", False
         self.progressed = 0
@@ -122,6 +123,14 @@ class Cell:
 
     def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
         answered(self.load_works or not np.any(command.wrench), "stuck")
+
+    def lost(self, now: float) -> str:  # noqa: ARG002
+        return self.absent
+
+    def ready(self, since: float) -> bool:  # noqa: ARG002
+        return not self.absent
+
+    recorded = ready
 
     def confirm(self, command: m.TakeReading, measured: Measured) -> None:
         assert measured.points[0].end <= self.robot.joints.until
@@ -333,6 +342,22 @@ def test_the_ladder_is_climbed_when_the_robot_goes_on(
     until(lambda: bench.cell.rungs[-1:] == [3])
     assert bench.cell.rungs[0] == 0
     assert sorted(set(bench.cell.rungs)) == [0, 1, 2, 3]
+
+
+def test_a_recorder_that_falls_silent_pauses_until_it_is_back(bench: Bench, until: Any) -> None:
+    runner, thread = bench.start()
+    until(lambda: runner.moving)
+    bench.cell.absent = "the recorder is silent"
+    until(lambda: m.Kind.PAUSED in bench.cell.kinds())
+    moves = len(bench.robot.moves)
+    runner.post(m.Resume(0.0))  # too early
+    time.sleep(0.3)
+    bench.cell.absent = ""
+    time.sleep(0.3)
+    assert (runner.sequence.paused, len(bench.robot.moves)) == (True, moves)  # nothing moves by itself
+    runner.post(m.Resume(0.0))
+    thread.join(30.0)
+    assert runner.finish is not None and runner.finish.outcome is m.Outcome.COMPLETED  # noqa: PT018
 
 
 def test_instruments_that_fail(bench: Bench) -> None:

@@ -79,3 +79,13 @@ def succeeded(response: Any) -> tuple[bool, str]:
     if isinstance(value, int):
         return value in {0, 1}, text or f"result code {value}"  # MotoROS2: 1 is ready, 0 is nothing to say
     return True, text
+
+
+def callers(node: Any, parameter: str) -> list[tuple[Any, Any]]:
+    """Return client and request of every call that a node's parameter names.
+
+    Raises:
+        InputError: A call cannot be understood, or its package is not installed.
+    """
+    calls = [parse_call(text) for text in node.value(parameter)]
+    return [(node.create_client(load_type(call.type), call.name), call.request()) for call in calls]

@@ -19,6 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from calibration_core.errors import InputError, OutputError, storage_fault
 from calibration_core.recording.metadata import METADATA, read_metadata
+from calibration_core.recording.plan_hash import KEY, plan_of_metadata
 
 CHUNK = 4 << 20
 Compression = Literal["none", "lz4", "zstd"]
@@ -50,19 +51,22 @@ class LiveBag:
     Attributes:
         path: The directory.
         file: The storage file being written.
+        plan_sha256: Of the plan that the bag's configurations are of; empty: not known.
     """
 
-    def __init__(self, path: Path, compression: Compression = "none") -> None:
+    def __init__(self, path: Path, compression: Compression = "none", plan_sha256: str = "") -> None:
         """Make the directory, or continue the bag in it with a further file.
 
         Args:
             path: The directory.
             compression: Of the chunks.
+            plan_sha256: Of the plan that is measured; empty: not known.
 
         Raises:
-            OutputError: The directory cannot be made or written, or holds something else.
+            OutputError: The directory cannot be made or written, holds something else, or the bag of another plan.
         """
         self.path = Path(path)
+        self.plan_sha256 = _same_plan(self.path, _plan_of(self.path), plan_sha256)
         earlier = _earlier(self.path)
         number = max((int(found[2]) for found in earlier), default=-1) + 1
         self.file = self.path / f"{self.path.name}_{number}.mcap"
@@ -76,10 +80,31 @@ class LiveBag:
             self._stream = self.file.open("xb")
             self._writer = Writer(self._stream, chunk_size=CHUNK, compression=_COMPRESSIONS[compression])
             self._writer.start(profile="ros2", library="calibration")
+            self._name_plan()
             self._write_metadata()
             self.sync()
         except OSError as error:
             raise self._error(error) from None
+
+    def belong_to(self, plan_sha256: str) -> None:
+        """Say which plan the bag's configurations are of, where it was begun without one.
+
+        Raises:
+            OutputError: They are of another plan, or the file cannot be written.
+        """
+        if self.plan_sha256 == _same_plan(self.path, self.plan_sha256, plan_sha256):
+            return
+        self.plan_sha256 = plan_sha256
+        try:
+            self._name_plan()
+            self._write_metadata()
+        except OSError as error:
+            raise self._error(error) from None
+
+    def _name_plan(self) -> None:
+        """Write the plan's hash into the storage file, which may be parted from its metadata."""
+        if self.plan_sha256:
+            self._writer.add_metadata("calibration", {KEY: self.plan_sha256})
 
     @property
     def messages(self) -> int:
@@ -166,7 +191,7 @@ class LiveBag:
             "compression_mode": "",
             "relative_file_paths": [*self._earlier, self.file.name],
             "files": [*old, own],
-            "custom_data": {},
+            "custom_data": {KEY: self.plan_sha256} if self.plan_sha256 else {},
             "ros_distro": "jazzy",
         }
         if old:  # the bag as a whole began with its first file
@@ -213,6 +238,26 @@ def _earlier(path: Path) -> list[tuple[str, str, str]]:
     if foreign:
         raise OutputError(path, foreign[0], "a directory with other files", "an empty directory or a bag")
     return sorted(found, key=lambda one: int(one[2]))
+
+
+def _plan_of(path: Path) -> str:
+    """Return the plan's hash in the metadata so far; empty if there is none that can be read."""
+    try:
+        custom = read_metadata(path / METADATA).get("custom_data")
+    except InputError:
+        return ""
+    try:
+        return plan_of_metadata(path / METADATA, custom)
+    except InputError as error:
+        raise OutputError(error.file, error.place, error.found, error.expected) from None
+
+
+def _same_plan(path: Path, known: str, new: str) -> str:
+    """Return the hash of the one plan that both name; raise OutputError if they differ."""
+    if known and new and known != new:
+        found, expected = f"the bag of another plan (SHA-256 {known[:12]}…)", f"one of this plan, {new[:12]}…"
+        raise OutputError(path, "plan", found, expected)
+    return new or known
 
 
 def _old_files(path: Path) -> list[dict[str, Any]]:
