@@ -353,7 +353,6 @@ def test_a_recorder_that_falls_silent_pauses_until_it_is_back(bench: Bench, unti
     runner.post(m.Resume(0.0))  # too early
     time.sleep(0.3)
     bench.cell.absent = ""
-    time.sleep(0.3)
     assert (runner.sequence.paused, len(bench.robot.moves)) == (True, moves)  # nothing moves by itself
     runner.post(m.Resume(0.0))
     thread.join(30.0)
