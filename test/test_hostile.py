@@ -7,6 +7,7 @@ the program in one process of its own, whose peak memory is measured; a few run 
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import struct
 import subprocess
@@ -15,12 +16,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import lz4.frame
+import mcap.writer
 import numpy as np
 import pytest
 import zstandard
 
 from calibration_core.cell import load_cell
+from calibration_core.commands import NAMES
 from calibration_core.errors import InputError
+from calibration_core.model.model_file import model_text
+from calibration_core.model.nominal import nominal_parameters
 from calibration_core.observations.observe import observe
 from calibration_core.recording.bag_writer import write_bag
 from calibration_core.timeseries import Provenance, Recording, TimeSeries
@@ -45,6 +50,7 @@ HEADER = "configuration,step,q1,q2,q3,fx,fy,fz,tx,ty,tz,point,x,y,z"
 ROW = "1,0,0.1,0.2,0.3,0,0,0,0,0,0,mp1,1.0,0.5,0.2"
 MAGIC = b"\x89MCAP0\r\n"
 MEGABYTES = 450
+SECONDS = 4.0  # of processor time, loading the libraries for the first case included
 Case = Callable[[Path], Path]
 CASES: dict[str, tuple[str, Case]] = {}
 
@@ -109,6 +115,20 @@ for name, old, new in [
 ]:
     assert old in CELL
     case(f"cell: {name}", GOOD, CELL.replace(old, new, 1))
+for name, new in [
+    ("a truth that is none", "!!bool foo"),
+    ("a time that is none", "!!timestamp foo"),
+    ("an integer that is none", "!!int ''"),
+    ("an integer of 400 digits", "9" * 400),
+    ("numbers to base 60", "1:59" * 2000),
+    ("5,000 digits to base 16", "0x" + "F" * 5000),
+    ("a load beyond everything", "1.0e+300"),
+]:
+    case(f"cell: {name}", GOOD, CELL.replace("rated_load: 10", f"rated_load: {new}"))
+case("cell: an uncertainty beyond everything", GOOD, CELL.replace("sigma: 2.0e-5", "sigma: 1.0e+300"))
+case("cell: an alias", GOOD, CELL.replace("name: a cell", "name: &name a cell\nnote: *name"))
+MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}], y{i}: 1}}\n" for i in range(1, 30))
+case("cell: merge keys on merge keys", GOOD, MERGES + CELL)
 BOMB = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 13))
 case("cell: empty", GOOD, "")
 case("cell: a list", GOOD, "[1, 2, 3]")
@@ -275,6 +295,72 @@ for form, packed in (("zstd", ZSTD.compress(bytes(256 << 20))), ("nothing", b"no
         lambda folder, packed=packed: file("bag.mcap.zstd", packed)(folder).parent,
     )
 
+
+def replaced(table: str, columns: str) -> list[str]:
+    """Return statements that put a table of these columns, without constraints, in the place of another."""
+    select = f"CREATE TABLE other AS SELECT {columns} FROM {table}"
+    return [select, f"DROP TABLE {table}", f"ALTER TABLE other RENAME TO {table}"]
+
+
+COMPUTED = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data AS (zeroblob(60000000))"
+COUNTED = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1000) SELECT 1, i FROM n"
+for name, statements in {
+    "NULL for messages": replaced("messages", "id, topic_id, timestamp, NULL AS data"),
+    "NULL for some messages": replaced("messages", "id, topic_id, timestamp, iif(id % 7, data, NULL) AS data"),
+    "NULL for topics": replaced("topics", "id, NULL AS name, type, serialization_format"),
+    "NULL for ids of topics": replaced("topics", "NULL AS id, name, type, serialization_format"),
+    "NULL for ids of messages": replaced("messages", "NULL AS id, topic_id, timestamp, data"),
+    "messages that are computed": [
+        "DROP TABLE messages",
+        f"CREATE TABLE messages ({COMPUTED})",
+        f"INSERT INTO messages (topic_id, timestamp) {COUNTED}",
+    ],
+    "messages of 60 MB": ["UPDATE messages SET data = zeroblob(60000000) WHERE id < 4"],
+    "a view for topics": ["ALTER TABLE topics RENAME TO other", "CREATE VIEW topics AS SELECT * FROM other"],
+    "no column for times": ["ALTER TABLE messages RENAME COLUMN timestamp TO time"],
+}.items():
+    case(f"db3: {name}", bag(sql(*statements), storage="sqlite3"))
+PATHS = "  - bag.mcap\n"
+for name, new in {
+    "the same file 10,000 times": PATHS * 10_000,
+    "a name of 5,000 characters": f"  - {'x' * 5000}.mcap\n",
+    "a name with a zero byte": '  - "a\\0.mcap"\n',
+    "a name with line ends": '  - "a\\n\\n.mcap"\n',
+}.items():
+    case(f"bag: metadata with {name}", bag(metadata(PATHS, new)))
+
+
+def defined(text: str) -> Case:
+    """Write a bag in which joint states are defined in another way."""
+
+    def make(folder: Path) -> Path:
+        with (folder / "bag.mcap").open("wb") as stream:
+            writer = mcap.writer.Writer(stream)
+            writer.start("ros2", "test")
+            schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", text.encode())
+            channel = writer.register_channel("/joint_states", "cdr", schema)
+            for i in range(100):
+                writer.add_message(channel, i, bytes(200), i)
+            writer.finish()
+        return folder / "bag.mcap"
+
+    return make
+
+
+for name, text in {
+    "300,000 texts": "string[300000] names",
+    "an endless constant": "int64 X=1<<30000000000\nfloat64[1<<30] x",
+    "1 MB of comments": "#" * 1_000_000 + "\nfloat64 x",
+    "60,000 fields": "\n".join(f"bool b{i}" for i in range(60_000)),
+    "itself": "JointState again",
+    "code": "float64 x=__import__('os').system('true')\n@exec float64 y",
+}.items():
+    case(f"mcap: a type defined by {name}", defined(text))
+case("recording: a pipe", lambda folder: os.mkfifo(folder / "pipe.csv") or folder / "pipe.csv")
+case("recording: a name of 5,000 characters", lambda folder: folder / ("x" * 5000 + ".csv"))
+case("recording: a name with line ends", lambda folder: folder / "a\n\nb.csv")
+case("table: 200 MB", sparse("table.csv", 200_000_000, f"{HEADER}\n{ROW}\n".encode()))
+
 # What can be read, but identifies nothing
 UNIDENTIFIED = {
     "one configuration": f"{HEADER}\n{ROW}\n",
@@ -318,31 +404,54 @@ def test_reading(name: str, tmp_path: Path) -> None:
 
 
 BATCH = """
-import contextlib, io, json, pathlib, sys
+import contextlib, io, json, pathlib, sys, time
 from calibration_core.cli import main
 
 for line in sys.stdin:
     case = json.loads(line)
     errors, output = io.StringIO(), io.StringIO()
+    begin = time.process_time()
     with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(output):
         try:
-            code = main(["identify", case["recording"], "--cell", case["cell"], "--out", case["out"]])
+            code = main(case["arguments"])
         except BaseException as error:
             code = repr(error)
+    used = time.process_time() - begin
     peak = [line for line in pathlib.Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")]
-    print(json.dumps([case["name"], code, errors.getvalue(), output.getvalue(), int(peak[0].split()[1])]), flush=True)
+    told = [case["name"], code, errors.getvalue(), output.getvalue(), int(peak[0].split()[1]), used]
+    print(json.dumps(told), flush=True)
 """
+COMMANDS = {  # what each command reads of a case, and how it is called; a new command is tested by adding its name
+    "plan": ("cell", "--cell {cell} --out {out}"),
+    "simulate": ("cell", "--cell {cell} --out {out}"),
+    "identify": ("recording", "{recording} --cell {cell} --out {out}"),
+    "diagnose": ("recording", "{recording} --cell {cell} --out {out}"),
+    "predict": ("recording", "{recording} --cell {cell} --model {model} --out {out}"),
+}
+OTHERWISE = {"import", "describe"}  # they take no cell file and have tests of their own
 
 
-def test_the_program(tmp_path: Path) -> None:
-    """Every case through the program: exit code 2, one line, the output folder untouched, memory bounded."""
+def test_every_command_is_tested() -> None:
+    assert COMMANDS.keys() | OTHERWISE == set(NAMES)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_program(command: str, tmp_path: Path) -> None:
+    """Every case that a command reads: exit code 2, one line, the output folder untouched, time and memory bounded."""
+    reads, form = COMMANDS[command]
+    (tmp_path / "good.yaml").write_text(CELL)
+    good = load_cell(tmp_path / "good.yaml")
+    (tmp_path / "model.yaml").write_text(model_text(nominal_parameters(good), good))
+    names = [name for name in CASES if reads == "recording" or name.startswith("cell: ")]
     cases = []
-    for i, name in enumerate([*CASES, *UNIDENTIFIED]):
+    for i, name in enumerate([*names, *(UNIDENTIFIED if command == "identify" else ())]):
         cell, data = prepare(name, tmp_path / str(i))
         out = tmp_path / str(i) / "out"
         out.mkdir()
         (out / "result.json").write_text("of an earlier run")
-        cases.append({"name": name, "cell": str(cell), "recording": str(data), "out": str(out)})
+        files = {"cell": cell, "recording": data, "out": out, "model": tmp_path / "model.yaml"}
+        words = [word.format(**files) for word in form.split(" ")]
+        cases.append({"name": name, "arguments": [command, *words], "out": str(out)})
     lines = "".join(json.dumps(one) + "\n" for one in cases)
     done = subprocess.run(
         [sys.executable, "-c", BATCH], input=lines, capture_output=True, text=True, timeout=300, check=False
@@ -352,6 +461,8 @@ def test_the_program(tmp_path: Path) -> None:
     assert [answer[0] for answer in answers] == [one["name"] for one in cases]
     wrong = [answer for answer in answers if answer[1] != 2 or len(answer[2].splitlines()) != 1 or answer[3]]
     assert wrong == []
+    slow = [(answer[0], answer[5]) for answer in answers if answer[5] > SECONDS]
+    assert slow == []
     assert answers[-1][4] < MEGABYTES * 1024
     for one in cases:
         assert [path.name for path in Path(one["out"]).iterdir()] == ["result.json"]

@@ -17,6 +17,7 @@ RIGHT = 0.01  # of the reach: a robot file whose points come so near describes t
 FAR = 0.2  # what is meant leaves less than this share
 UNRELATED = 0.5  # of the spread of the points
 FEWEST = 6  # positions
+FLAT = 1e-3  # positions on a line tell nothing
 SCALES = {1e-3: "mm", 1e3: "km", 0.0254: "inches", 0.01: "cm", 0.3048: "feet"}
 NEAR_SCALE = 0.03  # relative
 MOST_POINTS = 5  # all of whose orders are tried
@@ -45,7 +46,8 @@ class Seen:
 
 def check_positions(seen: Seen) -> list[InputAnomaly]:
     """Return what is wrong with joints, points, angles or the unit of positions; at most one fault."""
-    if len(seen.q) < FEWEST:
+    spans = np.linalg.svd(seen.position - seen.position.mean(axis=0), compute_uv=False)
+    if len(seen.q) < FEWEST or spans[1] < FLAT * spans[0]:
         return []
     reach = seen.chain.reach
     stands = misplaced(seen)
