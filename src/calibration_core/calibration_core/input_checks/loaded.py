@@ -22,6 +22,7 @@ from calibration_core.timeseries import Float1D, Float2D
 
 FAR = 0.3  # what is meant leaves less than this share of the rest that stands
 FAR_WHERE_GOOD = 0.1  # the same where the recording as it stands is explained well already
+STATED = 0.7  # the same between the ways of reading a wrench that a cell file can state
 WELL, GOOD = 0.7, 0.95  # shares of the motion explained
 LEAST_EVIDENCE = 30.0  # nats
 VISIBLE = 3.0  # times the claimed noise: less motion tells nothing
@@ -36,10 +37,11 @@ OVERSTATED = 0.3  # times the claimed noise
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Meant:
-    """What a recording might mean, other than it says, and how well it does then."""
+    """What a recording might mean, how well it does then, and whether a cell file can state it."""
 
     anomaly: InputAnomaly
     fit: Fit
+    stated: bool = False
 
 
 def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], facts: Facts) -> list[InputAnomaly]:
@@ -58,7 +60,7 @@ def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], f
     at = posture_of(motion)
     stands = fit(motion, columns_of(motion, at, motion.force, motion.torque, given))
     meant = sorted(_alternatives(motion, given, readings), key=lambda one: one.fit.rest)
-    if meant and _by_far(motion, stands, meant[0].fit):
+    if meant and _by_far(motion, stands, meant[0]):
         return [_with_figures(motion, stands, meant[0])]
     if stands.rest > (1.0 - UNRELATED) * motion.total:
         return [_no_relation(motion, stands)]
@@ -80,9 +82,9 @@ class Facts:
     joints: tuple[str, ...]
 
 
-def _by_far(motion: Motion, stands: Fit, other: Fit) -> bool:
-    explained = 1.0 - stands.rest / motion.total
-    share = FAR_WHERE_GOOD if explained > GOOD else FAR
+def _by_far(motion: Motion, stands: Fit, meant: Meant) -> bool:
+    explained, other = 1.0 - stands.rest / motion.total, meant.fit
+    share = STATED if meant.stated else FAR_WHERE_GOOD if explained > GOOD else FAR
     floor = motion.freedom * motion.sigma**2  # nothing is explained better than to the noise
     rest, before = max(other.rest, floor), max(stands.rest, floor)
     evidence = 0.5 * motion.freedom * np.log(before / rest)
@@ -99,7 +101,7 @@ def _alternatives(motion: Motion, given: Reading, readings: dict[str, Reading]) 
         text = f"the wrench is recorded {name}"
         remedy = f"state in the cell file that {text} (measurements.wrench_axes, wrench_at)"
         anomaly = InputAnomaly("wrench_frame", text, remedy, 0.0, axes=name)
-        yield Meant(anomaly, fit(motion, columns_of(motion, at, force, torque, reading)))
+        yield Meant(anomaly, fit(motion, columns_of(motion, at, force, torque, reading)), stated=True)
     for turn in quarter_turns():
         axes = _axes(turn)
         remedy = f"turn frames.force_torque, or record the wrench in axes that are {axes} of the recorded ones"
