@@ -16,12 +16,24 @@ from calibration_core.errors import InputError
 from calibration_sim.node_cell import SimulatedCell
 
 LATE = 0.5  # s; a cell that lags behind further than this does not try to catch up
+SEEN = 0.5  # s of wall time, a robot that has come to rest is seen standing before the cell ends
+LONGEST = 10.0  # s of wall time, that the cell goes on for a robot that moves
 
 
 def live_on(node: SimulatedCell, stop: threading.Event) -> None:
-    """Step the cell at its multiple of real time until told to stop; a cell that cannot keep up runs slower."""
+    """Step the cell at its multiple of real time until told to stop; a cell that cannot keep up runs slower.
+
+    A robot that moves then moves on, as a real one would: the cell ends when it stands, and was seen to.
+    """
     anchor, at = time.monotonic(), node.live.time
-    while not stop.is_set():
+    told = rest = -1.0  # s of the steady clock: when it was told to stop, until when it goes on
+    while True:
+        if stop.is_set():
+            now = time.monotonic()
+            told = now if told < 0.0 else told
+            rest = now + SEEN if node.live.moving else rest
+            if now > min(rest, told + LONGEST):
+                return
         until = node.schedule.next(node.live.time)
         ahead = (until - at) / node.speed - (time.monotonic() - anchor)
         if ahead < -LATE:
@@ -33,7 +45,7 @@ def live_on(node: SimulatedCell, stop: threading.Event) -> None:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the simulated cell until a signal ends it; 0, or 2 with one line on stderr if the input cannot be used."""
-    stop = threading.Event()
+    stop, over = threading.Event(), threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     rclpy.init(args=sys.argv if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
@@ -48,7 +60,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
         def spin() -> None:
             try:
-                while not stop.is_set():
+                while not over.is_set():
                     executor.spin_once()
             except (ExternalShutdownException, ShutdownException):
                 return
@@ -56,6 +68,7 @@ def main(args: Sequence[str] | None = None) -> int:
         thread = threading.Thread(target=spin, name="executor", daemon=True)
         thread.start()
         live_on(node, stop)
+        over.set()
         executor.create_task(lambda: None)  # wakes it: an executor that is shut down while it spins breaks
         thread.join(timeout=1.0)
         executor.shutdown(timeout_sec=1.0)
