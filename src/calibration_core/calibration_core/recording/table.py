@@ -87,11 +87,11 @@ def _read_foreign(path: Path, cell: Cell) -> Readings:
 
 
 def _is_foreign(first: bytes) -> bool:
-    """Tell from the first line whether a table is another program's: less than half of our columns is there."""
+    """Tell from the first line whether a table is another program's: ours have numbers, or lack one column at most."""
     if not first.strip() or first[:1] == b"\x00":
         return False
     names = {name.strip() for name in first.decode("utf-8-sig", errors="replace").split(",")}
-    return 2 * len(names & OURS) < len(OURS)
+    return not (set(INTEGERS) <= names or len(names & OURS) >= len(OURS) - 1)
 
 
 def _parse(

@@ -137,7 +137,7 @@ def test_what_grows_with_the_load_is_sharpened_by_going_to_and_fro(cell: Cell) -
 
 def said_of(found: Diagnosis) -> str:
     """Return what the report says below the table of the proposals."""
-    (items,) = (block for block in next_blocks(found) if isinstance(block, Items))
+    (items,) = (block for block in next_blocks(found, [False] * 6) if isinstance(block, Items))
     return " ".join(items.texts)
 
 
