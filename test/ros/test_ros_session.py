@@ -187,7 +187,8 @@ def test_whoever_is_lost_pauses_the_run(suite: Any, plan: Path, name: str, how: 
     watch.until(lambda: watch.of(SessionEvent.PAUSED))
     assert len(watch.readings) == readings
     assert moving(watch) == moves
-    watch.resume()  # too early: it stays paused
+    if how is not None:  # one that was only closed is brought back to the bag at once
+        watch.resume()  # too early: it stays paused
     watch_quiet(watch, QUIET)
     assert len(watch.readings) == readings
     assert moving(watch) == moves

@@ -248,7 +248,8 @@ class CellPort:
         return str(self._equipment.fault(now))
 
     def look(self, now: float) -> None:
-        """Give up requests that are not answered."""
+        """Give up requests that are not answered; bring a recorder that is closed back to the bag."""
+        self._equipment.tick(now)
         self._instruments.tick(now)
         self._look_at_load(now)
         if self._load_device is not None:
