@@ -19,17 +19,7 @@ SOURCES = {
 MAX_LINES = 400
 TOP_LEVEL = {"src", "config", "test", "bags", "README.md", "colcon.meta", "Makefile", "LICENSE"}
 
-CHAIN = (
-    "timeseries",
-    "recording",
-    "observations",
-    "model",
-    "input_checks",
-    "identification",
-    "estimation",
-    "diagnosis",
-    "report",
-)
+CHAIN = ("timeseries", "recording", "observations", "model", "input_checks", "identification", "diagnosis", "report")
 FOR_ALL = {"errors", "files", "cell"}
 FOR_PROCEDURE = {"timeseries", "recording", "model", "procedure", "identification.observability"}
 ENTRY = {"cli", "commands", "__main__"}

@@ -62,8 +62,6 @@ class Finding:
         explanation: For a person: what, where, how sure, how much.
         separate_by: The measurement that would decide, or confirm it.
         refinements: Further terms of the same cause (other law, neighbour), by effect name and location.
-        law_settled: Whether the form of the law is settled; where not, joint and kind are.
-        shared_size: Standard deviation that the parameters of a family share; None where there is none.
     """
 
     effect: str
@@ -79,8 +77,6 @@ class Finding:
     explanation: str
     separate_by: str
     refinements: tuple[str, ...] = ()
-    law_settled: bool = True
-    shared_size: FoundParameter | None = None
 
 
 def by_size(findings: Iterable[Finding]) -> tuple[Finding, ...]:

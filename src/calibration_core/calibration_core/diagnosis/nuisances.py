@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.estimation.usual import sensor_lag, sensor_mounting
 from calibration_core.identification.frames import FrameFit
 from calibration_core.model.effects import catalogue
+from calibration_core.model.effects.hysteresis import stop
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import largest
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
+LAG_RADIUS = 0.3  # of the largest load: change after which a sensor's lag has turned over
+SENSOR_MOUNTING = 5.0  # times better a tracker is registered than a sensor is screwed on
 UNFITTED_ZERO = 3e-4  # rad, where absolute positions say nothing about the geometry
 
 
@@ -24,10 +28,29 @@ def nuisances(state: State, frames: FrameFit | None) -> Float3D:
         state: The null model.
         frames: The refitted frames; None where the recording holds displacements.
     """
-    parts = [sensor_lag(state), sensor_mounting(state), _geometry(state, frames)]
+    parts = [_sensor_lag(state), _sensor_mounting(state), _geometry(state, frames)]
     if frames is not None:
         parts.append(_frames(state, frames))
     return np.concatenate(parts, axis=2)
+
+
+def _sensor_lag(state: State) -> Float3D:
+    share = typical("wrench_hysteresis", state.rated_load)
+    force = largest(np.linalg.norm(state.wrench[:, :3], axis=1))
+    torque = largest(np.linalg.norm(state.wrench[:, 3:], axis=1))
+    columns = []
+    for axis in range(6):
+        values = state.wrench[:, axis]
+        span = force if axis < 3 else torque
+        carried = state.along_steps(values, lambda v, span=span: stop(v, LAG_RADIUS * span, 0.0))  # type: ignore[misc]
+        columns.append(state.by_wrench[:, :, axis] * (share * carried / LAG_RADIUS)[:, None])
+    return np.stack(columns, axis=-1)
+
+
+def _sensor_mounting(state: State) -> Float3D:
+    turned = next(effect for effect in catalogue() if effect.name == "wrench_frame_misalignment")
+    size = typical("registration_rotation", state.rated_load) * SENSOR_MOUNTING
+    return np.concatenate([candidate.columns(state) * size for candidate in turned.candidates(state)], axis=2)
 
 
 def _geometry(state: State, frames: FrameFit | None) -> Float3D:

@@ -153,6 +153,4 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "variant": finding.variant,
         "stiffness_change": dict(finding.stiffness_change),
         "refinements": list(finding.refinements),
-        "law_settled": finding.law_settled,
-        "shared_size": None if finding.shared_size is None else vars(finding.shared_size),
     }

@@ -8,7 +8,6 @@ Source: reversal error of positioning axes (ISO 230-2); friction in cable drives
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Mapping
 from functools import partial
 
@@ -42,12 +41,7 @@ def last_motion(q: Float2D, reversal: float) -> Float2D:
 
 
 def _sides(state: State) -> Float2D:
-    return _last_motion(state.q.tobytes(), state.q.shape, REVERSAL * typical("approach_direction", state.rated_load))
-
-
-@functools.lru_cache(maxsize=4)
-def _last_motion(q: bytes, shape: tuple[int, int], reversal: float) -> Float2D:
-    return last_motion(np.frombuffer(q).reshape(shape), reversal)
+    return last_motion(state.q, REVERSAL * typical("approach_direction", state.rated_load))
 
 
 def _columns(state: State, joints: tuple[int, ...]) -> Float3D:

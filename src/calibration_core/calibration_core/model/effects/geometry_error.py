@@ -2,7 +2,7 @@
 
 d = J_g dg: translations move the point along the frame's axes, rotations turn it about them.  The null model for
 absolute positions refits all of them that can be told apart; a finding is the frame of one joint whose fitted error is
-far beyond those of the others (`diagnosis.geometry_findings`).
+far beyond those of the others (`diagnosis.absolute_geometry`).
 Source: error models of serial robots (Hayati; Schroeer).
 """
 

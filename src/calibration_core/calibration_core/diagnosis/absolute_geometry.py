@@ -22,11 +22,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration_core.diagnosis.absolute_design import PRIOR_WIDTH, null_columns, unweighted
+from calibration_core.diagnosis.absolute_fit import TINY, AbsoluteExtended, sandwich
+from calibration_core.diagnosis.blocks import Blocks
 from calibration_core.diagnosis.finding import Alternative, Finding, FoundParameter
-from calibration_core.estimation.leave_out import RIDGE
-from calibration_core.estimation.refit import Extended
-from calibration_core.estimation.rows import null_columns, unweighted
-from calibration_core.identification.terms import CORRECTIONS, GeometryTerm, names_of
+from calibration_core.identification.terms import CORRECTIONS, GeometryTerm, Term, names_of
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.geometry_error import VARIANTS, frame_error
@@ -35,7 +35,6 @@ from calibration_core.model.effects.priors import typical
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 
-PRIOR_WIDTH = 3.0  # standard deviations of the prior per typical size
 STEPS = tuple(0.5 * 2.0**k for k in range(9))
 LEVELS = tuple(itertools.product(STEPS, STEPS))  # c and d
 FALSE_ALARM = 0.01
@@ -90,20 +89,23 @@ class Hypothesis:
         return PRIOR_WIDTH * np.array([parameter.typical for parameter in self.candidate.parameters])
 
 
-def geometry_findings(extended: Extended, stated: ModelParameters, gain: float) -> tuple[Finding, ...]:
+def geometry_findings(
+    extended: AbsoluteExtended, terms: Sequence[Term], stated: ModelParameters, partition: Blocks, gain: float
+) -> tuple[Finding, ...]:
     """Return the frames and zeros that are off far beyond the others, most evident first.
 
     Args:
         extended: The fit of frames, geometry and effects.
+        terms: Frames and geometry, as fitted.
         stated: Where the cell file, or a given model, puts them.
+        partition: Blocks of readings that may share errors, for the covariance.
         gain: Share of the squared error on configurations left out that refitting the geometry saves.
     """
-    terms = extended.model.terms
     term = next((term for term in terms if isinstance(term, GeometryTerm)), None)
     if term is None:
         return ()
-    seen = corrections(extended, term, stated)
-    hypotheses = hypotheses_of(extended.model.state.chain.joints, seen.rated_load)
+    seen = corrections(extended, terms, term, stated, partition)
+    hypotheses = hypotheses_of(extended.state.chain.joints, seen.rated_load)
     accepted: tuple[int, ...] = ()
     found: list[Finding] = []
     while len(accepted) < MOST:
@@ -130,32 +132,36 @@ def hypotheses_of(joints: Sequence[str], rated_load: float) -> tuple[Hypothesis,
     return tuple(found)
 
 
-def corrections(extended: Extended, term: GeometryTerm, stated: ModelParameters) -> Corrections:
+def corrections(
+    extended: AbsoluteExtended, terms: Sequence[Term], term: GeometryTerm, stated: ModelParameters, partition: Blocks
+) -> Corrections:
     """Return the fitted corrections, their covariance, and how they answer to errors of all frames."""
-    model = extended.model
-    used = np.repeat(model.used, 3)
-    names = names_of(model.terms)
+    used = np.repeat(extended.used, 3)
+    names = names_of(terms)
     first = names.index(term.names[0])
     rows = slice(first, first + len(term.names))
-    length = np.sqrt(extended.scale)[rows]
-    n = len(model.state.chain.joints)
+    null, _ = null_columns(extended.problem, extended.parameters, terms)
+    length = np.linalg.norm(null[used], axis=0)[rows]
+    columns, rest = extended.columns[used], extended.rest[used]
+    n = len(extended.state.chain.joints)
     pairs = tuple((joint, kind) for joint in range(n) for kind in range(6))
     every = GeometryTerm(pairs, tuple(f"{CORRECTIONS[kind]} {joint}" for joint, kind in pairs))
-    own_movement, _ = null_columns(model.problem, extended.parameters, [every])
-    movement = extended.whitening(own_movement)
-    columns = extended.columns[used]
-    normal = columns.T @ columns + np.diag(extended.ridge + RIDGE)
-    solved = np.linalg.solve(normal, columns.T @ movement[used])
+    movement, _ = null_columns(extended.problem, extended.parameters, [every])
+    solved = np.linalg.lstsq(columns, movement[used], rcond=TINY)[0]
+    white = np.linalg.pinv(columns.T @ columns, rcond=TINY, hermitian=True)
+    white *= float(rest @ rest) / max(len(rest) - columns.shape[1], 1)
+    # blocks are few and readings of one go together: either covariance alone may be too small
+    covariance = white + sandwich(columns, rest, partition.of(np.flatnonzero(extended.used)))
     frames = [k for k in range(len(names)) if not rows.start <= k < rows.stop]
-    base = columns[:, frames]
-    taken = np.linalg.solve(base.T @ base + RIDGE * np.eye(len(frames)), base.T @ movement[used])
+    base = extended.columns[:, frames]
+    visible = movement - base @ np.linalg.lstsq(base[used], movement[used], rcond=TINY)[0]
     change = extended.parameters.geometry - stated.geometry
     return Corrections(
         value=np.array([change[pair] for pair in term.chosen]),
-        covariance=extended.covariance[rows, rows],
+        covariance=covariance[rows, rows] / np.outer(length, length),
         answer=solved[rows] / length[:, None],
-        movement=own_movement - extended.own[:, frames] @ taken,
-        rated_load=model.state.rated_load,
+        movement=visible,
+        rated_load=extended.state.rated_load,
     )
 
 
@@ -206,7 +212,7 @@ def _posterior(seen: Corrections, one: Hypothesis, beside: Sequence[Hypothesis])
 
 
 def _finding(
-    extended: Extended,
+    extended: AbsoluteExtended,
     seen: Corrections,
     hypotheses: Sequence[Hypothesis],
     best: int,
@@ -218,7 +224,7 @@ def _finding(
     candidate = one.candidate
     mean, covariance = _posterior(seen, one, beside)
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    shift = unweighted(extended.model.problem, extended.parameters, seen.movement[:, one.rows] @ mean)
+    shift = unweighted(extended.problem, extended.parameters, seen.movement[:, one.rows] @ mean)
     magnitude = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
     kind = next(effect for effect in catalogue() if effect.name == candidate.effect)
     others = _alternatives(seen, hypotheses, best, beside, scores)

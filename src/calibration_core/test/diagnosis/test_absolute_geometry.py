@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from absolute_cases import make_cell, make_readings, random_angles, truth_of
 
+from calibration_core.diagnosis.absolute import diagnose_absolute
+from calibration_core.diagnosis.absolute_geometry import Corrections, hypotheses_of, judged
 from calibration_core.diagnosis.finding import Diagnosis
-from calibration_core.diagnosis.geometry_findings import Corrections, hypotheses_of, judged
-from calibration_core.diagnosis.positions import diagnose_still
 from calibration_core.model.effects.priors import typical
 
 POINTS = ("mp1", "mp2", "mp3")
@@ -27,7 +27,7 @@ def diagnosed(joint: int | None, throughout: float, seed: int = 5) -> Diagnosis:
         geometry = truth.geometry.copy()
         geometry[joint] += TURNED
         truth = truth.replace(geometry=geometry)
-    return diagnose_still(make_readings(cell, truth, random_angles(seed, 60, 6)), cell)
+    return diagnose_absolute(make_readings(cell, truth, random_angles(seed, 60, 6)), cell)
 
 
 def test_a_turned_frame_is_named_with_its_size() -> None:

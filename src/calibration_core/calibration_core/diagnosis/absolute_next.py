@@ -12,19 +12,25 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.absolute_design import (
+    PRIOR_WIDTH,
+    AbsoluteDesign,
+    absolute_state,
+    null_columns,
+    weighted,
+)
 from calibration_core.diagnosis.finding import Measurement
 from calibration_core.diagnosis.next_knowledge import Knowledge, expected_log_bayes_factor
 from calibration_core.diagnosis.next_measurements import PROPOSED, SEPARABLE, Proposals, measurement_of
 from calibration_core.diagnosis.next_offers import Offer
-from calibration_core.estimation.hypotheses import Hypothesis, typical_sizes
-from calibration_core.estimation.rows import NullModel, state_at
-from calibration_core.estimation.search import Field
-from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.absolute_problem import absolute_problem
 from calibration_core.identification.predict import predict_readings
+from calibration_core.identification.terms import Term
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings
+from calibration_core.timeseries import Float1D, Float3D, Readings
 
 HISTORY = frozenset({"approach_direction", "thermal_growth", "tracker_drift", "clock_offset"})
 NOTHING_FOUND = "Nothing was found in the positions that further postures would make more certain."
@@ -36,28 +42,27 @@ class Known:
     """What the recording tells, as the search left it.
 
     Attributes:
-        field: Rows and hypotheses.
-        sizes: Hypothesis -> standard deviation of its prior, typical sizes; of the accepted ones and of their rivals.
-        accepted: Hypotheses in the model.
-        equivalents: Accepted hypothesis -> what explains the data as well: (index, log Bayes factor).
-        model: The null model, about which all is linear.
-        noise: Standard deviation of an independent row.
+        design: The linear model on the recording.
+        accepted: Candidates in the model.
+        equivalents: Accepted candidate -> what explains the data as well: (index, log Bayes factor).
+        parameters: The null model's values, at which the design is linear.
+        terms: What it fits.
+        nuisances: Hypotheses that are part of it.
+        noise: Standard deviation of what remains, in units of the claimed noise.
     """
 
-    field: Field
-    sizes: Mapping[int, float]
+    design: AbsoluteDesign
     accepted: tuple[int, ...]
     equivalents: Mapping[int, tuple[tuple[int, float], ...]]
-    model: NullModel
+    parameters: ModelParameters
+    terms: Sequence[Term]
+    nuisances: Sequence[Candidate]
     noise: float
 
-    def of(self, index: int) -> Hypothesis:
-        """Return a hypothesis."""
-        return self.field.offered.hypotheses[index]
-
     def by_posture(self, index: int) -> bool:
-        """Return whether a hypothesis depends on the posture alone."""
-        return self.of(index).effect not in HISTORY and self.of(index).family != FAMILY
+        """Return whether a candidate depends on the posture alone."""
+        candidate = self.design.candidates[index]
+        return candidate.effect not in HISTORY and candidate.family != "anomaly"
 
 
 def propose_postures(known: Known, readings: Readings, cell: Cell, offers: Sequence[Offer]) -> Proposals:
@@ -95,7 +100,7 @@ class _Search:
             if rivals and len(found) < PROPOSED:
                 measurement = self._separating(index, rivals)
                 if measurement is None:
-                    undecided.append(_name(self.known.of(index)))
+                    undecided.append(_name(self.known.design.candidates[index]))
                 else:
                     found.append(measurement)
         while len(found) < PROPOSED:
@@ -118,10 +123,9 @@ class _Search:
         return result
 
     def _from_recording(self, chosen: Sequence[int]) -> Knowledge:
-        field, f = self.known.field, self.known.field.flat_count
-        own = (field.wide[:, f + self.known.of(i).columns] * self.known.sizes[i] for i in chosen)
-        columns = np.concatenate([field.wide[:, :f], *own], axis=1)
-        return Knowledge.of(columns / self.known.noise, field.residual / self.known.noise, f)
+        design = self.known.design
+        columns = np.column_stack([design.null, *(design.columns[:, design.blocks[index]] for index in chosen)])
+        return Knowledge.of(columns / self.known.noise, design.residual / self.known.noise, design.null.shape[1])
 
     def _separating(self, index: int, rivals: tuple[tuple[int, float], ...]) -> Measurement | None:
         """Return the posture that is expected to part a finding from the nearest rival; None if none does."""
@@ -133,7 +137,7 @@ class _Search:
         if not separable.any():
             return None
         gain = apart[separable].min(axis=0)
-        names = [_name(self.known.of(i)) for i in (index, *(rival for rival, _ in rivals))]
+        names = [_name(self.known.design.candidates[i]) for i in (index, *(rival for rival, _ in rivals))]
         best, usual = self._take(gain)
         why = (
             f"separates {names[0]} from {'; '.join(names[1:])}: the log Bayes factor between the two nearest of them "
@@ -160,7 +164,7 @@ class _Search:
         gain = 100 * (doubt[worst] - after)
         best, usual = self._take(gain)
         why = (
-            f"makes {_name(self.known.of(worst))} more certain: its standard deviation falls from "
+            f"makes {_name(self.known.design.candidates[worst])} more certain: its standard deviation falls from "
             f"{100 * doubt[worst]:.2f} % to {100 * after[best]:.2f} % (a posture taken at random: "
             f"{100 * doubt[worst] - usual:.2f} %)"
         )
@@ -201,33 +205,27 @@ def _offered(
         temperature=np.full(k * points, np.nan),
         provenance=readings.provenance,
     )
-    model, parameters = known.model, known.model.parameters
+    parameters = known.parameters
     seen = dataclasses.replace(blank, position=predict_readings(blank, cell, parameters))
     problem = absolute_problem(seen, cell, chain_of(cell), parameters, position_covariance(seen, cell))
-    there = dataclasses.replace(
-        model,
-        readings=seen,
-        problem=problem,
-        state=state_at(problem, parameters, seen, cell),
-        used=np.ones(len(seen), dtype=bool),
-    )
-    every = np.arange(len(seen))
+    state = absolute_state(problem, parameters, seen, cell)
 
-    def per_offer(columns: Float2D) -> Float3D:
+    def per_offer(columns: np.ndarray) -> Float3D:
         return np.asarray(columns / known.noise).reshape(k, 3 * points, columns.shape[1])
 
-    null, _ = there.flat(every)
+    null, _ = null_columns(problem, parameters, known.terms)
+    extra = [weighted(problem, parameters, nuisance.columns(state)) for nuisance in known.nuisances]
     found = {}
     for index in members:
-        several = [known.field.offered.candidates[m] for m in known.of(index).members]
-        columns = np.zeros((3 * len(seen), len(known.of(index).columns)))
+        candidate = known.design.candidates[index]
+        scale = PRIOR_WIDTH * np.array([parameter.typical for parameter in candidate.parameters])
+        columns = np.zeros((3 * len(seen), len(scale)))
         if known.by_posture(index):
-            scaled = [there.moves(one, every) * typical_sizes(one) for one in several]
-            columns = known.sizes[index] * np.concatenate(scaled, axis=1)
+            columns = weighted(problem, parameters, candidate.columns(state) * scale)
         found[index] = per_offer(columns)
-    return per_offer(null / known.field.flat_scale), found
+    return per_offer(np.concatenate([null, *extra], axis=1)), found
 
 
-def _name(one: Hypothesis) -> str:
-    place = ", ".join(v if isinstance(v, str) else " and ".join(v) for v in one.location.values())
-    return f"{one.effect.replace('_', ' ')} ({one.variant}) at {place}"
+def _name(candidate: Candidate) -> str:
+    place = ", ".join(v if isinstance(v, str) else " and ".join(v) for v in candidate.location.values())
+    return f"{candidate.effect.replace('_', ' ')} ({candidate.variant}) at {place}"

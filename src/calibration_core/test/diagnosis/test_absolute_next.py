@@ -12,10 +12,10 @@ from absolute_cases import make_cell, make_readings, random_angles, truth_of
 
 from calibration_core.cell import Cell
 from calibration_core.commands.offers import offers_for, proposed_plan
+from calibration_core.diagnosis.absolute import prepare, search
+from calibration_core.diagnosis.absolute_next import NO_POSTURE, NOTHING_FOUND, Known, propose_postures
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.finding import Diagnosis
-from calibration_core.diagnosis.next_postures import NO_POSTURE, NOTHING_FOUND, Known, propose_postures
-from calibration_core.estimation.estimate import estimate
 from calibration_core.identification.absolute import evaluate_absolute
 from calibration_core.procedure.plan_file import plan_text, read_plan
 from calibration_core.timeseries import Readings
@@ -69,12 +69,12 @@ def test_a_finding_is_made_more_certain_by_as_much_as_is_promised(cell: Cell, tm
 
 def known_of(cell: Cell, readings: Readings, rival: tuple[str, str, str]) -> Known:
     """Return what a recording tells where (effect, joint, variant) is said to explain it as well as the finding."""
-    case = estimate(readings, cell, evaluate_absolute(readings, cell))
-    (accepted,) = case.selection.accepted
-    places = [(h.effect, h.location.get("joint"), h.variant) for h in case.offered.hypotheses]
-    index = places.index(rival)
-    sizes = dict.fromkeys((accepted, index), float(case.selection.sizes.size[0]))
-    return Known(case.field, sizes, case.selection.accepted, {accepted: ((index, 10.0),)}, case.null.model, 1.0)
+    case = prepare(readings, cell, evaluate_absolute(readings, cell))
+    design, selection, _ = search(case)
+    (accepted,) = selection.accepted
+    places = [(c.effect, c.location.get("joint"), c.variant) for c in design.candidates]
+    equal = {accepted: ((places.index(rival), 10.0),)}
+    return Known(design, selection.accepted, equal, case.parameters, case.terms, case.nuisances, 1.0)
 
 
 def test_what_cannot_be_told_apart_gets_a_posture_that_parts_it(cell: Cell) -> None:
