@@ -46,8 +46,8 @@ def planned() -> Plan:
         steps = np.hstack([force, np.zeros((3, 3))])
         configurations.append(PlannedConfiguration(number, rng.uniform(low, high), steps, spare=number > ALL))
     swept = PlannedConfiguration(1001, rng.uniform(low, high), np.zeros((1, 6)), phase="base_frame")
-    joints = load_cell(CELL).robot.joints
-    return Plan("robot", joints, tuple(configurations), np.empty((0, 6)), preparation=(swept,))
+    robot = load_cell(CELL).robot
+    return Plan(robot.name, robot.joints, tuple(configurations), np.empty((0, 6)), preparation=(swept,))
 
 
 @pytest.fixture(scope="module")

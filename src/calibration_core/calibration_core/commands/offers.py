@@ -14,6 +14,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.loads import LoadRules, full_pulls, wrench_steps
 from calibration_core.procedure.plan import Plan, PlannedConfiguration
+from calibration_core.procedure.planned_robot import planned_robot
 from calibration_core.procedure.space import Site, SpaceRules, joint_range, measurable
 from calibration_core.timeseries import Readings
 
@@ -64,4 +65,5 @@ def proposed_plan(measurements: Sequence[Measurement], cell: Cell) -> Plan:
         PlannedConfiguration(number, np.array(proposal.q), np.array(proposal.steps))
         for number, proposal in enumerate(measurements, start=1)
     )
-    return Plan(cell.robot.name, cell.robot.joints, configurations, np.empty((0, len(cell.robot.joints))))
+    no_cycle = np.empty((0, len(cell.robot.joints)))
+    return Plan(cell.robot.name, cell.robot.joints, configurations, no_cycle, made_for=planned_robot(cell))

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from calibration_core.identification.observability import HARDLY
+from calibration_core.procedure.planned_robot import PlannedRobot
 from calibration_core.procedure.tolerances import DEFAULT_TOLERANCES, Tolerances
 from calibration_core.timeseries import Float1D, Float2D, read_only
 
@@ -129,6 +130,7 @@ class Plan:
         preparation: Measured before, one unloaded step each, in order: the sweeps and postures of the phases that find
             base frame, geometry, wrist centre and points (CWA 17384, 7.1 to 7.5); empty where these are known.
         tolerances: How far a reading may be from posture and load.
+        made_for: What tells its robot from another; None for a plan that somebody else made.
     """
 
     robot: str
@@ -139,6 +141,7 @@ class Plan:
     expected: Expected | None = None
     preparation: tuple[PlannedConfiguration, ...] = ()
     tolerances: Tolerances = DEFAULT_TOLERANCES
+    made_for: PlannedRobot | None = None
 
     def __post_init__(self) -> None:
         """Copy to a read-only array."""

@@ -1,7 +1,8 @@
 """`plan.yaml`: what `calibration plan` writes and `calibration simulate` and the sequencer read.
 
     schema: 1
-    robot: name, for the reader
+    robot: name of the robot
+    made_for: {limits: [[lo, hi], ...], flange: [[x, y, z], ...]}   # may be missing: see `planned_robot`
     joints: [joint_1, ...]                 # the order of every q
     configurations:
       - {number: 1, q: [rad, ...], spare: false, steps: [[fx, fy, fz, tx, ty, tz], ...]}
@@ -30,6 +31,7 @@ from calibration_core.errors import PlanError, quoted
 from calibration_core.files.yaml_file import YamlFile, read_yaml, yaml_text
 from calibration_core.model.robot import chain_of
 from calibration_core.procedure.plan import PREPARATION, Expected, Plan, PlannedConfiguration, Reference
+from calibration_core.procedure.planned_robot import PlannedRobot, planned_robot, read_planned_robot
 from calibration_core.procedure.tolerances import read_tolerances
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -40,6 +42,7 @@ MAX_STEPS = 1000
 KEYS = (
     "schema",
     "robot",
+    "made_for",
     "joints",
     "configurations",
     "preparation",
@@ -61,6 +64,7 @@ def plan_dict(plan: Plan) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "robot": plan.robot,
+        **({} if plan.made_for is None else {"made_for": _made_for_dict(plan.made_for)}),
         "joints": list(plan.joints),
         "configurations": [
             {"number": c.number, "q": c.q.tolist(), "spare": c.spare, "steps": c.steps.tolist()}
@@ -72,6 +76,10 @@ def plan_dict(plan: Plan) -> dict[str, Any]:
         "tolerances": dataclasses.asdict(plan.tolerances),
         "expected": None if expected is None else _expected_dict(expected),
     }
+
+
+def _made_for_dict(robot: PlannedRobot) -> dict[str, Any]:
+    return {"limits": robot.limits.tolist(), "flange": robot.flange.tolist()}
 
 
 def _prepared_dict(configuration: PlannedConfiguration) -> dict[str, Any]:
@@ -88,7 +96,8 @@ def read_plan(path: str | Path, cell: Cell) -> Plan:
     """Read a plan and check it against the cell.
 
     Raises:
-        PlanError: It is missing, malformed, or does not fit the robot: other joints, angles beyond the joint limits,
+        PlanError: It is missing, malformed, or does not fit the robot: another name, other joints, limits or
+            kinematics than those that it was made for, angles beyond the joint limits,
             forces beyond the rated load, numbers that repeat.
         CellError: The robot cannot be read.
     """
@@ -105,6 +114,8 @@ def _plan(path: Path, data: dict[str, Any], cell: Cell) -> Plan:
     if not isinstance(robot, str):
         raise PlanError(path, "robot", quoted(robot), "a name")
     limits = chain_of(cell).limits
+    made_for = read_planned_robot(data.get("made_for"), len(limits), lambda *words: PlanError(path, *words))
+    _check_robot(path, robot, made_for, cell)
     startup = data.get("startup_cycle") or []
     if not isinstance(startup, list) or len(startup) > MAX_STEPS:
         raise PlanError(path, "startup_cycle", quoted(startup), "a list of postures")
@@ -117,8 +128,18 @@ def _plan(path: Path, data: dict[str, Any], cell: Cell) -> Plan:
         reference=_reference(path, data.get("reference"), limits),
         expected=_expected(data.get("expected"), len(limits)),
         preparation=_preparation(path, data.get("preparation"), {c.number for c in configurations}, limits),
+        made_for=made_for,
         tolerances=read_tolerances(data.get("tolerances"), lambda *words: PlanError(path, *words)),
     )
+
+
+def _check_robot(path: Path, name: str, made_for: PlannedRobot | None, cell: Cell) -> None:
+    """Refuse a plan that was made for another robot than the cell's."""
+    if name != cell.robot.name:
+        raise PlanError(path, "robot", quoted(name), f"the cell's robot {quoted(cell.robot.name)}")
+    different = () if made_for is None else made_for.differences(planned_robot(cell), cell.robot.joints)
+    if different:
+        raise PlanError(path, "made_for", "; ".join(different), f"a plan for this {cell.robot.name}: make one")
 
 
 def _expected_dict(expected: Expected) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from calibration_core.procedure.loads import LoadRules, wrench_steps
 from calibration_core.procedure.optimum import Candidates
 from calibration_core.procedure.order import startup_cycle, travel
 from calibration_core.procedure.plan import Plan, PlannedConfiguration, Reference
+from calibration_core.procedure.planned_robot import planned_robot
 from calibration_core.procedure.promise import determined, promised
 from calibration_core.procedure.space import Site, SpaceRules
 from calibration_core.procedure.speed import Monitored
@@ -140,6 +141,7 @@ def make_plan(
         configurations=planned,
         startup_cycle=startup_cycle(ground.bodies, found.reference, seed=seed),
         reference=Reference(found.reference, rules.reference_every) if rules.reference_every else None,
+        made_for=planned_robot(cell),
     )
     monitored = Monitored.of(chain, parameters)
     duration, unclear = way_through(

@@ -20,6 +20,7 @@ from calibration_core.procedure.itinerary import Duration, clear_order, way_thro
 from calibration_core.procedure.optimum import Candidates
 from calibration_core.procedure.order import startup_cycle
 from calibration_core.procedure.plan import Plan, PlannedConfiguration, Reference
+from calibration_core.procedure.planned_robot import planned_robot
 from calibration_core.procedure.planning import ROUNDS, PlanningRules, check_counts, ground_of, not_reached, reached
 from calibration_core.procedure.speed import Monitored
 from calibration_core.procedure.trajectory import MotionLimits
@@ -106,6 +107,7 @@ def make_pose_plan(
         ),
         startup_cycle=startup_cycle(ground.bodies, reference, seed=seed),
         reference=Reference(reference, rules.reference_every) if rules.reference_every else None,
+        made_for=planned_robot(cell),
     )
     total = content.total(best.chosen)
     std = np.sqrt(np.diag(np.linalg.inv(total))) * content.scale

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.procedure.plan import Plan
+from calibration_core.procedure.plan import Plan, PlannedConfiguration
 from calibration_core.procedure.plan_file import KEYS, plan_dict, plan_text, read_plan
+from calibration_core.procedure.planned_robot import planned_robot
 from calibration_core.procedure.tolerances import Tolerances
 
 
@@ -56,7 +57,36 @@ def test_tolerances(demo_cell: Cell, tmp_path: Path) -> None:
     assert read_plan(path, demo_cell).tolerances == Tolerances(hold=0.001, force_floor=20)
 
 
+def test_a_plan_for_another_robot_is_refused(small_cell: Cell, tmp_path: Path) -> None:
+    path, robot = tmp_path / "plan.yaml", small_cell.robot
+    one = PlannedConfiguration(1, np.full(6, 0.1), np.zeros((1, 6)))
+    plan = Plan(robot.name, robot.joints, (one,), np.empty((0, 6)), made_for=planned_robot(small_cell))
+    path.write_text(plan_text(plan), encoding="utf-8")
+
+    def read_with(**changes: object) -> Plan:
+        return read_plan(path, small_cell.model_copy(update={"robot": robot.model_copy(update=changes)}))
+
+    assert plan_text(read_with()) == plan_text(plan)
+    with pytest.raises(PlanError, match=r"robot: found '.*', expected the cell's robot 'another'"):
+        read_with(name="another")
+    assert robot.dh is not None
+    assert robot.joint_limits is not None
+    longer, calibrated = (tuple(row.model_copy(update={"a": row.a + more}) for row in robot.dh) for more in (0.2, 1e-3))
+    with pytest.raises(PlanError, match=r"made_for: found the flange \d+ mm elsewhere"):
+        read_with(dh=longer)
+    read_with(dh=calibrated)
+    with pytest.raises(PlanError, match=r"limits of joint_1 .* not .*; limits of joint_2"):
+        read_with(joint_limits=tuple((lo, hi + 0.1) for lo, hi in robot.joint_limits))
+
+
 HOSTILE = [
+    ("robot", "another"),
+    ("made_for", 3),
+    ("made_for", {"limits": []}),
+    ("made_for", {"limits": [[0, 1]], "flange": [[0, 0, 0]]}),
+    ("made_for", "limits", 0, 0, float("nan")),
+    ("made_for", "flange", 0, [1, 2]),
+    ("made_for", "flange", 0, "x"),
     ("tolerances", [1]),
     ("tolerances", {"postures": 0.01}),
     ("tolerances", {"posture": 0.0}),
