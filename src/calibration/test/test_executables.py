@@ -60,7 +60,7 @@ def test_start_and_end(
         ("force_torque", (), "cell: found nothing, expected the cell file: --ros-args -p cell:=FILE\n"),
         ("guard", (), "cell: found nothing, expected the cell file: --ros-args -p cell:=FILE\n"),
         ("simulated_cell", (), "cell: found nothing, expected the cell file: --ros-args -p cell:=FILE\n"),
-        ("recorder", ("-p", f"cell:={CELL}"), "is continued: --ros-args -p out:=DIR\n"),
+        ("recorder", (), "cell: found nothing, expected the cell file: --ros-args -p cell:=FILE\n"),
         ("recorder", ("-p", "cell:=/no/such.yaml", "-p", "out:=/no/such"), "/no/such.yaml"),
     ],
 )
