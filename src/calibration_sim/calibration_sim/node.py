@@ -16,7 +16,7 @@ from calibration_core.errors import InputError
 from calibration_sim.node_cell import SimulatedCell
 
 LATE = 0.5  # s; a cell that lags behind further than this does not try to catch up
-SEEN = 0.5  # s of wall time, a robot that has come to rest is seen standing before the cell ends
+SEEN = 1.0  # s of wall time, a robot that stands is seen standing before the cell ends
 LONGEST = 10.0  # s of wall time, that the cell goes on for a robot that moves
 
 
@@ -30,8 +30,8 @@ def live_on(node: SimulatedCell, stop: threading.Event) -> None:
     while True:
         if stop.is_set():
             now = time.monotonic()
+            rest = now + SEEN if told < 0.0 or node.live.moving else rest
             told = now if told < 0.0 else told
-            rest = now + SEEN if node.live.moving else rest
             if now > min(rest, told + LONGEST):
                 return
         until = node.schedule.next(node.live.time)
