@@ -92,6 +92,7 @@ def test_up_in_order_missed_when_silent_up_again_and_down(
     cell.processes["tracker"].wait()
     until(lambda: cell.health("tracker").level == NodeHealth.SILENT)
     assert time.monotonic() - began < NOTICED
+    until(lambda: len(cell.faults("node_silent")) == 1)  # a busy machine silences others for a moment
     (fault,) = cell.faults("node_silent")
     assert (fault.source, fault.text) == ("tracker", "tracker is silent: no point is measured")
     assert fault.remedy == "start it again: ros2 run calibration tracker"
