@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import gc
 import os
 import re
 import sys
@@ -15,35 +16,44 @@ from pathlib import Path
 from typing import NoReturn
 
 from calibration_core import __version__
-from calibration_core.commands.outcome import carry_out, tolerate
+from calibration_core.commands.planning.arguments import plan_arguments, seed
+from calibration_core.commands.shared.population_arguments import population_arguments
+from calibration_core.commands.terminal.outcome import NOTHING, carry_out, tolerate
+from calibration_core.engine.arguments import cluster_arguments
 from calibration_core.errors import InputError
+
+RECORDING_KINDS = "rosbag2 directory, .mcap file, measurement table (.csv), or a session (its directory or session.db)"
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads cost time on these small problems
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
+    gc.set_threshold(50_000, 20, 20)  # to look for garbage every 700 objects takes a twentieth of a short command
     tolerate(sys.stdout, sys.stderr)
     options = parse(arguments)
+    options.stays = NOTHING  # what a command has written already when it is ended before its time
 
     def action() -> str:
         from calibration_core import commands  # imported late: `--help` needs no numerics
-        from calibration_core.commands.display import display_of
+        from calibration_core.commands.terminal.display import display_of
 
         with display_of(options) as display:
-            options.tell = display.tell
+            options.report_progress = display.report_progress
             summary = commands.command(options.command)(options)
         if options.json:
             return commands.result_of(options)
         return "" if options.quiet else summary
 
     source = options.recording or getattr(options, "plan", None) or options.cell or options.command
-    return carry_out(options.command, source, options.out, action)
+    return carry_out(options.command, source, options.out, action, lambda: options.stays)
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options of one command; end the process if the arguments make no sense."""
-    options = _parser().parse_args(arguments)
+    options = argument_parser().parse_args(arguments)
+    if getattr(options, "recordings", None):  # of one robot: the first stands for all of them
+        options.recording, options.cell = options.recordings[0], options.cells[0]
     options.out = options.out or Path("build/calibration") / options.command
     return options
 
@@ -71,20 +81,39 @@ def _with_suggestion(message: str) -> str:
     return f"{message}: did you mean {near[0]}?" if near else message
 
 
-def _parser() -> argparse.ArgumentParser:
+def argument_parser() -> argparse.ArgumentParser:
+    """Return the arguments of every command."""
+    from calibration_core.commands.files.init_arguments import init_arguments
+
     parser: argparse.ArgumentParser = _Parser(
         prog="calibration", description="Elastostatic compliance calibration of industrial robots (CWA 17384)."
     )
     parser.add_argument("--version", action="version", version=f"calibration {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _plan(_command(commands, "plan", "choose measurement configurations (Table 1 of the standard)"))
+    plan_arguments(_command(commands, "plan", "choose measurement configurations (Table 1 of the standard)"))
     _simulate(_command(commands, "simulate", "write a recording as the cell's model predicts it"))
-    _identify(_command(commands, "identify", "joint stiffness, frames and geometry from a recording"))
-    _diagnose(_command(commands, "diagnose", "where simulation and recording differ, and which physics is left out"))
+    _identify(_bare(commands, "identify", "joint stiffness, frames and geometry from recordings of one robot"))
+    _diagnose(_bare(commands, "diagnose", "where simulation and recording differ, and which physics the model lacks"))
+    _verify(_command(commands, "verify", "a model on places that were not used for it, against a tolerance"))
+    _compare(_bare(commands, "compare", "one robot at different times, or twins: what has changed"))
     _predict(_command(commands, "predict", "predicted points and residuals of a recording"))
+    _deflect(_command(commands, "deflect", "where points and tool go under a load, and how certain that is"))
+    _compensate(_command(commands, "compensate", "corrected targets for the calibrated, loaded robot"))
+    _export(_bare(commands, "export", "the calibrated robot as URDF, DH rows, UR kinematics, MuJoCo model or table"))
+    init_arguments(_bare(commands, "init", "a commented cell file for a robot: from its URDF, a bag, or its name"))
+    _check(_bare(commands, "check", "everything wrong with a cell file at once, what it means, and a drawing of it"))
+    _fleet(_bare(commands, "fleet", "every recording of a plant in parallel: robots that age, stand out, or are alike"))
     _import(_bare(commands, "import", "tables of tracker software and controllers into a measurement table"))
     _describe(commands)
+    _completion(commands)
     return parser
+
+
+def _completion(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    text = "the script by which a shell completes this program's arguments"
+    parser = commands.add_parser("completion", help=text, description=text[0].upper() + text[1:] + ".")
+    parser.add_argument("shell", choices=("bash", "zsh", "fish"), help="which shell")
+    parser.set_defaults(recording=None, cell=None, out=None, json=False, quiet=False)
 
 
 def _describe(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -93,6 +122,18 @@ def _describe(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument("result", type=Path, metavar="RESULT", help="a result.json, or the directory that holds it")
     _output(parser)
     parser.set_defaults(recording=None, cell=None, out=None)
+
+
+def _check(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("cell", type=Path, metavar="CELL.yaml", help="the cell file")
+    parser.add_argument("recording", type=Path, nargs="?", metavar="RECORDING", help="a recording to be read with it")
+    _no_report(parser)
+
+
+def _no_report(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--no-report", dest="report", action="store_false", help="result and tables only, without report.html and .pdf"
+    )
 
 
 def _bare(
@@ -110,11 +151,13 @@ def _command(
     commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
 ) -> argparse.ArgumentParser:
     parser = _bare(commands, name, text)
-    parser.add_argument("--cell", type=Path, required=True, metavar="CELL.yaml", help="the cell file")
-    parser.add_argument(
-        "--no-report", dest="report", action="store_false", help="result and tables only, without report.html and .pdf"
-    )
+    _cell(parser)
+    _no_report(parser)
     return parser
+
+
+def _cell(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--cell", type=Path, required=True, metavar="CELL.yaml", help="the cell file")
 
 
 def _recording(parser: argparse.ArgumentParser) -> None:
@@ -122,7 +165,31 @@ def _recording(parser: argparse.ArgumentParser) -> None:
         "recording",
         type=Path,
         metavar="RECORDING",
-        help="rosbag2 directory, .mcap file, measurement table (.csv), or a session (its directory or session.db)",
+        help=RECORDING_KINDS,
+    )
+
+
+def _recordings(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "recordings",
+        type=Path,
+        nargs="+",
+        metavar="RECORDING",
+        help=f"{RECORDING_KINDS}; several recordings of one robot are evaluated together",
+    )
+    _cells(parser, "recording")
+    _no_report(parser)
+
+
+def _cells(parser: argparse.ArgumentParser, each: str) -> None:
+    parser.add_argument(
+        "--cell",
+        dest="cells",
+        type=Path,
+        action="append",
+        required=True,
+        metavar="CELL.yaml",
+        help=f"the cell file; given once, or once for each {each}",
     )
 
 
@@ -136,7 +203,7 @@ def _given(parser: argparse.ArgumentParser) -> None:
 
 
 def _identify(parser: argparse.ArgumentParser) -> None:
-    _recording(parser)
+    _recordings(parser)
     _given(parser)
     parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
     parser.add_argument(
@@ -163,23 +230,86 @@ def _identify(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="CONFIGURATION:STEP:POINT",
-        help="use this reading after all (repeatable)",
+        help="use this reading after all (repeatable); of several recordings POINT@NUMBER, numbered as in the result",
     )
 
 
 def _diagnose(parser: argparse.ArgumentParser) -> None:
-    _recording(parser)
+    _recordings(parser)
     _given(parser)
     parser.add_argument(
         "--simulation", type=Path, metavar="SIM", help="what a simulation says of the same measurement, to compare with"
     )
     parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
     parser.add_argument("--no-robust", action="store_true", help="use every reading, gross errors too")
+    population_arguments(parser)
 
 
 def _predict(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+
+
+def _use(parser: argparse.ArgumentParser) -> None:
+    """Add what both commands take that use a model on a load."""
+    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+    parser.add_argument(
+        "--wrench",
+        metavar='"fx fy fz tx ty tz"',
+        help="of the environment on the robot at the wrench point, N and N·m, all rows",
+    )
+    parser.add_argument("--axes", choices=("base", "tool"), default="base", help="axes of the wrenches (default base)")
+    parser.add_argument(
+        "--payload", metavar='"mass cx cy cz"', help="what the robot carries besides: kg, and m in the flange frame"
+    )
+
+
+def _deflect(parser: argparse.ArgumentParser) -> None:
+    _use(parser)
+    parser.add_argument("--q", metavar='"q1 ... qn"', help="joint angles, rad (m where a joint slides)")
+    parser.add_argument(
+        "--poses", type=Path, metavar="FILE.csv", help="places of the tool or joint angles, and wrenches"
+    )
+    parser.add_argument("--plane", choices=("xy", "xz", "yz"), default="xz", help="plane of the map (default xz)")
+
+
+def _compensate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "task",
+        type=Path,
+        metavar="TASK.csv",
+        help="places of the tool (x y z roll pitch yaw) or q1 ... qn, and wrenches",
+    )
+    _use(parser)
+    parser.add_argument(
+        "--seed-q", metavar='"q1 ... qn"', help="chooses the branch of places (default: middle of the limits)"
+    )
+
+
+def _export(parser: argparse.ArgumentParser) -> None:
+    _cell(parser)
+    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+    parser.add_argument(
+        "--format",
+        choices=("urdf", "dh", "ur", "mjcf", "table"),
+        required=True,
+        help="URDF; Denavit-Hartenberg rows; Universal Robots' kinematics file; MuJoCo; table of angle corrections",
+    )
+    parser.add_argument(
+        "--template", type=Path, metavar="FILE", help="ur: the kinematics file extracted from this robot's controller"
+    )
+    parser.add_argument(
+        "--joints", type=int, nargs="+", default=[2, 3], metavar="N", help="table: joints it runs over (default 2 3)"
+    )
+    parser.add_argument(
+        "--points", type=int, default=21, metavar="N", help="table: nodes per joint, over its limits (default 21)"
+    )
+    parser.add_argument(
+        "--q", metavar='"Q1 Q2 ..."', help="table: where the other joints stand, rad (default: middle of the limits)"
+    )
+    parser.add_argument(
+        "--range", metavar='"LOW HIGH ..."', help="table: ends for each of --joints, rad (default: their limits)"
+    )
 
 
 def _import(parser: argparse.ArgumentParser) -> None:
@@ -195,83 +325,55 @@ def _import(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _plan(parser: argparse.ArgumentParser) -> None:
+def _fleet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--configurations",
-        type=int,
-        default=18,
-        metavar="N",
-        help="configurations to measure (default 18, at least 12)",
-    )
-    parser.add_argument(
-        "--spares",
-        type=float,
-        default=0.5,
-        metavar="SHARE",
-        help="spare configurations as a share of those to measure (default 0.5, as the standard asks for)",
-    )
-    parser.add_argument("--seed", type=_seed, default=0, help="seed of the search (default 0)")
-    parser.add_argument(
-        "--criterion",
-        choices=("D", "A", "worst", "condition", "observability", "trace"),
-        default="D",
-        help="what makes a choice good: determinant, mean or worst variance, or one of CWA 17384, 5.4 (default D)",
-    )
-    parser.add_argument(
-        "--for",
-        dest="purpose",
-        choices=("stiffness", "geometry"),
-        default="stiffness",
-        help="what is to be found: joint stiffnesses (default), or frames and geometry, without loads",
-    )
-    parser.add_argument(
-        "--phases",
-        action="store_true",
-        help="plan also what finds base frame, geometry, wrist centre and points before (CWA 17384, 7.1 to 7.5)",
-    )
-    parser.add_argument(
-        "--load-levels",
-        type=float,
-        nargs="+",
-        metavar="SHARE",
-        help="load steps as shares of the full pull, the first 0 (default 0 0.25 0.5 0.75 1 0.75 0.5 0.25 0)",
-    )
-    parser.add_argument(
-        "--protocol",
-        metavar="NAME",
-        help="load steps by name: loading, unloading, small-steps, reversed or references (see the report of a plan)",
-    )
-    parser.add_argument(
-        "--load-share",
-        type=float,
-        default=1.0,
-        metavar="SHARE",
-        help="full pull as a share of the rated load (default 1)",
-    )
-    parser.add_argument("--largest-force", type=float, metavar="N", help="range of the force/torque sensor, force")
-    parser.add_argument("--largest-torque", type=float, metavar="NM", help="range of the force/torque sensor, torque")
-    parser.add_argument(
-        "--box",
-        type=float,
-        nargs=6,
-        metavar=("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
-        help="operating space of the measurement points in the base frame, m (default: all that can be reached)",
-    )
-    parser.add_argument(
-        "--cube",
-        type=float,
-        nargs="?",
-        const=0.0,
-        metavar="SIDE",
-        help="the operating space is a cube of ISO 9283, of this side in m (without SIDE: the largest that fits)",
-    )
-    parser.add_argument(
-        "--task",
+        "recording",
         type=Path,
-        metavar="FILE.csv",
-        help="the operating space is that of a task: columns x, y, z (m), or q1 ... (rad), or theta_1 ... (degrees)",
+        metavar="MANIFEST",
+        help="CSV or Parquet with recording, cell, robot, type, date; or a folder TYPE/ROBOT/DATE with recordings",
     )
-    parser.add_argument("--model", type=Path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
+    parser.add_argument("--jobs", type=_count, metavar="N", help="processes on this machine (default: its cores)")
+    cluster_arguments(parser)
+    parser.add_argument(
+        "--alone", nargs="+", default=[], metavar="ROBOT", help="robots that are not pooled with their sisters"
+    )
+    _no_report(parser)
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        msg = f"{number}, expected at least 1"
+        raise argparse.ArgumentTypeError(msg)
+    return number
+
+
+def _verify(parser: argparse.ArgumentParser) -> None:
+    _recording(parser)
+    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+    parser.add_argument(
+        "--tolerance", type=float, required=True, metavar="M", help="what the error of a point may not exceed, m"
+    )
+    parser.add_argument(
+        "--fit-tracker", action="store_true", help="fit the tracker's pose first: it was set up anew since the model"
+    )
+
+
+def _compare(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "measurements",
+        type=Path,
+        nargs="+",
+        metavar="MEASUREMENT",
+        help="two or more: recordings, or output folders of identify or diagnose; the first beside the others",
+    )
+    _cells(parser, "measurement")
+    parser.add_argument(
+        "--dates", nargs="+", metavar="DATE", help="when each was measured, ISO 8601 (default: recorded)"
+    )
+    parser.add_argument(
+        "--no-report", dest="report", action="store_false", help="result alone, without report.html and .pdf"
+    )
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
@@ -282,14 +384,7 @@ def _simulate(parser: argparse.ArgumentParser) -> None:
         metavar="MODEL.yaml",
         help="an identified or extended model, effects included, instead of the cell's",
     )
-    parser.add_argument("--seed", type=_seed, help="add instrument noise from this seed (default: none)")
-
-
-def _seed(text: str) -> int:
-    seed = int(text)
-    if seed < 0:
-        raise argparse.ArgumentTypeError(f"{seed} is negative")
-    return seed
+    parser.add_argument("--seed", type=seed, help="add instrument noise from this seed (default: none)")
 
 
 if __name__ == "__main__":

@@ -53,7 +53,12 @@ class InputError(CalibrationError):
         super().__init__(f"{where}: found {self.found}, expected {self.expected}")
 
     def at(self, line: int, column: int) -> Self:
-        """Return the same error with line and column."""
+        """Return the same error with its place in the file.
+
+        Args:
+            line: Line of the place, from 1.
+            column: Column of the place, from 1.
+        """
         return type(self)(self.file, self.place, self.found, self.expected, line, column)
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str, int | None, int | None]]:
@@ -75,6 +80,10 @@ class ObservationError(InputError):
 
 class ModelFileError(InputError):
     """An identified-model file is missing, malformed or belongs to another robot."""
+
+
+class TaskError(InputError):
+    """A task of places and wrenches is missing or malformed."""
 
 
 class IdentificationError(InputError):

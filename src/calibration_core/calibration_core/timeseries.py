@@ -1,6 +1,6 @@
 """The vocabulary everyone shares: frozen values with read-only arrays, units stated, no opinion.
 
-Two levels.  A `Recording` is what sensors sent: sampled streams, one per topic.  `Readings` are what was measured:
+Two levels.  `Streams` are what sensors sent, sampled, one stream per topic.  `Readings` are what was measured:
 one row per configuration, step and measurement point, as in the measurement table; a bag becomes readings by finding
 its plateaus, a table is readings already.
 """
@@ -19,6 +19,7 @@ Float1D = NDArray[np.float64]  # (n,)
 Float2D = NDArray[np.float64]  # (m, n)
 Float3D = NDArray[np.float64]  # (k, m, n)
 Int1D = NDArray[np.int64]  # (n,)
+Int2D = NDArray[np.int64]  # (m, n)
 Bool1D = NDArray[np.bool_]  # (n,)
 Bool2D = NDArray[np.bool_]  # (m, n)
 
@@ -189,7 +190,7 @@ class Provenance:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Recording:
+class Streams:
     """Everything a bag holds that this software knows, as arrays.
 
     Attributes:
@@ -241,6 +242,11 @@ class Readings:
         provenance: Files, hashes and counts.
         notes: What was lost, repaired or set aside on the way.
         conditions: The standard's conditions as they were seen while measuring, the worst of each; empty for a table.
+        recording: (m,) int64, which of several recordings that are evaluated together a row is from; None: one alone.
+        position_claim: (m, 3, 3) m^2, what the instrument of its recording claims; None: what the cell file states.
+        wrench_claim: (m, 6, 6), likewise.
+        viewpoint: (m, 3) m, where the tracker stood, base frame, which is that of `position`; None: at its origin.
+        wrench_change: (m, 6, 6) what takes a wrench from axes and origin of its own sensor to those of `wrench`.
     """
 
     points: tuple[str, ...]
@@ -258,6 +264,11 @@ class Readings:
     wrench_covariance: Float3D | None = None
     samples: Int1D | None = None
     conditions: tuple[Condition, ...] = ()
+    recording: Int1D | None = None
+    position_claim: Float3D | None = None
+    wrench_claim: Float3D | None = None
+    viewpoint: Float2D | None = None
+    wrench_change: Float3D | None = None
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays; raise ValueError on unequal lengths."""
@@ -283,6 +294,12 @@ class Readings:
             if isinstance(getattr(self, field.name), np.ndarray)
         }
         return dataclasses.replace(self, **changes)
+
+    def each(self) -> list[Int1D]:
+        """Return the rows of every recording, as indices: all rows where there is one alone."""
+        if self.recording is None:
+            return [np.arange(len(self))]
+        return [np.flatnonzero(self.recording == number) for number in np.unique(self.recording)]
 
     def with_notes(self, *notes: Note) -> Readings:
         """Return the same readings with further notes."""

@@ -105,6 +105,7 @@ def test_values_are_frozen(tmp_path: Path) -> None:
         ("[j1, j2, j3]", "[j1, j2, '']", "robot.joints.2", "''"),
         ("[j1, j2, j3]", "[j1, j2, j3, j4]", "robot.dh", "3 entries"),
         ("[[-3, 3]", "[[3, -3]", "robot.joint_limits.0", "[3, -3]"),
+        ("[[-3, 3]", "[[-170, 170]", "robot.joint_limits.0", "[-170, 170]"),
         ("  joint_limits: [[-3, 3], [-3, 3], [-3, 3]]\n", "", "robot.joint_limits", "nothing"),
         ("a: 0.45", "a: .inf", "robot.dh.1.a", "inf"),
         ("a: 0.45, ", "", "robot.dh.1.a", "nothing"),

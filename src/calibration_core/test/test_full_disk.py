@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from calibration_core.cell import load_cell
 from calibration_core.errors import SessionError
-from calibration_core.procedure.session import Session
+from calibration_core.measurement.session import Session
 from calibration_core.recording.session_values import Event
 disk, cell = Path(sys.argv[1]), load_cell(sys.argv[2])
 kept = 0
@@ -38,7 +38,7 @@ import sys
 from pathlib import Path
 from calibration_core.cell import load_cell
 from calibration_core.errors import SessionError
-from calibration_core.procedure.session import Session
+from calibration_core.measurement.session import Session
 disk, cell = Path(sys.argv[1]), load_cell(sys.argv[2])
 with (disk / "filler").open("wb", buffering=0) as filler:
     try:
@@ -57,7 +57,7 @@ BAG = """
 import sys
 from pathlib import Path
 from calibration_core.errors import OutputError
-from calibration_core.recording.live_writer import LiveBag, LiveTopic
+from calibration_core.recording.bags.live_writer import LiveBag, LiveTopic
 bag = LiveBag(Path(sys.argv[1]) / "bag")
 topic = bag.add_topic(LiveTopic("/x", "std_msgs/msg/String"))
 try:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calibration_core.timeseries import Note, Provenance, Readings, Recording, StepMarkers, TimeSeries, read_only
+from calibration_core.timeseries import Note, Provenance, Readings, StepMarkers, Streams, TimeSeries, read_only
 
 
 def series(n: int = 3) -> TimeSeries:
@@ -54,7 +54,7 @@ def test_markers_of_unequal_length() -> None:
 
 
 def test_points_of_a_recording_are_frozen() -> None:
-    one = Recording(series(), {"a": series()}, None, None, None, "", Provenance("", "", {}, {}))
+    one = Streams(series(), {"a": series()}, None, None, None, "", Provenance("", "", {}, {}))
     with pytest.raises(TypeError):
         one.points["b"] = series()  # type: ignore[index]
     with pytest.raises(dataclasses.FrozenInstanceError):

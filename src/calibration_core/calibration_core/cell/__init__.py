@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
+from calibration_core.cell.certificate import Certificate
 from calibration_core.cell.surroundings import Box, EndEffector
-from calibration_core.cell.urdf import urdf_joint_types
+from calibration_core.cell.urdf import MOST_RADIANS, RADIANS, urdf_joint_types
 from calibration_core.cell.values import (
     Angle,
     FieldError,
@@ -38,7 +39,7 @@ from calibration_core.cell.values import (
 from calibration_core.errors import CellError, quoted
 from calibration_core.files.yaml_file import YamlFile, read_yaml
 
-__all__ = ["Box", "Cell", "EndEffector", "Pose", "load_cell"]
+__all__ = ["Box", "Cell", "Certificate", "EndEffector", "Pose", "load_cell"]
 
 MAX_BYTES = 1 << 18
 MAX_FAULTS = 100
@@ -66,6 +67,8 @@ class Robot(Strict):
     """The robot as its maker states it."""
 
     name: Name
+    maker: str = ""
+    serial: str = ""
     urdf: str | None = None
     base_link: str | None = None
     flange: str | None = None
@@ -102,6 +105,9 @@ class Robot(Strict):
         for i, (low, high) in enumerate(self.joint_limits or ()):
             if not low < high:
                 raise field_error(f"joint_limits.{i}", f"[{low:g}, {high:g}]", "lower < upper")
+            turns = self.urdf is None and (self.joint_types is None or self.joint_types[i] == "revolute")
+            if turns and max(abs(low), abs(high)) > MOST_RADIANS:
+                raise field_error(f"joint_limits.{i}", f"[{low:g}, {high:g}]", RADIANS)
         return self
 
 
@@ -110,6 +116,7 @@ class Frames(Strict):
 
     tracker: Pose | None = None
     force_torque: Pose | None = None
+    tool: Pose | None = None
     wrench_point: Vector | None = None
     measurement_points: Mapping[Name, Vector]
     target_normals: Mapping[Name, Vector] = Field(default_factory=dict)
@@ -246,7 +253,7 @@ class Measurements(Strict):
 
 
 class Cell(Strict):
-    """A robot cell: everything about it that a recording does not say.
+    """A robot cell: everything about it that a recording does not say; m, rad, N, N*m, kg, degrees Celsius.
 
     Attributes:
         path: The file it was read from.
@@ -264,6 +271,7 @@ class Cell(Strict):
     safety: Safety | None = None
     boxes: tuple[Box, ...] = ()
     end_effector: EndEffector | None = None
+    certificate: Certificate = Field(default_factory=Certificate)
     path: Path = Path("cell.yaml")
     sha256: str = ""
 
@@ -296,16 +304,26 @@ class Cell(Strict):
         return None if self.robot.urdf is None else (self.path.parent / self.robot.urdf).resolve()
 
     def missing(self, place: str, purpose: str) -> CellError:
-        """Return the error for an optional field that this recording makes necessary."""
+        """Return the error for an optional field that this recording makes necessary.
+
+        Args:
+            place: The field.
+            purpose: What it is needed for.
+        """
         return CellError(self.path, place, "nothing", f"a value, needed for {purpose}")
 
 
 def load_cell(path: str | Path) -> Cell:
     """Read and validate a cell file.
 
+    Args:
+        path: The file, YAML; its values are m, rad, N, N*m, kg and degrees Celsius.
+
     Raises:
         CellError: The file is missing, not YAML, or a field is missing, unknown, of wrong length or not finite; it
             names the first fault in the file with line and column, and carries the others as `further`.
+
+    Source: what CWA 17384, clauses 5 and 7, asks to be known of robot, frames and instruments.
     """
     path = Path(path)
     file = read_yaml(path, MAX_BYTES, "cell file (YAML)", CellError)

@@ -21,6 +21,7 @@ MAX_ELEMENTS = 50_000
 MAX_LINKS = 300  # a robot with tool, cables and cell has a few dozen; a chain of thousands stops the solvers
 MAX_DEPTH = 32
 MOST_RADIANS = 4 * math.pi * 1.001  # two turns either way; more is what degrees look like
+RADIANS = "radians, at most two turns (12.57) either way: are these degrees? Divide by 57.29578"
 FORBIDDEN = re.compile(rb"<!\s*(DOCTYPE|ENTITY|ELEMENT|ATTLIST|NOTATION)", re.IGNORECASE)
 ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([^\"']*)[\"']", re.IGNORECASE)
 NUMBERS = {
@@ -105,7 +106,7 @@ def _check(path: Path, root: ET.Element, own_limits: frozenset[str]) -> None:
         raise CellError(path, "robot", found, f"at most {MAX_LINKS} of each")
     names = _unique(path, links)
     _unique(path, joints)
-    carried: dict[str, str] = {}
+    parent_of: dict[str, str] = {}
     for joint in joints:
         place = f"joint {quoted(joint.get('name', ''))}"
         if joint.get("type") not in TYPES:
@@ -116,10 +117,10 @@ def _check(path: Path, root: ET.Element, own_limits: frozenset[str]) -> None:
             if name not in names:
                 raise CellError(path, f"{place}, {tag}", quoted(name) if name else "nothing", "a link of this file")
         child = str(joint.find("child").get("link"))  # type: ignore[union-attr]  # looked at above
-        if child in carried:
+        if child in parent_of:
             raise CellError(path, place, f"link {quoted(child)} has a second parent joint", "a tree of links")
-        carried[child] = str(joint.find("parent").get("link"))  # type: ignore[union-attr]
-    _no_circle(path, carried)
+        parent_of[child] = str(joint.find("parent").get("link"))  # type: ignore[union-attr]
+    _no_circle(path, parent_of)
     for owner in (*links, *joints):
         _numbers(path, owner)
     for link in links:
@@ -141,11 +142,11 @@ def _unique(path: Path, elements: list[ET.Element]) -> set[str]:
     return names
 
 
-def _no_circle(path: Path, carried: dict[str, str]) -> None:
-    for link in carried:
+def _no_circle(path: Path, parent_of: dict[str, str]) -> None:
+    for link in parent_of:
         seen, here = {link}, link
-        while here in carried:
-            here = carried[here]
+        while here in parent_of:
+            here = parent_of[here]
             if here in seen:
                 raise CellError(path, f"link {quoted(here)}", "a circle of joints", "a tree of links")
             seen.add(here)
@@ -211,5 +212,4 @@ def _limits(path: Path, joint: ET.Element) -> None:
     if not low < high:
         raise CellError(path, place, f"[{low:g}, {high:g}]", f"lower < upper{cure}")
     if kind == "revolute" and max(abs(low), abs(high)) > MOST_RADIANS:
-        expected = f"radians, at most two turns (12.57) either way: are these degrees? Divide by 57.29578{cure}"
-        raise CellError(path, place, f"[{low:g}, {high:g}]", expected)
+        raise CellError(path, place, f"[{low:g}, {high:g}]", f"{RADIANS}{cure}")

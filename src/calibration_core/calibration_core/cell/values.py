@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 LARGEST = 1e12  # in SI units: stiffer or larger is nothing that a cell has
 
@@ -36,13 +36,20 @@ def _not_empty(value: str) -> str:
     return value
 
 
+def _schema(**limits: float) -> WithJsonSchema:
+    """State limits for the JSON Schema too, which cannot see through the functions that check numbers."""
+    return WithJsonSchema({"type": "number", **limits})
+
+
 Number = Annotated[float, BeforeValidator(_number)]
-Positive = Annotated[Number, Field(gt=0)]
-NonNegative = Annotated[Number, Field(ge=0)]
-Length = Annotated[Positive, Field(ge=1e-9, le=1.0)]  # m, a standard deviation of positions
-Angle = Annotated[Positive, Field(ge=1e-9, le=1.0)]  # rad, one of directions
-Stiffness = Annotated[float, BeforeValidator(_stiffness), Field(gt=0)]
-Name = Annotated[str, AfterValidator(_not_empty)]
+Positive = Annotated[Number, Field(gt=0), _schema(exclusiveMinimum=0)]
+NonNegative = Annotated[Number, Field(ge=0), _schema(minimum=0)]
+Length = Annotated[
+    Positive, Field(ge=1e-9, le=1.0), _schema(minimum=1e-9, maximum=1)
+]  # m, a standard deviation of positions
+Angle = Annotated[Positive, Field(ge=1e-9, le=1.0), _schema(minimum=1e-9, maximum=1)]  # rad, one of directions
+Stiffness = Annotated[float, BeforeValidator(_stiffness), Field(gt=0), _schema(exclusiveMinimum=0)]
+Name = Annotated[str, AfterValidator(_not_empty), WithJsonSchema({"type": "string", "minLength": 1})]
 Vector = tuple[Number, Number, Number]
 Interval = tuple[Number, Number]
 

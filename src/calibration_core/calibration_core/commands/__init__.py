@@ -12,9 +12,18 @@ from pathlib import Path
 
 from calibration_core.errors import CalibrationError
 
-WITHOUT_RESULT = ("describe",)  # writes nothing
-MODULES = {name: name for name in ("plan", "simulate", "identify", "diagnose", "predict", *WITHOUT_RESULT)}
-MODULES["import"] = "import_tables"
+WITHOUT_RESULT = ("describe", "completion")  # they write nothing
+FAMILIES = {
+    "planning": ("plan",),
+    "evaluation": ("simulate", "identify", "diagnose", "predict"),
+    "application": ("export", "deflect", "compensate"),
+    "files": ("init", "check", "describe"),
+    "terminal": ("completion",),
+    "acceptance": ("verify", "compare"),
+    "fleet": ("fleet",),
+}
+MODULES = {name: f"{family}.{name}" for family, names in FAMILIES.items() for name in names}
+MODULES["import"] = "files.import_tables"
 NAMES = tuple(MODULES)
 
 
@@ -33,7 +42,7 @@ def command(name: str) -> Callable[[argparse.Namespace], str]:
 
 def result_of(options: argparse.Namespace) -> str:
     """Return the result.json that a command wrote, or was asked to describe."""
-    from calibration_core.report.output import RESULT
+    from calibration_core.report.writing.output import RESULT
 
     place: Path = options.result if options.command in WITHOUT_RESULT else options.out
     return (place / RESULT if place.is_dir() else place).read_text(encoding="utf-8").rstrip()

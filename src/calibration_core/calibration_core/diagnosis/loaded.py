@@ -8,34 +8,51 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.anomalies import Checked, check_loaded, noise_understated, outlier_readings
-from calibration_core.diagnosis.design import Design
-from calibration_core.diagnosis.empirical import empirical_law
-from calibration_core.diagnosis.empirical_naming import law_findings, law_sentence
-from calibration_core.diagnosis.evidence import LEVELS, NOISE_ALONE
-from calibration_core.diagnosis.extended import Extended, design_at, extend, extended_model, loaded_state
-from calibration_core.diagnosis.finding import Diagnosis, Verdict
-from calibration_core.diagnosis.held_out import held_out_errors, lengths
-from calibration_core.diagnosis.naming import findings_of
-from calibration_core.diagnosis.next_measurements import NONE_ASKED, propose
-from calibration_core.diagnosis.next_offers import Offer
-from calibration_core.diagnosis.noise import Scatter, claimed, directions, scatter, with_noise
-from calibration_core.diagnosis.registration import registration_findings
-from calibration_core.diagnosis.rest import held_out_error, weighted_rest, what_remains
-from calibration_core.diagnosis.screening import readings_to_use
-from calibration_core.diagnosis.selection import NOTHING, Selection, select
+from calibration_core.diagnosis.data_checks.loaded_anomalies import (
+    Checked,
+    check_each,
+    noise_understated,
+    outlier_readings,
+)
+from calibration_core.diagnosis.data_checks.noise import Scatter, claimed, directions, scatter, with_noise
+from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_use
+from calibration_core.diagnosis.empirical.law import empirical_law
+from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
+from calibration_core.diagnosis.evidence.bayes_factors import LEVELS, NOISE_ALONE
+from calibration_core.diagnosis.evidence.block_scatter import scattered_covariance
+from calibration_core.diagnosis.evidence.design import Design
+from calibration_core.diagnosis.evidence.extended import (
+    ExtendedLoadedModel,
+    design_at,
+    extend,
+    extended_model,
+    loaded_state,
+)
+from calibration_core.diagnosis.evidence.left_out_errors import held_out_errors, lengths
+from calibration_core.diagnosis.evidence.residual import held_out_error, weighted_rest, what_remains
+from calibration_core.diagnosis.evidence.selection import LoadedSelection, select
+from calibration_core.diagnosis.findings.loaded import findings_of
+from calibration_core.diagnosis.findings.registration import registration_findings
+from calibration_core.diagnosis.findings.rejected_candidates import (
+    RejectedCandidate,
+    rejected_candidates,
+    rejection_sentence,
+)
+from calibration_core.diagnosis.model_estimate import loaded_estimate
+from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.measurements import NONE_ASKED, propose
+from calibration_core.diagnosis.result.finding import Diagnosis, Verdict
 from calibration_core.diagnosis.tested import tested_on
-from calibration_core.diagnosis.withheld import Withheld, withheld, withheld_sentence
-from calibration_core.identification.estimate import Anomaly, Identification
-from calibration_core.identification.loaded import (
+from calibration_core.identification.result.estimate import Anomaly, Identification
+from calibration_core.identification.statistics.offsets import Rows, without_offsets
+from calibration_core.identification.stiffness.loaded import (
     SET_ASIDE,
     Options,
     PreparedLoaded,
     identify_prepared,
     prepare_loaded,
 )
-from calibration_core.identification.offsets import Rows, without_offsets
-from calibration_core.identification.problem import LoadedProblem
+from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
@@ -50,19 +67,19 @@ ALIASES = (
     "A gravity compensator acts like a stiffness of joint 2 that follows its angle.",
     "Rocking of the base acts like an off-axis compliance of joint 1.",
 )
-FRAMES_SPOILED = frozenset({"wrong_robot_file", "target_moved", "tracker_moved"})
+FRAMES_SPOILED = frozenset({"target_moved", "tracker_moved"})
 FITTED_WITH_FRAMES = ("tracker_frame_misalignment", "measurement_point_offset")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Attempt:
-    """One pass: noise, what was selected, the model extended by it, what was withheld, the null model's rms, m."""
+    """One pass: noise, what was selected, the model extended by it, what was rejected, the null model's rms, m."""
 
     seen: Scatter
     design: Design
-    selection: Selection
-    extended: Extended
-    withheld: tuple[Withheld, ...]
+    selection: LoadedSelection
+    extended: ExtendedLoadedModel
+    rejected: tuple[RejectedCandidate, ...]
     rms_before: float
 
 
@@ -88,22 +105,26 @@ def diagnose_loaded(
     options = options or Options()
     prepared = prepare_loaded(readings, cell, options)
     identification = identify_prepared(prepared, cell, options, test)
-    checked = check_loaded(prepared, loaded_state(prepared.problem, cell, prepared.fit.compliance))
+    checked = check_each(prepared, lambda problem: loaded_state(problem, cell, prepared.fit.compliance))
     attempt = _search(prepared, cell, options, checked)
     extended, selection, seen = attempt.extended, attempt.selection, attempt.seen
     rest = what_remains(extended, seen, identification.noise.claimed, prepared.problem.readings)
-    if attempt.withheld:
+    if attempt.rejected:
         joints, kept = prepared.problem.chain.joints, prepared.problem.readings
-        said = " ".join(withheld_sentence(one, joints, kept) for one in attempt.withheld)
-        size = rest.text if rest.significant else "By its size the rest would pass for noise, by what it follows not."
-        rest = dataclasses.replace(rest, significant=True, text=f"{size} {said}")
+        sentences = " ".join(rejection_sentence(one, joints, kept) for one in attempt.rejected)
+        size = (
+            rest.text
+            if rest.significant
+            else "The residual is no larger than noise, but it follows something, which noise does not."
+        )
+        rest = dataclasses.replace(rest, significant=True, text=f"{size} {sentences}")
     anomalies = _anomalies(checked, attempt, identification)
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
         registered = registration_findings(prepared, extended.state, readings)
         findings = tuple(sorted((*findings, *registered), key=lambda finding: -finding.magnitude))
-    verdict = _verdict(bool(findings), rest.significant and checked.usable)
-    law = empirical_law(extended) if rest.significant and checked.usable else None
+    verdict = _verdict(bool(findings), rest.significant)
+    law = empirical_law(extended) if rest.significant else None
     if law is not None:
         fitted = law_findings(law, prepared.problem.chain.joints, prepared.problem.readings)
         findings = tuple(sorted((*findings, *fitted), key=lambda finding: -finding.magnitude))
@@ -112,7 +133,7 @@ def diagnose_loaded(
     joints = prepared.problem.chain.joints
     model = extended_model(prepared.parameters, extended)
     proposals = NONE_ASKED
-    if offers is not None and checked.usable:
+    if offers is not None:
         proposals = propose(extended, selection, offers, cell, seen, prepared.frames)
     return Diagnosis(
         verdict=verdict,
@@ -137,23 +158,24 @@ def diagnose_loaded(
         residual_before=_before(prepared, extended),
         shift=extended.shift,
         compliance=extended.compliance,
-        compliance_covariance=extended.compliance_covariance,
+        compliance_covariance=scattered_covariance(extended) if rest.significant else extended.compliance_covariance,
         test=None if test is None else tested_on(test, cell, prepared.problem.chain, prepared.fit.compliance, model),
         model=model,
+        estimate=loaded_estimate(extended, identification, model, cell),
         aliases=ALIASES,
         further_figures=_held_out_lengths(extended, cell),
     )
 
 
 def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
-    """Return what could be missing; frames that absolute positions fix are nuisances, no hypotheses."""
+    """Return what could be missing; frames that absolute positions fix are refitted, no hypotheses."""
     found = candidates(loaded_state(prepared.problem, cell, prepared.fit.compliance))
     if prepared.frames is None:
         return found
     return tuple(candidate for candidate in found if candidate.effect not in FITTED_WITH_FRAMES)
 
 
-def _held_out_lengths(extended: Extended, cell: Cell) -> dict[str, float]:
+def _held_out_lengths(extended: ExtendedLoadedModel, cell: Cell) -> dict[str, float]:
     """Return mean and largest length of the prediction error of configurations left out, before and after, m."""
     displacement = cell.measurements.points == "displacement"
     figures = {}
@@ -177,7 +199,7 @@ def _anomalies(checked: Checked, attempt: Attempt, identification: Identificatio
     return (*checked.anomalies, *noise, *outlier_readings(aside, size, readings), *notes)
 
 
-def _kept_rows(extended: Extended) -> Rows:
+def _kept_rows(extended: ExtendedLoadedModel) -> Rows:
     """Return the rows of all readings in which those not used do not count for the offsets."""
     rows = extended.problem.linearise(extended.compliance).rows
     aside = np.ones(len(rows.configuration), dtype=bool)
@@ -185,7 +207,7 @@ def _kept_rows(extended: Extended) -> Rows:
     return dataclasses.replace(rows, noise=rows.noise * np.where(aside, SET_ASIDE, 1.0)[:, None, None])
 
 
-def _before(prepared: PreparedLoaded, extended: Extended) -> Float2D:
+def _before(prepared: PreparedLoaded, extended: ExtendedLoadedModel) -> Float2D:
     """Return (m, 3) m, what the refitted null model leaves of all readings, offsets taken out."""
     return without_offsets(_kept_rows(extended), prepared.problem.linearise(prepared.fit.compliance).residual)
 
@@ -200,18 +222,18 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
     hypotheses = _hypotheses(prepared, cell)
     axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
     sound = np.flatnonzero(checked.sound)
-    used = np.flatnonzero(checked.sound & prepared.screened.used)
+    used = np.flatnonzero(checked.sound & prepared.rejection.used)
     linear = problem.linearise(compliance)
     seen = _seen(linear.rows, linear.residual, problem, axes, used)
-    told = seen.freedom > 0
-    if not told:
+    noise_seen = seen.freedom > 0
+    if not noise_seen:
         seen = claimed(max(1.0, float(np.sqrt(prepared.fit.chi2 / max(prepared.fit.freedom, 1)))))
     for remaining in reversed(range(ROUNDS)):
-        attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance, usable=checked.usable)
+        attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
         extended = attempt.extended
         rows = with_noise(linear.rows, problem.readings, seen, axes)
         kept = sound[readings_to_use(rows.select(sound), extended.raw[sound])] if options.robust else sound
-        again = _seen(linear.rows, extended.raw, problem, axes, kept) if told else _left(attempt)
+        again = _seen(linear.rows, extended.raw, problem, axes, kept) if noise_seen else _left(attempt)
         moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
         if still or not remaining or not attempt.selection.accepted:
@@ -228,15 +250,13 @@ def _attempt(
     axes: Float3D,
     used: Int1D,
     compliance: Float1D,
-    *,
-    usable: bool,
 ) -> Attempt:
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
-    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE, seen.freedom) if usable else NOTHING
+    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE, seen.freedom)
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
-    outdone = withheld(extended, selection)
+    outdone = rejected_candidates(extended, selection)
     if outdone:
         selection = selection.without([one.choice for one in outdone])
         extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.extended import loaded_state
-from calibration_core.identification.estimate import TestResult
-from calibration_core.identification.loaded import predict_loaded
-from calibration_core.identification.offsets import without_offsets
-from calibration_core.identification.problem import build_problem
+from calibration_core.diagnosis.evidence.extended import loaded_state
+from calibration_core.identification.result.estimate import TestResult
+from calibration_core.identification.statistics.offsets import without_offsets
+from calibration_core.identification.stiffness.loaded import predict_loaded
+from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects.applied import applied_shift
 from calibration_core.model.parameters import ModelParameters

@@ -7,15 +7,16 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.absolute import identify_absolute
-from calibration_core.identification.decoupled import with_decoupled
-from calibration_core.identification.end_effector import accounted
-from calibration_core.identification.estimate import Identification
-from calibration_core.identification.known import without_effects
-from calibration_core.identification.loaded import Options, identify_prepared, prepare_loaded
-from calibration_core.identification.phases import holds_phases, identify_phases
-from calibration_core.identification.standard_geometry import standard_geometry
-from calibration_core.model.given import GivenModel
+from calibration_core.identification.absolute.evaluate import identify_absolute
+from calibration_core.identification.geometry.named_estimate import with_known_effects
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.standard.decoupled import with_decoupled
+from calibration_core.identification.standard.phases import holds_phases, identify_phases
+from calibration_core.identification.standard.standard_geometry import standard_geometry
+from calibration_core.identification.stiffness.end_effector import accounted
+from calibration_core.identification.stiffness.known_effects import without_effects
+from calibration_core.identification.stiffness.loaded import Options, identify_prepared, prepare_loaded
+from calibration_core.model.identified.given import GivenModel
 from calibration_core.timeseries import Note, Readings
 
 
@@ -48,10 +49,10 @@ def identify(
     options = options or Options()
     given = accounted(cell, given) if is_loaded(readings) else given
     if given is None:
-        return _identify(readings, cell, options, test)
+        return fit_freed(readings, cell, options, test)
     freed, test = (None if one is None else without_effects(one, cell, given) for one in (readings, test))
     assert freed is not None  # noqa: S101 - readings are
-    return with_given(_identify(freed, cell, dataclasses.replace(options, start=given.start), test), given)
+    return with_given(fit_freed(freed, cell, dataclasses.replace(options, start=given.start), test), given)
 
 
 def with_given(found: Identification, given: GivenModel) -> Identification:
@@ -61,11 +62,14 @@ def with_given(found: Identification, given: GivenModel) -> Identification:
         dataclasses.replace(stage, reason="what the given model predicts") if stage.name == "nominal" else stage
         for stage in found.stages
     )
-    return dataclasses.replace(found, model=found.model.replace(effects=effects), stages=stages, given=given)
+    estimate = with_known_effects(found.estimate, given.estimate, len(given.parameters.effects))
+    model = found.model.replace(effects=effects)
+    return dataclasses.replace(found, model=model, stages=stages, given=given, estimate=estimate)
 
 
-def _identify(readings: Readings, cell: Cell, options: Options, test: Readings | None) -> Identification:
-    if is_loaded(readings) and holds_phases(readings):
+def fit_freed(readings: Readings, cell: Cell, options: Options, test: Readings | None) -> Identification:
+    """Identify from readings of which everything known was taken off; arguments as for `identify`."""
+    if readings.recording is None and is_loaded(readings) and holds_phases(readings):
         return identify_phases(readings, cell, options, test)
     if is_loaded(readings):
         prepared = prepare_loaded(readings, cell, options)
@@ -74,6 +78,8 @@ def _identify(readings: Readings, cell: Cell, options: Options, test: Readings |
     found = identify_absolute(
         readings, cell, robust=options.robust, test=test, readmit=options.readmit, believed=options.start
     )
+    if readings.recording is not None:
+        return found
     names, covariance = found.names, found.covariance
     return dataclasses.replace(found, standard=standard_geometry(readings, cell, found.model, names, covariance))
 

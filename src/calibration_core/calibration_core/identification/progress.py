@@ -13,14 +13,14 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.distributions import chi2_limit, normal_quantile
-from calibration_core.identification.fit import LoadedFit
 from calibration_core.identification.identify import is_loaded
-from calibration_core.identification.loaded import Options, identify_prepared, prepare_loaded
-from calibration_core.identification.offsets import normal_equations
-from calibration_core.identification.problem import LoadedProblem, build_problem
+from calibration_core.identification.statistics.distributions import chi2_limit, normal_quantile
+from calibration_core.identification.statistics.offsets import normal_equations
+from calibration_core.identification.stiffness.fit import LoadedFit
+from calibration_core.identification.stiffness.loaded import Options, identify_prepared, prepare_loaded
+from calibration_core.identification.stiffness.problem import LoadedProblem, build_problem
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.simulate import Loading, simulate_plan
+from calibration_core.model.simulation.simulate import Loading, simulate_plan
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings
 
 FALSE_ALARM = 1e-3  # probability that a sound configuration is called suspicious
@@ -81,13 +81,13 @@ def progress(
         wanted: Half of the 95 % interval of each compliance over its value that is enough; 0: none is wanted.
 
     Raises:
-        IdentificationError: Fewer than two loaded configurations are measured: nothing can be told yet.
+        IdentificationError: Fewer than two loaded configurations are measured: nothing can be determined yet.
         CellError: A frame is needed and missing.
         EquilibriumError: The load is beyond what the joints can carry.
     """
     last = int(readings.configuration[-1])
     if not is_loaded(readings):
-        what = "loaded configurations (the phases before tell nothing about stiffness)"
+        what = "loaded configurations (the phases before them say nothing about stiffness)"
         raise IdentificationError(readings.provenance.path, "step", "no load yet", what)
     options = Options()
     prepared = prepare_loaded(readings, cell, options)
@@ -137,7 +137,7 @@ def in_words(found: Progress) -> str:
     if found.enough:
         parts.append(f"enough: every joint within ± {100 * found.wanted:.2g} %")
     elif found.next_configuration is not None:
-        parts.append(f"configuration {found.next_configuration} would tell most now")
+        parts.append(f"configuration {found.next_configuration} would add most now")
     return "; ".join(parts)
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+ROBOT = "robot"
+OF_ROBOT = frozenset({"wrong_robot_file", "joint_order", "no_relation", "angle_unit"})
+
 
 @dataclasses.dataclass(frozen=True)
 class InputAnomaly:
@@ -20,6 +23,7 @@ class InputAnomaly:
         joints: The joints concerned.
         points: The measurement points concerned.
         axes: What to read the wrench in, where it is a frame.
+        place: Where it is; empty: what the kind says.
     """
 
     kind: str
@@ -31,6 +35,7 @@ class InputAnomaly:
     joints: tuple[str, ...] = ()
     points: tuple[str, ...] = ()
     axes: str = ""
+    place: str = ""
 
     @property
     def blocks(self) -> bool:
@@ -39,9 +44,8 @@ class InputAnomaly:
 
     def record(self) -> dict[str, Any]:
         """Return it as result.json has it; keys that do not apply are left out."""
-        where = "robot" if self.kind in ("wrong_robot_file", "joint_order", "no_relation", "angle_unit") else (
-            "sensor" if self.kind.startswith("wrench") else "tracker"
-        )  # fmt: skip
+        usual = "sensor" if self.kind.startswith("wrench") else ROBOT if self.kind in OF_ROBOT else "tracker"
+        where = self.place or usual
         content: dict[str, Any] = {
             "kind": self.kind,
             "location": {where: where},

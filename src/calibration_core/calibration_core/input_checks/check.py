@@ -7,12 +7,15 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.explained import Motion, Reading, centred
-from calibration_core.input_checks.loaded import Facts, check_loaded
-from calibration_core.input_checks.placed import Seen, check_positions
+from calibration_core.input_checks.lengths import check_lengths
+from calibration_core.input_checks.loaded import check_loaded
+from calibration_core.input_checks.placed import PositionRecording, check_positions
+from calibration_core.input_checks.units import CellSizes, unit_words
 from calibration_core.model.chain import Chain, pose_matrix
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
-from calibration_core.timeseries import Float2D, Readings
+from calibration_core.observations.observe import CLAIMS_BASE_AXES
+from calibration_core.timeseries import Float2D, Note, Readings
 
 MOST = 1500  # readings that are looked at
 GROSS = 6.0  # times the motion that nearly all readings have
@@ -28,10 +31,11 @@ def check_inputs(readings: Readings, cell: Cell) -> tuple[InputAnomaly, ...]:
     chain = chain_of(cell)
     some = _some(readings)
     points = np.array([cell.frames.measurement_points[name] for name in readings.points])
-    found: list[InputAnomaly] = []
-    if cell.measurements.points == "absolute":
+    found = check_lengths(cell, chain)
+    if not found and cell.measurements.points == "absolute":
         first = _first_of_groups(some)
-        seen = Seen(chain, first.q, first.position, first.point, points, tuple(readings.points))
+        loaded = some.wrench is not None and len(first) < len(some)
+        seen = PositionRecording(chain, first.q, first.position, first.point, points, tuple(readings.points), loaded)
         found += check_positions(seen)
     if not found and some.wrench is not None:
         motion = _motion(some, cell, chain, points)
@@ -39,17 +43,35 @@ def check_inputs(readings: Readings, cell: Cell) -> tuple[InputAnomaly, ...]:
         given = ways.pop((cell.measurements.wrench_axes, cell.measurements.wrench_at), None)
         if motion is not None and given is not None:
             named = {_words(*key): way for key, way in ways.items()}
-            found += check_loaded(motion, given, named, _facts(cell))
+            found += check_loaded(motion, given, named, _facts(readings, cell))
     return tuple(found)
+
+
+def unit_note(readings: Readings, cell: Cell) -> Note | None:
+    """Say where the unit of forces and positions cannot be checked, or hardly; None where it can, or loads are absent.
+
+    Raises:
+        CellError: The robot cannot be read.
+    """
+    if readings.wrench is None:
+        return None
+    chain = chain_of(cell)
+    points = np.array([cell.frames.measurement_points[name] for name in readings.points])
+    motion = _motion(_some(readings), cell, chain, points)
+    given = _ways(cell).get((cell.measurements.wrench_axes, cell.measurements.wrench_at))
+    if motion is None or given is None:
+        return None
+    text = unit_words(motion, _facts(readings, cell))
+    return None if not text else Note("units", "forces and positions", text)
 
 
 def _words(axes: str, at: str) -> str:
     return f"in {axes} axes, at the {at.replace('_', ' ')}"
 
 
-def _facts(cell: Cell) -> Facts:
-    robot = cell.robot
-    return Facts(robot.rated_load, robot.stiffness, robot.joints)
+def _facts(readings: Readings, cell: Cell) -> CellSizes:
+    robot, claimed = cell.robot, any(note.kind == CLAIMS_BASE_AXES for note in readings.notes)
+    return CellSizes(robot.rated_load, robot.stiffness, robot.joints, cell.measurements.points == "absolute", claimed)
 
 
 def _some(readings: Readings) -> Readings:
@@ -97,20 +119,20 @@ def _motion(readings: Readings, cell: Cell, chain: Chain, points: Float2D) -> Mo
     readings = readings.select(keep)
     _, group = np.unique(keys[keep], axis=0, return_inverse=True)
     group = group.reshape(-1)
-    at = points[readings.point]
-    rigid = posture(chain, readings.q).point(at.T).T
+    rigid = posture(chain, readings.q).point(points[readings.point].T).T
     moved = centred(readings.position @ _tracker(readings, cell, rigid).T - rigid, group)
     size = np.linalg.norm(moved, axis=1)
     wild = size > GROSS * max(float(np.quantile(size, 0.95)), 1e-12)
     if wild.any():  # groups with a gross error say nothing about axes and signs
         sound = ~np.isin(group, group[wild])
         _, again = np.unique(group[sound], return_inverse=True)
-        readings, at, moved, group = readings.select(sound), at[sound], moved[sound], again.reshape(-1)
+        readings, moved, group = readings.select(sound), moved[sound], again.reshape(-1)
         if not len(group):
             return None
     assert readings.wrench is not None  # noqa: S101 - as above
     sigma = _sigma(cell, readings)
-    return Motion(chain, readings.q, readings.wrench[:, :3], readings.wrench[:, 3:], at, moved, group, sigma)
+    wrench, names = readings.wrench, tuple(readings.points)
+    return Motion(chain, readings.q, wrench[:, :3], wrench[:, 3:], readings.point, points, names, moved, group, sigma)
 
 
 def _tracker(readings: Readings, cell: Cell, rigid: Float2D) -> Float2D:

@@ -9,14 +9,17 @@ axes, signs and units belong together at all, and an answer of a few percent doe
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
-from scipy.optimize import nnls
 
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import Posture, linear_jacobian, posture
 from calibration_core.model.statics import Load, load_torque
 from calibration_core.timeseries import Float1D, Float2D, Int1D
+
+WILD = 5.0  # times the median residual
+DIRECTION = 0.2  # share of the largest pull: less across the others is no direction of its own
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -28,7 +31,9 @@ class Motion:
         q: (m, n) rad.
         force: (m, 3) N, as recorded.
         torque: (m, 3) N*m, as recorded.
-        at: (m, 3) m, the measurement point of each reading in the flange frame.
+        point: (m,) index of the measurement point of each reading.
+        points: (k, 3) m, the points, flange frame.
+        names: Names of the points.
         moved: (m, 3) m, base axes, what the encoders do not explain, mean of its group taken off.
         group: (m,) index of the group.
         sigma: Claimed standard deviation of a coordinate, m.
@@ -38,7 +43,9 @@ class Motion:
     q: Float2D
     force: Float2D
     torque: Float2D
-    at: Float2D
+    point: Int1D
+    points: Float2D
+    names: tuple[str, ...]
     moved: Float2D
     group: Int1D
     sigma: float
@@ -53,18 +60,32 @@ class Motion:
         """Number of independent coordinates."""
         return 3 * (len(self.group) - int(self.group.max()) - 1)
 
+    @property
+    def independent(self) -> float:
+        """Number of coordinates that physics beside the joints leaves independent.
 
-@dataclasses.dataclass(frozen=True)
-class Fit:
+        Steps along one direction of pull repeat each other, and a direction of pull moves a rigid tool by six.
+        """
+        load = centred(self.force if np.any(self.force) else self.torque, self.group)
+        pulls = [np.linalg.svd(load[self.group == g], compute_uv=False) for g in range(int(self.group.max()) + 1)]
+        largest = max(float(each[0]) for each in pulls)
+        directions = sum(int(np.sum(each > DIRECTION * largest)) for each in pulls)
+        return min(3.0 * directions * min(1.0, 2.0 / len(self.names)), float(self.freedom))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Explanation:
     """Joint springs fitted to a motion.
 
     Attributes:
         compliance: Per joint, rad/(N*m), none negative.
         rest: Sum of squares that they leave, m^2.
+        left: (m, 3) m, what they leave of every reading.
     """
 
     compliance: tuple[float, ...]
     rest: float
+    left: Float2D
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,19 +96,60 @@ class Reading:
     rotation: Float2D | None
 
 
-def fit(motion: Motion, columns: Float2D) -> Fit:
-    """Fit joint springs, none negative, to columns of unit compliances ((3 m, n))."""
+def fit(motion: Motion, columns: Float2D, limit: float = math.inf) -> Explanation:
+    """Fit joint springs, none negative, to columns of unit compliances.
+
+    Args:
+        motion: What is explained.
+        columns: (3 m, n) m per rad/(N*m).
+        limit: m^2; where springs of any sign leave no less, rigid joints are returned: nothing better is there.
+    """
     scale = np.linalg.norm(columns, axis=0)
     used = np.flatnonzero(scale > 1e-12 * max(float(scale.max(initial=0.0)), 1e-300))
     target = motion.moved.reshape(-1)
     if not len(used):
-        return Fit((0.0,) * columns.shape[1], motion.total)
+        return Explanation((0.0,) * columns.shape[1], motion.total, motion.moved)
     upper = np.asarray(np.linalg.qr(np.column_stack([columns[:, used] / scale[used], target]), mode="r"))
-    solution, _ = nnls(upper[:, :-1], upper[:, -1])
+    solution = _nonnegative(upper[:, :-1], upper[:, -1], limit)
     rest = float(np.sum((upper[:, :-1] @ solution - upper[:, -1]) ** 2))
     compliance = np.zeros(columns.shape[1])
     compliance[used] = solution / scale[used]
-    return Fit(tuple(compliance.tolist()), rest)
+    return Explanation(tuple(compliance.tolist()), rest, motion.moved - (columns @ compliance).reshape(-1, 3))
+
+
+def without_wild(motion: Motion, best: Explanation) -> Motion:
+    """Return the motion without single readings that stand out of what a fit leaves of all others.
+
+    Their group's mean holds a part of them, so that it is taken again.
+    """
+    length = np.linalg.norm(best.left, axis=1)
+    sound = length <= WILD * max(float(np.median(length)), motion.sigma)
+    kept = (np.bincount(motion.group, sound) > 1)[motion.group] & sound
+    if kept.all() or not kept.any():
+        return motion
+    group = np.unique(motion.group[kept], return_inverse=True)[1].reshape(-1)
+    return dataclasses.replace(
+        motion,
+        q=motion.q[kept],
+        force=motion.force[kept],
+        torque=motion.torque[kept],
+        point=motion.point[kept],
+        moved=centred(motion.moved[kept], group),
+        group=group,
+    )
+
+
+def _nonnegative(matrix: Float2D, target: Float1D, limit: float) -> Float1D:
+    """Solve least squares with no negative entry; zeros where entries of any sign leave no less than `limit`."""
+    solved, _, rank, _ = np.linalg.lstsq(matrix, target, rcond=1e-9)
+    if rank == matrix.shape[1] and (solved >= 0).all():
+        return np.asarray(solved, dtype=np.float64)
+    if float(np.sum((matrix @ solved - target) ** 2)) >= limit:
+        return np.zeros(matrix.shape[1])
+    from scipy.optimize import nnls  # slow to load, and few recordings meet the bound
+
+    bounded, _ = nnls(matrix, target)
+    return np.asarray(bounded, dtype=np.float64)
 
 
 def columns_of(motion: Motion, at: Posture, force: Float2D, torque: Float2D, reading: Reading) -> Float2D:
@@ -102,7 +164,7 @@ def columns_of(motion: Motion, at: Posture, force: Float2D, torque: Float2D, rea
     """
     load = Load(force.T, torque.T, reading.point, reading.rotation)
     turning = load_torque(at, load)
-    lever = linear_jacobian(at, at.point(motion.at.T))
+    lever = linear_jacobian(at, at.point(motion.points[motion.point].T))
     parts = [(column * turning[i]).T for i, column in enumerate(lever)]
     return np.column_stack([centred(part, motion.group).reshape(-1) for part in parts])
 

@@ -4,33 +4,37 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.explained import (
-    Fit,
+    Explanation,
     Motion,
     Reading,
     columns_of,
     fit,
     posture_of,
+    without_wild,
 )
-from calibration_core.model.effects.priors import typical
+from calibration_core.input_checks.point_orders import other_points
+from calibration_core.input_checks.units import SEEN_BY_PRIOR, VISIBLE, CellSizes, expected_motion, unit_anomaly
+from calibration_core.input_checks.zeros import best_zero
 from calibration_core.timeseries import Float1D, Float2D
 
-FAR = 0.3  # what is meant leaves less than this share of the rest that stands
-FAR_WHERE_GOOD = 0.1  # the same where the recording as it stands is explained well already
-STATED = 0.7  # the same between the ways of reading a wrench that a cell file can state
-WELL, GOOD = 0.7, 0.95  # shares of the motion explained
+FAR = 0.5  # what is meant leaves less than this share of the rest that stands
+STATED = 0.95  # the same between the ways of reading a wrench that a cell file can state
+NO_BETTER = 1.05  # of the least rest: readings of the wrench that do equally well
+WELL = 0.7  # share of the motion explained
+OTHER_ROBOT = 0.8  # share explained: with the right robot file, physics that is missing leaves less than the rest
 LEAST_EVIDENCE = 30.0  # nats
-VISIBLE = 3.0  # times the claimed noise: less motion tells nothing
+ZERO_FAR, ZERO_LEAST = 0.8, 0.025  # the same for the zero of a joint, and rad: less is no more than physics may mimic
 UNRELATED = 0.2  # share explained: motion far above the noise and less than this explained has no cause in the wrench
 MANY = 60  # independent coordinates
-UNIT = 100.0  # stiffness this many times from what robots have is a matter of units
 BENT = 20.0  # times the claimed noise: loads of which no robot moves less
-WEAK = 0.01  # largest force over the rated load's weight, below which a force is in a larger unit
+BENT_STATED = 5.0  # the same where the cell file states the stiffness
 STANDARD_ACCELERATION = 9.80665  # m/s^2
 OVERSTATED = 0.3  # times the claimed noise
 
@@ -40,11 +44,11 @@ class Meant:
     """What a recording might mean, how well it does then, and whether a cell file can state it."""
 
     anomaly: InputAnomaly
-    fit: Fit
+    fit: Explanation
     stated: bool = False
 
 
-def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], facts: Facts) -> list[InputAnomaly]:
+def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], facts: CellSizes) -> list[InputAnomaly]:
     """Return what is wrong with wrenches or joints; at most one fault, the one that explains by far the most.
 
     Args:
@@ -56,68 +60,117 @@ def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], f
     if motion.freedom < MANY:
         return []
     if motion.total < motion.freedom * (VISIBLE * motion.sigma) ** 2:
-        return _unseen(motion, given, facts)
-    at = posture_of(motion)
-    stands = fit(motion, columns_of(motion, at, motion.force, motion.torque, given))
-    meant = sorted(_alternatives(motion, given, readings), key=lambda one: one.fit.rest)
-    if meant and _by_far(motion, stands, meant[0]):
-        return [_with_figures(motion, stands, meant[0])]
-    if stands.rest > (1.0 - UNRELATED) * motion.total:
+        unseen = _unseen(motion, given, facts) or ([_claimed(motion)] if facts.base_claimed else [])
+        return unseen or _overstated(motion, _as_it_stands(motion, given))
+    stands, meant = _readings_of(motion, given, readings, facts)
+    best = min([stands, *(one.fit for one in meant)], key=lambda one: one.rest)
+    sound = without_wild(motion, best)
+    if len(sound.group) < len(motion.group):
+        motion = sound
+        stands, meant = _readings_of(motion, given, readings, facts)
+    chosen = _chosen(motion, stands, meant)
+    if chosen is not None:
+        return [_with_figures(motion, stands, chosen)]
+    claimed = [one for one in meant if one.stated and one.anomaly.axes.startswith("in base axes")]
+    for one in claimed if facts.base_claimed else []:
+        if not _evident(motion, one.fit.rest, stands.rest, STATED):
+            return [_with_figures(motion, stands, one)]
+    zero = [] if facts.positions else _zero_off(motion, stands, given)
+    if zero:
+        return zero
+    explained = 1.0 - stands.rest / motion.total
+    if explained < UNRELATED:
         return [_no_relation(motion, stands)]
+    if explained < OTHER_ROBOT:
+        return [_other_robot(motion, stands)]
     return _unit(motion, given, facts) or _overstated(motion, stands)
 
 
-@dataclasses.dataclass(frozen=True)
-class Facts:
-    """What a cell file tells about sizes.
+def _claimed(motion: Motion) -> InputAnomaly:
+    size = float(np.sqrt(motion.total / motion.freedom))
+    text = (
+        "the messages say that the wrench is in base axes, the cell file says sensor axes, and the points move too "
+        f"little to tell ({1e6 * size:.2g} µm rms per coordinate)"
+    )
+    remedy = "state in measurements.wrench_axes what holds, and correct the frame_id of the messages"
+    return InputAnomaly("wrench_frame", text, remedy, size, unit="m", axes="in base axes")
 
-    Attributes:
-        rated_load: kg.
-        stiffness: N*m/rad per joint, where the cell file states it.
-        joints: Names.
+
+def _readings_of(
+    motion: Motion, given: Reading, readings: dict[str, Reading], facts: CellSizes
+) -> tuple[Explanation, list[Meant]]:
+    """Fit the recording as it stands and everything that it might mean."""
+    stands = _as_it_stands(motion, given)
+    return stands, list(_alternatives(motion, given, readings, facts, stands.rest))
+
+
+def _as_it_stands(motion: Motion, given: Reading) -> Explanation:
+    return fit(motion, columns_of(motion, posture_of(motion), motion.force, motion.torque, given))
+
+
+def _chosen(motion: Motion, stands: Explanation, meant: list[Meant]) -> Meant | None:
+    """Return what explains by far the most; what a cell file can state goes before what does no better."""
+    by_far = [one for one in meant if _by_far(motion, stands, one)]
+    if not by_far:
+        return None
+    least = min(one.fit.rest for one in by_far)
+    level = max(NO_BETTER * least, motion.freedom * motion.sigma**2)
+    return min((one for one in by_far if one.fit.rest <= level), key=lambda one: (not one.stated, one.fit.rest))
+
+
+def _by_far(motion: Motion, stands: Explanation, meant: Meant) -> bool:
+    share = STATED if meant.stated else FAR
+    count = motion.independent
+    return 1.0 - meant.fit.rest / motion.total > WELL and _evident(motion, stands.rest, meant.fit.rest, share, count)
+
+
+def _evident(motion: Motion, before: float, after: float, share: float, independent: float | None = None) -> bool:
+    """Say whether a reading leaves less than a share, and is far more probable; noise stays whatever is meant.
+
+    Args:
+        motion: The motion under load.
+        before: Sum of squares that stays as the recording stands, m^2.
+        after: The same with what it might mean.
+        share: Of the first that the second must stay below.
+        independent: Number of independent coordinates; None: all, as with a rest that is noise.
     """
-
-    rated_load: float
-    stiffness: tuple[float, ...] | None
-    joints: tuple[str, ...]
-
-
-def _by_far(motion: Motion, stands: Fit, meant: Meant) -> bool:
-    explained, other = 1.0 - stands.rest / motion.total, meant.fit
-    share = STATED if meant.stated else FAR_WHERE_GOOD if explained > GOOD else FAR
-    floor = motion.freedom * motion.sigma**2  # nothing is explained better than to the noise
-    rest, before = max(other.rest, floor), max(stands.rest, floor)
-    evidence = 0.5 * motion.freedom * np.log(before / rest)
-    return bool(rest < share * before and 1.0 - other.rest / motion.total > WELL and evidence > LEAST_EVIDENCE)
+    floor = motion.freedom * motion.sigma**2
+    rest, stands = max(after, floor), max(before, floor)
+    count = motion.freedom if independent is None else independent
+    return bool(rest < share * stands and 0.5 * count * np.log(stands / rest) > LEAST_EVIDENCE)
 
 
-def _alternatives(motion: Motion, given: Reading, readings: dict[str, Reading]) -> Iterator[Meant]:
+def _alternatives(
+    motion: Motion, given: Reading, readings: dict[str, Reading], facts: CellSizes, limit: float
+) -> Iterator[Meant]:
+    """Yield what the recording might mean; what explains no more than it does as it stands is not fitted in full."""
     at = posture_of(motion)
     force, torque = motion.force, motion.torque
     remedy = "turn the sign of all forces and torques: wanted is the wrench of the environment on the robot"
     anomaly = InputAnomaly("wrench_sign", "all forces and torques have the wrong sign", remedy, 0.0, factor=-1.0)
-    yield Meant(anomaly, fit(motion, columns_of(motion, at, -force, -torque, given)))
+    yield Meant(anomaly, fit(motion, columns_of(motion, at, -force, -torque, given), limit))
     for name, reading in readings.items():
         text = f"the wrench is recorded {name}"
         remedy = f"state in the cell file that {text} (measurements.wrench_axes, wrench_at)"
         anomaly = InputAnomaly("wrench_frame", text, remedy, 0.0, axes=name)
-        yield Meant(anomaly, fit(motion, columns_of(motion, at, force, torque, reading)), stated=True)
+        columns = columns_of(motion, at, force, torque, reading)
+        yield Meant(anomaly, fit(motion, columns, math.inf if facts.base_claimed else limit), stated=True)
     for turn in quarter_turns():
         axes = _axes(turn)
         remedy = f"turn frames.force_torque, or record the wrench in axes that are {axes} of the recorded ones"
         anomaly = InputAnomaly("wrench_frame", f"the axes of the wrench are {axes} of the recorded ones", remedy, 0.0,
                                axes=axes)  # fmt: skip
-        yield Meant(anomaly, fit(motion, columns_of(motion, at, force @ turn.T, torque @ turn.T, given)))
+        yield Meant(anomaly, fit(motion, columns_of(motion, at, force @ turn.T, torque @ turn.T, given), limit))
     if np.any(torque):
         for factor, unit in ((1e-3, "N·mm"), (1e3, "kN·m")):
             remedy = f"multiply the torques by {factor:g}: they look like {unit} beside forces of another unit"
             anomaly = InputAnomaly("wrench_unit", "forces and torques have units that do not belong together", remedy,
                                    0.0, factor=factor)  # fmt: skip
-            yield Meant(anomaly, fit(motion, columns_of(motion, at, force, factor * torque, given)))
+            yield Meant(anomaly, fit(motion, columns_of(motion, at, force, factor * torque, given), limit))
     turned = dataclasses.replace(motion, q=np.radians(motion.q))
     remedy = f"give joint angles in rad: multiply them by {np.pi / 180:.6g}"
     anomaly = InputAnomaly("angle_unit", "the joint angles look like degrees", remedy, 0.0, factor=np.pi / 180)
-    yield Meant(anomaly, fit(turned, columns_of(turned, posture_of(turned), force, torque, given)))
+    yield Meant(anomaly, fit(turned, columns_of(turned, posture_of(turned), force, torque, given), limit))
     names = motion.chain.joints
     for i, j in itertools.combinations(range(len(names)), 2):
         q = motion.q.copy()
@@ -127,7 +180,28 @@ def _alternatives(motion: Motion, given: Reading, readings: dict[str, Reading]) 
         anomaly = InputAnomaly("joint_order", f"the angles of {names[i]} and {names[j]} are exchanged", remedy, 0.0,
                                joints=(names[i], names[j]))  # fmt: skip
         columns = columns_of(swapped, posture_of(swapped), force, torque, given)
-        yield Meant(anomaly, fit(swapped, columns))
+        yield Meant(anomaly, fit(swapped, columns, limit))
+    if not facts.positions and len(motion.names) > 1:
+        for anomaly, points in other_points(motion.names, motion.points):
+            other = dataclasses.replace(motion, points=points)
+            yield Meant(anomaly, fit(other, columns_of(other, at, force, torque, given), limit))
+
+
+def _zero_off(motion: Motion, stands: Explanation, given: Reading) -> list[InputAnomaly]:
+    """Name the joint whose zero is off, where that alone explains by far the most of what is left of deflections."""
+
+    def rest(offset: Float1D) -> float:
+        turned = dataclasses.replace(motion, q=motion.q + offset)
+        return fit(turned, columns_of(turned, posture_of(turned), motion.force, motion.torque, given)).rest
+
+    zero = best_zero(rest, stands.rest, ~np.array(motion.chain.prismatic, dtype=bool), ZERO_LEAST)
+    if zero is None or not _evident(motion, stands.rest, zero.rest, ZERO_FAR):
+        return []
+    name = motion.chain.joints[zero.joint]
+    text = f"the zero of {name} is off by {zero.offset:+.3f} rad: with it, joint springs leave "
+    text += f"{100 * zero.rest / stands.rest:.0f} % of what they leave as it stands"
+    remedy = f"master {name} again, or add {zero.offset:+.3f} rad to its recorded angles"
+    return [InputAnomaly("wrong_robot_file", text, remedy, zero.offset, unit="rad", joints=(name,))]
 
 
 def quarter_turns() -> list[Float2D]:
@@ -151,7 +225,7 @@ def _axes(turn: Float2D) -> str:
     return ", ".join(words)
 
 
-def _with_figures(motion: Motion, stands: Fit, meant: Meant) -> InputAnomaly:
+def _with_figures(motion: Motion, stands: Explanation, meant: Meant) -> InputAnomaly:
     before, after = (100.0 * (1.0 - one.rest / motion.total) for one in (stands, meant.fit))
     text = (
         f"{meant.anomaly.text}: so read, joint springs explain {after:.1f} % of the motion under load, as it stands "
@@ -160,7 +234,7 @@ def _with_figures(motion: Motion, stands: Fit, meant: Meant) -> InputAnomaly:
     return dataclasses.replace(meant.anomaly, text=text, magnitude=stands.rest / motion.total)
 
 
-def _no_relation(motion: Motion, stands: Fit) -> InputAnomaly:
+def _no_relation(motion: Motion, stands: Explanation) -> InputAnomaly:
     size = float(np.sqrt(motion.total / motion.freedom))
     text = (
         f"the points move by {1e3 * size:.3g} mm (rms per coordinate) between load steps, and no reading of the wrench "
@@ -170,36 +244,36 @@ def _no_relation(motion: Motion, stands: Fit) -> InputAnomaly:
     return InputAnomaly("no_relation", text, remedy, stands.rest / motion.total)
 
 
-def _unit(motion: Motion, given: Reading, facts: Facts) -> list[InputAnomaly]:
-    """Judge a common factor of forces or of positions: by the rated load, and by how stiff robots of that load are."""
-    expected = float(np.linalg.norm(_expected(motion, given, facts)))
+def _other_robot(motion: Motion, stands: Explanation) -> InputAnomaly:
+    share = 100 * (1 - stands.rest / motion.total)
+    text = (
+        f"joint springs of the robot in the file explain {share:.0f} % of the motion under load, with the right file "
+        "they explain more than 90 %: it describes another robot, or joints, signs or zeros are mixed up"
+    )
+    remedy = "use the file of this robot, and check its joint zeros and signs"
+    return InputAnomaly("wrong_robot_file", text, remedy, stands.rest / motion.total)
+
+
+def _unit(motion: Motion, given: Reading, facts: CellSizes) -> list[InputAnomaly]:
+    """Judge a common factor of forces or of positions by the stated stiffness, else by the rated load."""
+    expected = float(np.linalg.norm(expected_motion(motion, given, facts)))
     if expected == 0.0:
         return []
     size = float(np.linalg.norm(motion.moved)) / expected
     strength = float(np.linalg.norm(motion.force, axis=1).max()) / (facts.rated_load * STANDARD_ACCELERATION)
-    if 1.0 / UNIT < size < UNIT:
-        return []
-    seen = f"the robot gives way {size:.2g} times as much as {'its stated stiffness' if facts.stiffness else 'robots'} "
-    seen += f"{'says' if facts.stiffness else 'of its rated load do'}; the largest force is {100 * strength:.2g} % of "
-    seen += "the rated load"
-    if size >= UNIT and strength < WEAK:
-        remedy = "give forces in N and torques in N·m: multiply them by 1000 (they look like kN and kN·m)"
-        return [InputAnomaly("wrench_unit", seen, remedy, size, factor=1000.0)]
-    factor = 1e-3 if size >= UNIT else 1e3
-    looks = "mm" if size >= UNIT else "km, or millimetres divided twice"
-    remedy = f"give positions in m: multiply them by {factor:g} (they look like {looks})"
-    return [InputAnomaly("position_unit", seen, remedy, size, factor=factor)]
+    return unit_anomaly(size, strength, stated=facts.stiffness is not None)
 
 
-def _unseen(motion: Motion, given: Reading, facts: Facts) -> list[InputAnomaly]:
+def _unseen(motion: Motion, given: Reading, facts: CellSizes) -> list[InputAnomaly]:
     """Judge motion that the noise hides: loads that bend any robot visibly, and no motion, do not belong together."""
-    expected = _expected(motion, given, facts)
-    if float(np.linalg.norm(expected)) < np.sqrt(motion.freedom) * BENT * motion.sigma:
+    expected = expected_motion(motion, given, facts)
+    bent = BENT if facts.stiffness is None else BENT_STATED
+    if float(np.linalg.norm(expected)) < np.sqrt(motion.freedom) * bent * motion.sigma:
         return []
     size = float(np.linalg.norm(motion.moved) / np.linalg.norm(expected))
-    if size > 1.0 / UNIT:
+    if size > 1.0 / SEEN_BY_PRIOR:
         return []
-    if size > 1e-2 / UNIT:
+    if size > 1e-2 / SEEN_BY_PRIOR:
         return _unit(motion, given, facts)
     text = (
         "the points do not move under loads that would move them by "
@@ -209,15 +283,7 @@ def _unseen(motion: Motion, given: Reading, facts: Facts) -> list[InputAnomaly]:
     return [InputAnomaly("no_relation", text, remedy, 1.0)]
 
 
-def _expected(motion: Motion, given: Reading, facts: Facts) -> Float1D:
-    """Return the (3 m,) motion that a robot of the stated stiffness, or of the usual one, would show."""
-    usual = np.full(len(facts.joints), typical("joint_elasticity", facts.rated_load))
-    if facts.stiffness is not None:
-        usual = 1.0 / np.array(facts.stiffness)
-    return columns_of(motion, posture_of(motion), motion.force, motion.torque, given) @ usual
-
-
-def _overstated(motion: Motion, stands: Fit) -> list[InputAnomaly]:
+def _overstated(motion: Motion, stands: Explanation) -> list[InputAnomaly]:
     freedom = motion.freedom - len(stands.compliance)
     rms = float(np.sqrt(stands.rest / freedom))
     if rms > OVERSTATED * motion.sigma:

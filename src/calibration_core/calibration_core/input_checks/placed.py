@@ -9,22 +9,27 @@ from collections.abc import Iterator
 import numpy as np
 
 from calibration_core.input_checks.anomaly import InputAnomaly
+from calibration_core.input_checks.point_orders import other_points
+from calibration_core.input_checks.zeros import best_zero
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import posture
-from calibration_core.timeseries import Float2D, Int1D
+from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 RIGHT = 0.01  # of the reach: a robot file whose points come so near describes this robot
+LOADED = 0.0025  # the same where loads are to be explained and no geometry is fitted; points taken as found
+ZERO_FAR = 0.5  # a zero that is off leaves less than this share
 FAR = 0.2  # what is meant leaves less than this share
 UNRELATED = 0.5  # of the spread of the points
 FEWEST = 6  # positions
 FLAT = 1e-3  # positions on a line tell nothing
 SCALES = {1e-3: "mm", 1e3: "km", 0.0254: "inches", 0.01: "cm", 0.3048: "feet"}
 NEAR_SCALE = 0.03  # relative
-MOST_POINTS = 5  # all of whose orders are tried
+FITS = 3  # turns of tracker frame and points
+LEAST_EVIDENCE = 30.0  # nats
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Seen:
+class PositionRecording:
     """Positions of one recording.
 
     Attributes:
@@ -34,6 +39,7 @@ class Seen:
         point: (m,) index of the measurement point.
         points: (k, 3) m, where the cell file has them, flange frame.
         names: Names of the points.
+        loaded: Whether the recording holds loads, so that its geometry is taken from the robot file.
     """
 
     chain: Chain
@@ -42,9 +48,10 @@ class Seen:
     point: Int1D
     points: Float2D
     names: tuple[str, ...]
+    loaded: bool = False
 
 
-def check_positions(seen: Seen) -> list[InputAnomaly]:
+def check_positions(seen: PositionRecording) -> list[InputAnomaly]:
     """Return what is wrong with joints, points, angles or the unit of positions; at most one fault."""
     spans = np.linalg.svd(seen.position - seen.position.mean(axis=0), compute_uv=False)
     if len(seen.q) < FEWEST or spans[1] < FLAT * spans[0]:
@@ -58,33 +65,82 @@ def check_positions(seen: Seen) -> list[InputAnomaly]:
                 text = f"{anomaly.text}: so read, the points are {1e3 * rms:.2g} mm (rms per coordinate) from where "
                 text += f"the robot file puts them, as it stands {1e3 * stands:.3g} mm"
                 return [dataclasses.replace(anomaly, text=text, magnitude=stands, unit="m")]
+    zero = _zero_off(seen, stands) if seen.loaded else []
+    if zero:
+        return zero
     spread = float(np.sqrt(np.mean((seen.position - seen.position.mean(axis=0)) ** 2)))
     if stands > UNRELATED * spread and stands > RIGHT * reach:
         text = f"positions and joint angles have nothing to do with each other: {1e3 * stands:.3g} mm are left of a "
         text += f"spread of {1e3 * spread:.3g} mm (rms per coordinate)"
         remedy = "check that recording, cell file and robot belong together"
         return [InputAnomaly("no_relation", text, remedy, stands, unit="m")]
-    if stands > 2 * RIGHT * reach:
-        text = f"with the best tracker frame the points are {1e3 * stands:.3g} mm (rms per coordinate) from where the "
-        text += "robot file puts them: it describes another robot, or joints, signs or zeros are mixed up"
+    freed = _with_free_points(seen)
+    if freed > (LOADED if seen.loaded else 2 * RIGHT) * reach:
+        text = f"with the best tracker frame and points they are {1e3 * freed:.3g} mm (rms per coordinate) from where "
+        text += "the robot file puts them: it describes another robot, or joints, signs or zeros are mixed up"
         remedy = "use the file of this robot, and check its joint zeros and signs"
-        return [InputAnomaly("wrong_robot_file", text, remedy, stands, unit="m")]
+        return [InputAnomaly("wrong_robot_file", text, remedy, freed, unit="m")]
     return []
 
 
+def _zero_off(seen: PositionRecording, stands: float) -> list[InputAnomaly]:
+    """Name the joint whose zero is off, where that alone explains by far the most of what is left."""
+
+    def rest(offset: Float1D) -> float:
+        return misplaced(dataclasses.replace(seen, q=seen.q + offset)) ** 2
+
+    zero = best_zero(rest, stands**2, ~np.array(seen.chain.prismatic, dtype=bool))
+    if zero is None:
+        return []
+    after = float(np.sqrt(zero.rest))
+    evidence = 3 * len(seen.q) * np.log(stands / max(after, 1e-12))
+    if after > ZERO_FAR * stands or evidence < LEAST_EVIDENCE:
+        return []
+    name, freed = seen.chain.joints[zero.joint], _with_free_points(seen)
+    turned = " (or the measurement points stand turned by as much about its axis)" if freed < 2 * after else ""
+    text = f"the zero of {name} is off by {zero.offset:+.4f} rad{turned}: with it, the points are {1e3 * after:.2g} mm "
+    text += f"(rms per coordinate) from where the robot file puts them, as it stands {1e3 * stands:.3g} mm"
+    remedy = f"master {name} again, or add {zero.offset:+.4f} rad to its recorded angles"
+    return [InputAnomaly("wrong_robot_file", text, remedy, zero.offset, unit="rad", joints=(name,))]
+
+
+def _with_free_points(seen: PositionRecording) -> float:
+    """Return the rms per coordinate, m, with the best tracker frame and the best points in the flange frame."""
+    at = posture(seen.chain, seen.q)
+    target = at.point(seen.points[seen.point].T).T
+    origin = at.point(np.zeros((3, len(seen.q)))).T
+    axes = np.stack([at.point(np.repeat(row[:, None], len(seen.q), axis=1)).T - origin for row in np.eye(3)], axis=-1)
+    points = seen.points.copy()
+    for _ in range(FITS):
+        found = _moved(target, seen.position)
+        local = np.einsum("mij,mi->mj", axes, found - origin)
+        for index in np.unique(seen.point):
+            points[index] = local[seen.point == index].mean(axis=0)
+        target = origin + np.einsum("mij,mj->mi", axes, points[seen.point])
+    return _registered(target, seen.position)[0]
+
+
 def _swapped_points(tried: list[tuple[InputAnomaly, float]], stands: float) -> bool:
-    """Points are told apart where they differ by far less than the reach."""
+    """Points are distinguishable where they differ by far less than the reach."""
     return bool(tried) and tried[0][0].kind == "point_order" and tried[0][1] < FAR * stands
 
 
-def misplaced(seen: Seen) -> float:
+def misplaced(seen: PositionRecording) -> float:
     """Return the rms per coordinate, m, between positions and where the robot puts the points, in the best frame."""
     return _registered(_predicted(seen), seen.position)[0]
 
 
-def _predicted(seen: Seen) -> Float2D:
+def _predicted(seen: PositionRecording) -> Float2D:
     at = posture(seen.chain, seen.q)
     return at.point(seen.points[seen.point].T).T
+
+
+def _moved(target: Float2D, source: Float2D) -> Float2D:
+    """Return the source after the best rotation and shift, (m, 3) m."""
+    a, b = target - target.mean(axis=0), source - source.mean(axis=0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
+    return np.asarray(b @ ((u * signs) @ vt).T + target.mean(axis=0))
 
 
 def _registered(target: Float2D, source: Float2D) -> tuple[float, float]:
@@ -97,7 +153,7 @@ def _registered(target: Float2D, source: Float2D) -> tuple[float, float]:
     return float(np.sqrt(np.mean((a - rotated) ** 2))), float((values * signs).sum() / power) if power > 0 else 1.0
 
 
-def _alternatives(seen: Seen, stands: float, reach: float) -> Iterator[tuple[InputAnomaly, float]]:
+def _alternatives(seen: PositionRecording, stands: float, reach: float) -> Iterator[tuple[InputAnomaly, float]]:
     if len(seen.names) > 1:
         yield from _orders(seen)
     if stands <= RIGHT * reach:
@@ -122,30 +178,6 @@ def _alternatives(seen: Seen, stands: float, reach: float) -> Iterator[tuple[Inp
             yield anomaly, misplaced(dataclasses.replace(seen, position=factor * seen.position))
 
 
-def _orders(seen: Seen) -> Iterator[tuple[InputAnomaly, float]]:
-    count = len(seen.names)
-    orders = itertools.permutations(range(count)) if count <= MOST_POINTS else _exchanges(count)
-    for order in orders:
-        changed = [i for i in range(count) if order[i] != i]
-        if not changed:
-            continue
-        words = ", ".join(f"{seen.names[i]} is {seen.names[order[i]]}" for i in changed)
-        text = f"measurement points are exchanged ({words})"
-        remedy = f"name the points as the cell file has them: {words}"
-        anomaly = InputAnomaly("point_order", text, remedy, 0.0, points=tuple(seen.names[i] for i in changed))
-        yield anomaly, misplaced(dataclasses.replace(seen, points=seen.points[list(order)]))
-    for axis in range(3):
-        mirrored = seen.points * np.where(np.arange(3) == axis, -1.0, 1.0)
-        if np.array_equal(mirrored, seen.points):
-            continue
-        text = f"the measurement points are mirrored: {'xyz'[axis]} has the wrong sign in the cell file"
-        anomaly = InputAnomaly("point_order", text, f"turn the sign of {'xyz'[axis]} of frames.measurement_points", 0.0,
-                               points=seen.names, axes=f"-{'xyz'[axis]}")  # fmt: skip
-        yield anomaly, misplaced(dataclasses.replace(seen, points=mirrored))
-
-
-def _exchanges(count: int) -> Iterator[tuple[int, ...]]:
-    for i, j in itertools.combinations(range(count), 2):
-        order = list(range(count))
-        order[i], order[j] = j, i
-        yield tuple(order)
+def _orders(seen: PositionRecording) -> Iterator[tuple[InputAnomaly, float]]:
+    for anomaly, points in other_points(seen.names, seen.points):
+        yield anomaly, misplaced(dataclasses.replace(seen, points=points))

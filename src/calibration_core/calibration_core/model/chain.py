@@ -154,9 +154,15 @@ def rotation_rpy(roll: float, pitch: float, yaw: float) -> Float2D:
 
 
 def rpy_of(rotation: Float2D) -> Float1D:
-    """Return roll, pitch, yaw in rad of a (3, 3) rotation, the inverse of `rotation_rpy`."""
+    """Return roll, pitch, yaw in rad of a (3, 3) rotation, the inverse of `rotation_rpy`.
+
+    Yaw is that of the rotation freed of its roll: at a pitch of 90 degrees, where roll and yaw are one turn, rounding
+    errors share it out, and the two still compose to it.
+    """
+    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
-    return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
+    second = np.cos(roll) * rotation[:, 1] - np.sin(roll) * rotation[:, 2]  # Rz(yaw) y
+    return np.array([roll, pitch, np.arctan2(-second[0], second[1])])
 
 
 def pose_matrix(xyz: Float1D, rpy: Float1D) -> Float2D:

@@ -43,13 +43,15 @@ class Equilibrium:
     amplification: Float3D
 
     def point_jacobian(self, point: Float1D) -> Float3D:
-        """Return d p / d theta of a point in the flange frame, (3, n, m) m/rad, at the deformed posture."""
+        """Return d p / d theta of a point in the flange frame, (3,) or (3, m) m, here deformed, (3, n, m) m/rad."""
         return np.stack(linear_jacobian(self.at, self.at.point(point)), axis=1)
 
-    def point_by_compliance(self, point: Float1D) -> Float3D:
-        """Return d p / d C, (3, n, m) m per rad/(N*m), exact at this equilibrium."""
-        jacobian = np.einsum("anm,njm->ajm", self.point_jacobian(point), self.amplification)
-        return jacobian * self.torque
+    def loaded_point_jacobian(self, point: Float1D) -> Float3D:
+        """Return what a first deflection does to a point once K_CSM and gravity answer, (3, n, m) m/rad.
+
+        Times `torque` it is d p / d C, exact at this equilibrium.
+        """
+        return np.asarray(np.einsum("anm,njm->ajm", self.point_jacobian(point), self.amplification))
 
 
 def solve_equilibrium(chain: Chain, q: Float2D, compliance: Float1D, load: Load | None) -> Equilibrium:

@@ -6,7 +6,9 @@ import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from calibration_core.timeseries import Float1D, Float2D, read_only
+import numpy as np
+
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, read_only
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +47,8 @@ class ModelParameters:
         wrench_point: (3,) m, flange frame; None if no wrench acts.
         force_torque: (4, 4) pose of the sensor frame in the flange frame; None if there is no sensor.
         effects: Physics beyond joint springs and geometry, as a diagnosis found it.
+        setups: (r, 4, 4) where several recordings are evaluated together: what brings the positions of each into the
+            frame of `tracker`, beyond how they were brought there already; None: one recording.
     """
 
     joints: tuple[str, ...]
@@ -55,6 +59,7 @@ class ModelParameters:
     wrench_point: Float1D | None = None
     force_torque: Float2D | None = None
     effects: tuple[AppliedEffect, ...] = ()
+    setups: Float3D | None = None
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays; raise ValueError on wrong shapes."""
@@ -65,6 +70,7 @@ class ModelParameters:
             "tracker": (4, 4),
             "wrench_point": (3,),
             "force_torque": (4, 4),
+            "setups": (0 if self.setups is None else len(self.setups), 4, 4),
         }
         for name, shape in shapes.items():
             value = getattr(self, name)
@@ -77,6 +83,18 @@ class ModelParameters:
             object.__setattr__(self, name, array)
         points = {name: read_only(point) for name, point in self.points.items()}
         object.__setattr__(self, "points", MappingProxyType(points))
+
+    def placed(self, position: Float2D, recording: Int1D | None) -> Float2D:
+        """Return positions as they were read, (3, m) m, as the tracker at `tracker` would have read them, (3, m) m.
+
+        Args:
+            position: (3, m) m.
+            recording: (m,) which recording each comes from; None: one alone.
+        """
+        if self.setups is None or recording is None:
+            return position
+        rotation, shift = self.setups[recording, :3, :3], self.setups[recording, :3, 3]
+        return np.asarray(np.einsum("mij,jm->im", rotation, position) + shift.T)
 
     def replace(self, **changes: object) -> ModelParameters:
         """Return a copy with some values changed."""

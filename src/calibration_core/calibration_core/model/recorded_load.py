@@ -5,7 +5,7 @@ from __future__ import annotations
 from calibration_core.cell import Cell
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import Load
-from calibration_core.timeseries import Float2D
+from calibration_core.timeseries import Float2D, Readings
 
 
 def recorded_load(wrench: Float2D, cell: Cell, parameters: ModelParameters) -> Load:
@@ -35,3 +35,14 @@ def recorded_load(wrench: Float2D, cell: Cell, parameters: ModelParameters) -> L
         point = parameters.wrench_point
     rotation = sensor[:3, :3] if sensor is not None and convention.wrench_axes == "sensor" else None
     return Load(wrench[:, :3].T, wrench[:, 3:].T, point, rotation)
+
+
+def load_of(readings: Readings, cell: Cell, parameters: ModelParameters) -> Load:
+    """Return the external load of every reading, as the cell file says that it was recorded.
+
+    Raises:
+        CellError: The pose of the sensor or the wrench point is needed and missing.
+    """
+    if readings.wrench is None:
+        raise cell.missing("the recording's wrench", "joint stiffness from a loaded recording")
+    return recorded_load(readings.wrench, cell, parameters)

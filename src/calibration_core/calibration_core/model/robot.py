@@ -52,18 +52,18 @@ def _from_dh(cell: Cell) -> Chain:
     rows = robot.dh or ()
     n = len(rows)
     rotation, translation = np.empty((n, 3, 3)), np.empty((n, 3))
-    carried = np.eye(3), np.zeros(3)  # what of the previous row stands between its rotation and this joint
+    pending = np.eye(3), np.zeros(3)  # what of the previous row stands between its rotation and this joint
     tails = []
     for i, row in enumerate(rows):
         turn, along_x, along_z = rotation_x(row.alpha), np.array([row.a, 0.0, 0.0]), np.array([0.0, 0.0, row.d])
         if robot.modified_dh:
-            rotation[i] = carried[0] @ turn
-            translation[i] = carried[1] + carried[0] @ along_x
-            carried = np.eye(3), along_z
+            rotation[i] = pending[0] @ turn
+            translation[i] = pending[1] + pending[0] @ along_x
+            pending = np.eye(3), along_z
         else:
-            rotation[i], translation[i] = carried
-            carried = turn, along_z + along_x
-        tails.append(carried)
+            rotation[i], translation[i] = pending
+            pending = turn, along_z + along_x
+        tails.append(pending)
     mass = com = None
     if robot.inertials is not None:
         mass = np.array([inertial.mass for inertial in robot.inertials])
@@ -73,8 +73,8 @@ def _from_dh(cell: Cell) -> Chain:
         rotation=rotation,
         translation=translation,
         offset=np.array([row.theta for row in rows]),
-        flange_rotation=carried[0],
-        flange_translation=carried[1],
+        flange_rotation=pending[0],
+        flange_translation=pending[1],
         limits=np.array(robot.joint_limits, dtype=float),
         gravity=cell.gravity,
         mass=mass,

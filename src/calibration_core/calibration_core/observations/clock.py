@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from calibration_core.cell import Cell
 from calibration_core.observations.plateaus import USUAL_SIGMA, Window
-from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Int1D, Note, Recording, TimeSeries
+from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Int1D, Note, Streams, TimeSeries
 
 OTHER_BASE = 5.0  # s; streams further apart than this are on different time bases
 SOONEST = 0.02  # quantile of what stamps are behind receive times; fewer may be stamped wrong
@@ -53,7 +53,7 @@ class ClockOffset:
         return abs(self.seconds) > SIGNIFICANCE * self.std and abs(self.seconds) > SMALLEST
 
 
-def on_one_base(recording: Recording) -> Recording:
+def on_one_base(recording: Streams) -> Streams:
     """Bring streams onto the time base of the joint states where their stamps count from somewhere else.
 
     What the stamps of a stream are behind the receive times, at the soonest, should be about the same for all streams;
@@ -87,7 +87,7 @@ def _lag(series: TimeSeries) -> int:
     return int(np.sort(series.received - series.time)[round(SOONEST * (len(series) - 1))])
 
 
-def clock_offset(recording: Recording, windows: list[Window], cell: Cell) -> ClockOffset | None:
+def clock_offset(recording: Streams, windows: list[Window], cell: Cell) -> ClockOffset | None:
     """Estimate the offset from the load ramps between the windows of each configuration.
 
     Returns:
@@ -127,7 +127,7 @@ def clock_offset(recording: Recording, windows: list[Window], cell: Cell) -> Clo
     return ClockOffset(mean, std, int(near.sum()))
 
 
-def corrected(recording: Recording, offset: ClockOffset | None) -> tuple[Recording, list[Note]]:
+def corrected(recording: Streams, offset: ClockOffset | None) -> tuple[Streams, list[Note]]:
     """Take a significant offset out, and report any.
 
     The clock that is set right is the one that is further from the joint states', judged by receive times.

@@ -22,13 +22,16 @@ def position_covariance(readings: Readings, cell: Cell) -> Float3D:
 
     A Cartesian claim is the same for every coordinate.  A spherical claim is about the tracker's origin and its z axis:
     range (`sigma_range` + `sigma_range_per_m` times the range), azimuth and elevation (`sigma_angle` each).  The
-    plateau's own covariance inflates it where it is larger (see the module).
+    plateau's own covariance inflates it where it is larger (see the module).  Of several recordings, a reading
+    brings the claim of its own instrument.
 
     Raises:
         CellError: Positions are displacements, but the claim is spherical (the range is not known).
     """
     tracker = cell.instruments.tracker
-    if tracker.sigma is not None:
+    if readings.position_claim is not None:
+        claim = readings.position_claim
+    elif tracker.sigma is not None:
         claim = np.broadcast_to(tracker.sigma**2 * np.eye(3), (len(readings), 3, 3))
     elif cell.measurements.points == "displacement":
         expected = "sigma: recorded displacements have no range from the tracker"
@@ -75,6 +78,8 @@ def wrench_covariance(readings: Readings, cell: Cell) -> Float3D:
     """
     if readings.wrench is None:
         return np.zeros((len(readings), 6, 6))
+    if readings.wrench_claim is not None:
+        return _larger(readings.wrench_claim, readings.wrench_covariance)
     sensor = cell.instruments.force_torque
     if sensor is None:
         raise cell.missing("instruments.force_torque", "the recorded wrench")

@@ -14,11 +14,11 @@ from calibration_core.observations.clock import clock_offset, corrected, on_one_
 from calibration_core.observations.conditions import worst
 from calibration_core.observations.plateaus import USUAL_SIGMA, Window, found_windows, marked_windows
 from calibration_core.observations.settling import settled_from
-from calibration_core.recording.bag import read_bag
+from calibration_core.recording.bags.bag import read_bag
 from calibration_core.recording.session import read_session
 from calibration_core.recording.source import recording_kind
-from calibration_core.recording.table import read_table
-from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Note, Readings, Recording, TimeSeries
+from calibration_core.recording.tables.table import read_table
+from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Note, Readings, Streams, TimeSeries
 
 POSITION_DRIFT = 3.0  # claimed standard deviations over a window do not matter
 WRENCH_DRIFT = 5.0
@@ -26,6 +26,7 @@ WRENCH_DRIFT_SHARE = 0.01  # of the load
 JOINT_DRIFT = 5e-4  # rad
 NEAREST_JOINTS = 1.0  # s; a window between two joint states takes what lies between them
 NEAREST_TEMPERATURE = 600.0  # s
+CLAIMS_BASE_AXES = "wrench_axes"  # note: the messages say that the wrench is in base axes
 
 
 def observe(path: Path, cell: Cell) -> Readings:
@@ -52,7 +53,7 @@ def observe(path: Path, cell: Cell) -> Readings:
     return observe_recording(read_bag(path, cell), cell)
 
 
-def observe_recording(recording: Recording, cell: Cell) -> Readings:
+def observe_recording(recording: Streams, cell: Cell) -> Readings:
     """Turn streams into readings: find the windows, let them settle, average.
 
     Joint angles, wrench and temperature of a row are averaged over the stretch in which its point was seen.  The
@@ -89,10 +90,20 @@ def observe_recording(recording: Recording, cell: Cell) -> Readings:
     if outliers:
         aside.append(Note("outlier_samples", "tracker", f"{outliers} wild samples within plateaus left out", outliers))
     rows.sort(key=lambda row: row.time)
-    return _readings(recording, cell, rows, (*recording.notes, *notes, *clock, *aside))
+    return _readings(recording, cell, rows, (*recording.notes, *notes, *clock, *aside, *_frame_notes(recording, cell)))
 
 
-def _windows(recording: Recording, cell: Cell) -> tuple[list[Window], list[Note]]:
+def _frame_notes(recording: Streams, cell: Cell) -> list[Note]:
+    """Say that the messages claim other axes of the wrench than the cell file does."""
+    frame = "" if recording.wrench is None else recording.wrench.frame
+    base = cell.robot.base_link or "base_link"
+    if frame != base or cell.measurements.wrench_axes != "sensor":
+        return []
+    text = f"the messages carry the frame {frame!r}, the cell file says that the wrench is in sensor axes"
+    return [Note(CLAIMS_BASE_AXES, "wrench", text)]
+
+
+def _windows(recording: Streams, cell: Cell) -> tuple[list[Window], list[Note]]:
     if recording.steps is not None:
         streams = [recording.joints, *recording.points.values()]
         windows, notes = marked_windows(recording.steps, max(int(series.time[-1]) for series in streams))
@@ -120,7 +131,7 @@ class _Row:
     outliers: int
 
 
-def _row(recording: Recording, cell: Cell, window: Window, point: int, series: TimeSeries) -> _Row | Note | None:
+def _row(recording: Streams, cell: Cell, window: Window, point: int, series: TimeSeries) -> _Row | Note | None:
     """Average one point over one window; a note if it cannot be used, None if the point was not seen."""
     place = f"configuration {window.configuration}, step {window.step}, {cell.points[point]}"
     seen = _cut(series, window.begin, window.end)
@@ -158,7 +169,7 @@ def _row(recording: Recording, cell: Cell, window: Window, point: int, series: T
     )  # fmt: skip
 
 
-def _readings(recording: Recording, cell: Cell, rows: list[_Row], notes: tuple[Note, ...]) -> Readings:
+def _readings(recording: Streams, cell: Cell, rows: list[_Row], notes: tuple[Note, ...]) -> Readings:
     has_wrench = recording.wrench is not None
     return Readings(
         points=cell.points,
@@ -179,7 +190,7 @@ def _readings(recording: Recording, cell: Cell, rows: list[_Row], notes: tuple[N
     )
 
 
-def _origin(recording: Recording) -> int:
+def _origin(recording: Streams) -> int:
     """First sample of the recording, ns: times of readings count from here."""
     return min(int(series.time[0]) for series in [recording.joints, *recording.points.values()])
 
@@ -230,7 +241,7 @@ def _between(series: TimeSeries, begin: int, end: int, nearest: float) -> Float1
     return np.array([np.interp(0.0, time, column) for column in series.values[near].T])
 
 
-def _temperature(recording: Recording, begin: int, end: int) -> float:
+def _temperature(recording: Streams, begin: int, end: int) -> float:
     if recording.temperature is None:
         return float("nan")
     inside = _cut(recording.temperature, begin, end)

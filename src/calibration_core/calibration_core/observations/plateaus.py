@@ -20,8 +20,8 @@ from calibration_core.timeseries import (
     Int1D,
     Note,
     Phase,
-    Recording,
     StepMarkers,
+    Streams,
     TimeSeries,
 )
 
@@ -88,7 +88,7 @@ def marked_windows(steps: StepMarkers, last: int) -> tuple[list[Window], list[No
     return sorted(chosen, key=lambda window: window.begin), notes
 
 
-def found_windows(recording: Recording, cell: Cell) -> list[Window]:
+def found_windows(recording: Streams, cell: Cell) -> list[Window]:
     """Find configurations and steps where no markers were recorded.
 
     Returns:

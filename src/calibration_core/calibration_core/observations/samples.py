@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from calibration_core.recording.streams import GAP_FACTOR, GAP_SECONDS
+from calibration_core.recording.bags.streams import GAP_FACTOR, GAP_SECONDS
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
 LEARNING = 10  # intervals from which the usual one is known
@@ -36,6 +36,7 @@ class Problem(enum.IntEnum):
     OUT_OF_ORDER = 7
     GAP = 8
     INCOMPATIBLE_QOS = 9
+    TWO_SOURCES = 10
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from calibration_core.timeseries import NANOSECONDS, Float1D
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Settled:
+class SettledWindow:
     """A settled window.
 
     Attributes:
@@ -80,7 +80,7 @@ class Averaging:
         self._time.clear()
         self._values.clear()
 
-    def state(self) -> Settled | Waiting:
+    def state(self) -> SettledWindow | Waiting:
         """Return the settled window, or why there is none yet."""
         samples = len(self._time)
         span = self._time[-1] - self._time[0] if samples else 0
@@ -90,4 +90,4 @@ class Averaging:
         time, values = np.array(self._time, np.int64), np.array(self._values)
         if settled_from(time, values, self._tolerance) != 0:
             return Waiting(1.0, samples, moving=True)
-        return Settled(int(time[0]), int(time[-1]), average(values))
+        return SettledWindow(int(time[0]), int(time[-1]), average(values))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.identification.arc import FULL, arc_for, centre_std
+from calibration_core.identification.circle_point.arc import FULL, arc_for, centre_std
 from calibration_core.report.rounding import significant
 
 WANTED = 1e-4  # m, accuracy of a circle's centre for which the arc is stated
 
 
-def arc_told(arc: float, sigma: float, readings: int, noun: str) -> str:
+def describe_arc(arc: float, sigma: float, readings: int, noun: str) -> str:
     """Return how long an arc is, how well it fixes a circle's centre, and which arc would be enough.
 
     Args:

@@ -8,7 +8,9 @@ import math
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.estimate import Identification
+from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.model.effects.words import effect_sentence
 from calibration_core.report.document import (
     Block,
     Document,
@@ -19,13 +21,24 @@ from calibration_core.report.document import (
     cleaned,
     numbered,
 )
-from calibration_core.report.rendering import document_number
-from calibration_core.report.result import result_dict, result_json, tested
+from calibration_core.report.results.diagnosis import identified_dict
+from calibration_core.report.results.result import result_json, tested
+from calibration_core.report.results.standard import standard_rows
+from calibration_core.report.results.traffic_light import Light, light_of
+from calibration_core.report.results.verdict import ResidualVerdict, rest
 from calibration_core.report.rounding import counted, length_unit, listed, shortened, significant, spread
-from calibration_core.report.sections import phases, procedure, records, residuals, standard, stiffness, uncertainty
+from calibration_core.report.sections import (
+    phases,
+    procedure,
+    records,
+    residuals,
+    standard,
+    stiffness,
+    together,
+    uncertainty,
+)
 from calibration_core.report.shown import shown
-from calibration_core.report.standard_result import standard_rows
-from calibration_core.report.verdict import Rest, rest
+from calibration_core.report.writing.rendering import document_number
 
 TITLE = "Elastostatic compliance calibration"
 STATEMENT = (
@@ -42,14 +55,21 @@ REFERENCE = (
 SIGNATURES = ("Measured by", "Evaluated by", "Approved by")
 
 
-def build(identification: Identification, cell: Cell, evaluated: dt.date | None = None) -> Document:
+def build(
+    identification: Identification,
+    cell: Cell,
+    evaluated: dt.date | None = None,
+    searched: Diagnosis | None = None,
+) -> Document:
     """Build the report of an identification (CWA 17384, clause 8).
 
     Args:
         identification: The answer.
         cell: The cell it belongs to.
         evaluated: Date of evaluation; today (UTC) if not given.
+        searched: What the search for missing physics says; None where there was none.
     """
+    content = identified_dict(identification, searched, cell)
     result, left = identification, rest(identification)
     day = evaluated or dt.datetime.now(dt.UTC).date()
     sections = _sections(result, cell, left)
@@ -57,24 +77,25 @@ def build(identification: Identification, cell: Cell, evaluated: dt.date | None 
     if result.stages and not result.stiffness:
         front = (*front, *uncertainty.stage_blocks(result))
     if result.stiffness:
-        front = (stiffness.table_2(result, cell), stiffness.drawing_of(result, cell))
+        named = (
+            () if searched is None else tuple(effect_sentence(one.effect, one.location) for one in searched.findings)
+        )
+        table = stiffness.table_2(result, cell)
+        unexplained = searched is not None and searched.rest.significant
+        omitted = stiffness.left_out(result, named, unexplained=unexplained)
+        front = (table, *omitted, stiffness.drawing_of(result, cell))
     document = Document(
-        number=report_number(result, cell),
+        number=document_number(result_json(content)),
         title=TITLE,
         subtitle="Test report according to CWA 17384",
         facts=_facts(result, cell, day),
-        verdict=_verdict(result, left),
+        verdict=_verdict(result, left, light_of(content)),
         front=(*front, Paragraph(_where(sections))),
         sections=sections,
         signatures=SIGNATURES,
         statement=STATEMENT,
     )
     return numbered(cleaned(document))
-
-
-def report_number(identification: Identification, cell: Cell) -> str:
-    """Return the report's number: a short digest of input files and result; the same for the same answer."""
-    return document_number(result_json(result_dict(identification, cell)))
 
 
 def date_of_test(start: str) -> str:
@@ -102,7 +123,7 @@ def _facts(result: Identification, cell: Cell, day: dt.date) -> Facts:
     return Facts((*rows, *records.given_model(result)))
 
 
-def _verdict(result: Identification, left: Rest) -> Verdict:
+def _verdict(result: Identification, left: ResidualVerdict, light: Light) -> Verdict:
     known = [joint for joint in result.stiffness if joint.identifiable]
     total = len(result.stiffness) or len(result.model.joints)
     lines: list[tuple[str, str]] = []
@@ -147,19 +168,25 @@ def _verdict(result: Identification, left: Rest) -> Verdict:
         )
     if left.significant:
         headline += "; the residual is more than noise"
+    lines = [*light.rows, ("Result", headline), *lines]
     return Verdict(
-        headline,
+        light.headline,
         tuple((label, text if label == "Not identifiable" else text[0].upper() + text[1:]) for label, text in lines),
+        light.usable,
     )
 
 
-def _sections(result: Identification, cell: Cell, left: Rest) -> tuple[Section, ...]:
+def _sections(result: Identification, cell: Cell, left: ResidualVerdict) -> tuple[Section, ...]:
     view = shown(result, cell)
     sections = [
         Section("What the recording determines", "8", stiffness.limits(result)),
         Section("Agreement of model and recording", "", stiffness.fit_section(result, cell, left)),
         *phases.phase_sections(result),
     ]
+    if result.together is not None:
+        sections.insert(
+            0, Section("Recordings evaluated together", "", together.together_blocks(result.together, result.stiffness))
+        )
     if result.decoupled is not None:
         sections.append(Section("Arm and wrist", "5.2", phases.decoupled_blocks(result.decoupled)))
     if result.stages and result.stiffness:

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-from calibration_core.diagnosis.finding import Diagnosis
+from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.report.rounding import counted
+from calibration_core.report.sections.together import together_lines
 
 VERDICTS = {
     "consistent": "nothing is missing: the model explains the recording to its noise",
     "missing_physics": "physics is missing in the model, and the findings explain the recording to its noise",
-    "partly_explained": "physics is missing in the model, and a rest remains that nothing in the catalogue explains",
-    "unexplained": "a significant rest remains, and nothing in the catalogue explains it",
+    "partly_explained": "physics is missing in the model, and nothing in the catalogue explains a significant residual",
+    "unexplained": "a significant residual remains, and nothing in the catalogue explains it",
 }
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict in words; nothing is called complete above anomalies, or a claim of noise that is too low."""
+    if diagnosis.verdict != "consistent" or not diagnosis.anomalies:
+        return VERDICTS[diagnosis.verdict]
+    if diagnosis.comparison is not None and diagnosis.comparison.recording_spoiled:
+        return "no physics is claimed before recording and simulation are put right"
+    if any(anomaly.kind == "noise_understated" for anomaly in diagnosis.anomalies):
+        return "no missing physics is seen, but the recording is noisier than the cell file claims"
+    return "no missing physics is seen beside the anomalies"
 
 
 def diagnosis_summary(diagnosis: Diagnosis) -> str:
     """Return verdict, findings, anomalies and figures, at most a screen long."""
-    lines = [f"verdict: {diagnosis.verdict}: {VERDICTS[diagnosis.verdict]}"]
+    lines = [f"verdict: {diagnosis.verdict}: {headline(diagnosis)}"]
+    if diagnosis.identification.together is not None:
+        lines += together_lines(diagnosis.identification.together)
     if diagnosis.comparison is not None:
         lines += [f"simulation: {sentence}" for sentence in diagnosis.comparison.sentences]
     lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in diagnosis.anomalies]

@@ -124,10 +124,12 @@ class Verdict:
     Attributes:
         headline: The result in one line.
         lines: What a reader must know to judge it: label and statement.
+        light: `yes`, `with_reservations` or `no`, as in result.json; empty where nothing is judged.
     """
 
     headline: str
     lines: tuple[tuple[str, str], ...]
+    light: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,6 +157,11 @@ class Document:
     sections: tuple[Section, ...]
     signatures: tuple[str, ...]
     statement: str
+
+    @property
+    def robot(self) -> str:
+        """Return the robot's name; empty where the facts name none."""
+        return dict(self.facts.rows).get("Industrial robot", "")
 
     def tables(self) -> tuple[Table, ...]:
         """Return every table, in the order of the report."""

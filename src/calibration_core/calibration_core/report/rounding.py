@@ -78,7 +78,12 @@ def listed(names: Sequence[str], limit: int = 6) -> str:
     names = [shortened(name) for name in names]
     if len(names) > limit:
         return f"{', '.join(names[:limit])} and {len(names) - limit} more"
-    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else "".join(names)
+    return phrase(names)
+
+
+def phrase(parts: Sequence[str]) -> str:
+    """Return parts of a sentence, none of them cut, as one: `a, b and c`."""
+    return " and ".join((", ".join(parts[:-1]), parts[-1])) if len(parts) > 1 else "".join(parts)
 
 
 def shortened(name: str, limit: int = 40) -> str:

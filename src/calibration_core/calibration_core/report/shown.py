@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.estimate import Identification, Residuals
+from calibration_core.identification.result.estimate import Identification, Residuals
 from calibration_core.timeseries import Bool1D, Readings
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from calibration_core.identification.estimate import Identification, JointStiffness, Stage
+from calibration_core.identification.result.estimate import Identification, JointStiffness, Stage
 from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed
+from calibration_core.report.sections.together import together_lines
 
 
 def summary(found: Identification) -> str:
@@ -13,7 +14,9 @@ def summary(found: Identification) -> str:
     readings = found.readings
     configurations = counted(len(found.space.configuration), "configuration")
     counts = f"{configurations}, {counted(len(readings), 'reading')}, {counted(len(readings.points), 'point')}"
-    lines = [f"{found.kind} recording: {counts}"]
+    lines = [f"{found.kind} recording{'' if found.together is None else 's'}: {counts}"]
+    if found.together is not None:
+        lines += together_lines(found.together)
     if found.stiffness:
         lines.append(f"{'joint':<24} {'stiffness [' + STIFFNESS.name + ']':>26}   95 % interval")
         lines += [_joint(joint) for joint in found.stiffness]
@@ -63,7 +66,15 @@ def _joint(joint: JointStiffness) -> str:
     low, high = (fixed(STIFFNESS.factor * end, places) if math.isfinite(end) else "∞" for end in joint.interval)
     reason = f"   {joint.reason}" if joint.reason else ""
     name = joint.joint if joint.unit == "N*m/rad" else f"{joint.joint} [10⁵ N/m]"
-    return f"{name:<24} {value + ' ± ' + std:>26}   {low} … {high}{reason}"
+    return f"{name:<24} {value + ' ± ' + std:>26}   {low} … {high}{_beside(joint)}{reason}"
+
+
+def _beside(joint: JointStiffness) -> str:
+    own = joint.extended
+    if own is None or not math.isfinite(own.value):
+        return ""
+    value = fixed(STIFFNESS.factor * own.value, decimals(STIFFNESS.factor * own.std))
+    return f"   extended model {value}"
 
 
 def _um(value: float) -> str:

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from calibration_core.cli import main
-from calibration_core.commands import display
-from calibration_core.commands.describe import describe
+from calibration_core.commands.files.describe import describe
+from calibration_core.commands.terminal import display
 
 ROOT = Path(__file__).resolve().parents[4]
 RECORDING = ROOT / "bags" / "small_loaded"
@@ -100,12 +100,12 @@ def test_lines_are_shown_after_a_second(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(display, "PATIENCE", 0.05)
     plain = io.StringIO()
     with display.Display("identify", terminal=None, plain=plain) as shown:
-        shown.tell(0.0, "reading the recording")
+        shown.report_progress(0.0, "reading the recording")
         time.sleep(0.3)
         assert plain.getvalue() == ""  # nothing but the error, if the recording cannot be read
-        shown.tell(0.5, "identifying")
-        shown.tell(0.8, "drawing the report")
-    shown.tell(0.9, "after the end")
+        shown.report_progress(0.5, "identifying")
+        shown.report_progress(0.8, "drawing the report")
+    shown.report_progress(0.9, "after the end")
     assert plain.getvalue().splitlines() == [
         "identify: identifying (50% done)",
         "identify: drawing the report (80% done)",
@@ -115,16 +115,16 @@ def test_lines_are_shown_after_a_second(monkeypatch: pytest.MonkeyPatch) -> None
 def test_a_short_command_shows_nothing() -> None:
     plain = io.StringIO()
     with display.Display("identify", terminal=None, plain=plain) as shown:
-        shown.tell(0.0, "reading the recording")
+        shown.report_progress(0.0, "reading the recording")
     assert plain.getvalue() == ""
 
 
 SLOW = """
 import sys, time
-from calibration_core.commands import display
+from calibration_core.commands.terminal import display
 display.PATIENCE = 0.05
 with display.Display("diagnose", terminal=sys.stderr, plain=sys.stdout) as shown:
-    shown.tell(0.4, "looking for what is left out")
+    shown.report_progress(0.4, "looking for missing physics")
     time.sleep(0.6)
 """
 
@@ -149,5 +149,5 @@ def test_a_bar_is_drawn_on_a_terminal() -> None:
         assert run.stdout.read() == b""
     os.close(leader)
     assert run.returncode == 0
-    assert b"diagnose: looking for what is left out" in seen
+    assert b"diagnose: looking for missing physics" in seen
     assert b"left:" in seen

@@ -13,7 +13,7 @@ from program import result_of, run
 
 from calibration_core.cell import load_cell
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.model.model_file import model_dict
+from calibration_core.model.identified.model_file import model_dict
 from calibration_core.model.nominal import nominal_parameters
 
 STIFFNESS = np.array([1.2e5, 1.5e5, 9.0e4, 2.5e4, 2.0e4, 1.2e4])  # of the small cell
@@ -100,12 +100,17 @@ def test_identify_with_the_known_effect_gives_the_true_stiffness(
     options = ("identify", recorded / "measurements.csv", "--cell", cell_path)
     assert run(*options, "--out", tmp_path / "without", "--no-report") == 0
     assert run(*options, "--model", extended, "--out", tmp_path / "with") == 0
-    errors = {}
+    errors, off = {}, {}
     for name in ("without", "with"):
         joints = result_of(tmp_path / name)["stiffness"]
         errors[name] = [(joint["value"] - k) / joint["std"] for joint, k in zip(joints, STIFFNESS, strict=True)]
-    assert np.abs(errors["without"]).max() > 20
+        off[name] = [joint["value"] / k - 1 for joint, k in zip(joints, STIFFNESS, strict=True)]
+    assert np.abs(off["without"]).max() > 10 * np.abs(off["with"]).max()
+    assert np.abs(errors["without"]).max() < 2  # the interval includes the bias
     assert np.abs(errors["with"]).max() < 4
+    beside = [one["extended"] for one in result_of(tmp_path / "without")["stiffness"]]
+    assert np.all([abs(one["value"] - k) < 4 * one["std"] for one, k in zip(beside, STIFFNESS, strict=True)])
+    assert "extended" not in result_of(tmp_path / "with")["stiffness"][0]
     content = result_of(tmp_path / "with")
     digest = hashlib.sha256(extended.read_bytes()).hexdigest()
     assert content["given_model"]["file"] == str(extended)
@@ -116,7 +121,7 @@ def test_identify_with_the_known_effect_gives_the_true_stiffness(
     assert [note["kind"] for note in content["notes"]].count("known_effects") == 1
     assert yaml.safe_load((tmp_path / "with" / "model.yaml").read_text())["effects"] == [OFF_AXIS]
     page = (tmp_path / "with" / "report.html").read_text(encoding="utf-8")
-    assert "off axis compliance at joint_2" in page
+    assert "joint 2 tilts about an axis that is not its own" in page
     assert digest[:12] in page
     assert "before (given model, frames refitted)" in page
 

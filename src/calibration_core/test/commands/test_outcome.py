@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from program import CELL, run
 
-from calibration_core.commands import outcome
+from calibration_core.commands.terminal import outcome
 
 BAG = CELL.parents[2] / "bags" / "small_loaded"
 SOURCE = Path("some.csv")
@@ -117,6 +117,33 @@ def test_signals_end_with_one_line_and_leave_the_earlier_result(out: Path, numbe
         assert len(errors.decode().splitlines()) == 1
         assert everything(out.parent) == ["out", "out/result.json"]
         assert (out / "result.json").read_text() == "earlier"
+
+
+def test_a_signal_that_is_ignored_where_it_arrives_ends_the_command_all_the_same(tmp_path: Path) -> None:
+    """Python ignores an exception in a finaliser, and in its own callbacks while a module is imported."""
+    code = """
+import os, signal, sys, time
+from pathlib import Path
+from calibration_core.commands.terminal.outcome import carry_out
+class Last:
+    def __del__(self):
+        os.kill(os.getpid(), int(sys.argv[1]))
+        time.sleep(0.01)
+def action():
+    Last()
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end:
+        time.sleep(0.01)
+    return "not ended"
+sys.exit(carry_out("identify", Path("x"), Path("y"), action))
+"""
+    for number, code_of_exit in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
+        began = time.monotonic()
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(int(number))], capture_output=True, cwd=tmp_path, check=False
+        )
+        assert (done.returncode, done.stdout) == (code_of_exit, b"")
+        assert time.monotonic() - began < 10.0
 
 
 def test_a_reader_that_goes_away(tmp_path: Path) -> None:

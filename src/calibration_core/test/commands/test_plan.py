@@ -11,7 +11,7 @@ import yaml
 from program import CELL, names, result_of, run
 
 from calibration_core.cell import load_cell
-from calibration_core.procedure.plan_file import read_plan
+from calibration_core.planning.plans.plan_file import read_plan
 
 DEMO = CELL.with_name("demo.cell.yaml")
 
@@ -66,9 +66,9 @@ def test_the_report_shows_certificate_spares_and_cycle(planned: Path) -> None:
         "No 13 to 18 are spares",
         "Reference configuration",
         "Start-up cycle",
-        "8 of 10 met, 2 cannot be told from the plan" if "calibrated" in page else "7 of 9 met",
+        "8 of 10 met, 2 not visible in the plan" if "calibrated" in page else "7 of 9 met",
         "not needed",
-        "What other load steps would reveal",
+        "What other load steps would show",
         "minutes without spares",
         "K_CSM moves no point by more than",
         "plan.yaml" if "plan.yaml" in page else "Full pull of every configuration",
@@ -159,3 +159,27 @@ def test_a_cube_and_a_named_protocol(cell_path: Path, tmp_path: Path) -> None:
     plan = yaml.safe_load((tmp_path / "out" / "plan.yaml").read_text())
     force = np.array(plan["configurations"][0]["steps"])[:, :3]
     assert force[2] @ force[6] == pytest.approx(-(force[2] @ force[2]))
+
+
+def test_poses_that_decide_whether_a_calibration_holds(
+    identified: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """5 to 8 of them, written as any plan; what is missing or senseless is said in one line."""
+    model, out = identified / "model.yaml", tmp_path / "out"
+    arguments = ("--cell", CELL, "--for", "verify", "--out", out, "--no-report")
+    for given, place in (
+        ((), "--model"),
+        (("--model", model), "--tolerance"),
+        (("--model", model, "--tolerance", "-1"), "--tolerance"),
+        (("--model", model, "--tolerance", "1e-4", "--risk", "0.9"), "--risk"),
+        (("--model", model, "--tolerance", "1e-4", "--phases"), "--phases"),
+        (("--model", model, "--tolerance", "1e-6"), "at least"),
+    ):
+        assert run("plan", *arguments, *given) == 2
+        assert place in capsys.readouterr().err
+        assert not out.exists()
+    assert run("plan", *arguments, "--model", model, "--tolerance", "1.5e-4", "--risk", "0.05") == 0
+    assert 5 <= len(read_plan(out / "plan.yaml", load_cell(CELL)).primary) <= 8
+    found = result_of(out)["verify"]
+    assert found["decides"] is True
+    assert found["least_tolerance"] < 1.5e-4

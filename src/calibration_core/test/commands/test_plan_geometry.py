@@ -9,14 +9,14 @@ import pytest
 from program import result_of, run
 
 from calibration_core.cell import load_cell
-from calibration_core.commands.plan_geometry import plan_geometry
-from calibration_core.identification.geometry import fit
-from calibration_core.identification.pose_information import geometry_terms, pose_problem
-from calibration_core.identification.terms import names_of
+from calibration_core.commands.planning.geometry import plan_geometry
+from calibration_core.identification.geometry.fit import fit
+from calibration_core.identification.geometry.pose_information import geometry_terms, pose_problem
+from calibration_core.identification.geometry.terms import names_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.plan_file import read_plan
-from calibration_core.procedure.planning import PlanningRules
+from calibration_core.planning.loaded import PlanningRules
+from calibration_core.planning.plans.plan_file import read_plan
 
 SEEDS = 40
 
@@ -29,7 +29,7 @@ def test_promised_uncertainties_are_those_of_the_fit(cell_path: Path) -> None:
     q = plan.table1()[1]
     problem = pose_problem(chain, cell, parameters, q)
     terms, _ = geometry_terms(chain, cell, parameters, q)
-    assert names_of(terms) == found.promise.names
+    assert names_of(terms) == found.expected.names
     exact = problem.position
     assert isinstance(problem.whitening, np.ndarray)
     root = np.linalg.inv(np.moveaxis(problem.whitening, -1, 0))
@@ -41,7 +41,7 @@ def test_promised_uncertainties_are_those_of_the_fit(cell_path: Path) -> None:
         assert fitted.converged
         change = [term.values(fitted.parameters) - term.values(parameters) for term in terms[1:]]
         values.append(np.concatenate(change))
-    seen = np.sqrt(np.mean(np.square(values), axis=0)) / found.promise.std[6:]
+    seen = np.sqrt(np.mean(np.square(values), axis=0)) / found.expected.std[6:]
     assert np.median(seen) == pytest.approx(1.0, abs=0.06)
     assert np.all(np.abs(seen - 1.0) < 0.4)  # 40 repeats know a scatter to 11 %
 

@@ -8,7 +8,7 @@ import pytest
 from program import result_of, run
 
 from calibration_core.cell import load_cell
-from calibration_core.procedure.plan_file import read_plan
+from calibration_core.planning.plans.plan_file import read_plan
 
 PHASES = ["base_frame", "geometry", "wrist_centre", "points", "stiffness"]
 

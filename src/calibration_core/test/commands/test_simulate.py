@@ -11,7 +11,7 @@ from program import names, result_of, run
 
 from calibration_core.cell import load_cell
 from calibration_core.observations.observe import observe
-from calibration_core.recording import bag_writer
+from calibration_core.recording.bags import writer as bag_writer
 
 
 def test_the_set_is_complete(simulated: Path) -> None:

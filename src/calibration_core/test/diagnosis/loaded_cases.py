@@ -8,8 +8,8 @@ import numpy as np
 from robots import STIFFNESS, loaded_readings
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.extended import loaded_state
-from calibration_core.identification.problem import build_problem
+from calibration_core.diagnosis.evidence.extended import loaded_state
+from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.state import State

@@ -10,9 +10,9 @@ import pytest
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.compare import compare, sensor_axes
+from calibration_core.diagnosis.comparison.recordings import compare, sensor_axes
 from calibration_core.diagnosis.diagnose import diagnose
-from calibration_core.identification.predict import from_step_zero, predict_readings
+from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of

@@ -10,16 +10,17 @@ from loaded_cases import shifted, true_state
 from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.commands.diagnose_document import diagnosis_document
 from calibration_core.diagnosis import loaded
-from calibration_core.diagnosis.empirical import empirical_law
-from calibration_core.diagnosis.empirical_terms import dictionary
-from calibration_core.diagnosis.extended import Extended
-from calibration_core.diagnosis.finding import Diagnosis
+from calibration_core.diagnosis.empirical.dictionary import dictionary
+from calibration_core.diagnosis.empirical.law import empirical_law
+from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.loaded import diagnose_loaded
-from calibration_core.identification.offsets import whitened
-from calibration_core.report.diagnosis_result import diagnosis_dict
+from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.identification.statistics.offsets import whitened
 from calibration_core.report.diagnosis_summary import diagnosis_summary
+from calibration_core.report.documents.diagnosis import diagnosis_document
+from calibration_core.report.results.diagnosis import diagnosis_dict
+from calibration_core.report.results.traffic_light import light_of
 
 JOINT, OTHER, SHARE, PHASE = 1, 2, 0.25, 0.7
 
@@ -30,16 +31,16 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
 
 
 @pytest.fixture(scope="module")
-def diagnosed(cell: Cell) -> tuple[Diagnosis, Extended]:
+def diagnosed(cell: Cell) -> tuple[Diagnosis, ExtendedLoadedModel]:
     """A recording in which the compliance of joint 2 follows its own and the next angle together."""
     readings = loaded_readings(cell, 5, 18)
     state = true_state(readings, cell)
     wave = np.sin(2 * state.q[:, JOINT] + 3 * state.q[:, OTHER] + PHASE)
     deflection = SHARE * wave * state.compliance[JOINT] * state.load_torque[JOINT]
-    held: list[Extended] = []
+    held: list[ExtendedLoadedModel] = []
     seen = loaded.what_remains
 
-    def remembered(extended: Extended, *rest: object) -> object:
+    def remembered(extended: ExtendedLoadedModel, *rest: object) -> object:
         held.append(extended)
         return seen(extended, *rest)  # type: ignore[arg-type]
 
@@ -50,7 +51,7 @@ def diagnosed(cell: Cell) -> tuple[Diagnosis, Extended]:
 
 
 def test_a_law_outside_the_catalogue_is_found_with_its_joint_and_what_it_follows(
-    diagnosed: tuple[Diagnosis, Extended],
+    diagnosed: tuple[Diagnosis, ExtendedLoadedModel],
 ) -> None:
     found, _ = diagnosed
     assert found.verdict == "unexplained"
@@ -67,7 +68,7 @@ def test_a_law_outside_the_catalogue_is_found_with_its_joint_and_what_it_follows
 
 
 def test_a_law_is_said_but_stands_in_no_model_and_no_stiffness(
-    diagnosed: tuple[Diagnosis, Extended], cell: Cell
+    diagnosed: tuple[Diagnosis, ExtendedLoadedModel], cell: Cell
 ) -> None:
     found, extended = diagnosed
     assert found.model is not None
@@ -78,13 +79,13 @@ def test_a_law_is_said_but_stands_in_no_model_and_no_stiffness(
     assert content["unexplained"]["significant"]
     assert "no physics" in content["unexplained"]["text"]
     assert "Empirical, not physics" in diagnosis_summary(found)
-    words = str(diagnosis_document(found, cell, b"{}"))
+    words = str(diagnosis_document(found, cell, b"{}", light_of(content)))
     assert "it is a law that fits, nothing more" in words
     assert "no effect of the catalogue stands out" in words.lower()
     assert "which is no physics" in words
 
 
-def test_a_rest_without_a_law_gives_none(diagnosed: tuple[Diagnosis, Extended]) -> None:
+def test_a_rest_without_a_law_gives_none(diagnosed: tuple[Diagnosis, ExtendedLoadedModel]) -> None:
     """The rest of every configuration is as large as that of the law, but follows nothing."""
     _, extended = diagnosed
     state, design = extended.state, extended.design
@@ -102,7 +103,7 @@ def test_a_rest_without_a_law_gives_none(diagnosed: tuple[Diagnosis, Extended]) 
     assert false <= 2
 
 
-def test_every_term_moves_the_points_by_its_own_joint_alone(diagnosed: tuple[Diagnosis, Extended]) -> None:
+def test_every_term_moves_the_points_by_its_own_joint_alone(diagnosed: tuple[Diagnosis, ExtendedLoadedModel]) -> None:
     _, extended = diagnosed
     state = extended.state
     withins, terms = dictionary(state)

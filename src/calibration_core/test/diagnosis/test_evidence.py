@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from calibration_core.diagnosis.cross_validation import FLAT, log_predictive_densities, passes
-from calibration_core.diagnosis.design import Design
-from calibration_core.diagnosis.evidence import (
-    base_of,
-    best_field,
+from calibration_core.diagnosis.evidence.bayes_factors import (
     estimates,
-    field,
-    fields,
+    gram_cache,
     log_bayes_factors,
     log_positive,
+    marginal_model,
+    marginal_models,
+    most_probable,
     posterior,
     profile,
     threshold,
 )
-from calibration_core.diagnosis.kin import are_kin
-from calibration_core.diagnosis.selection import select
+from calibration_core.diagnosis.evidence.confounding import are_confounded
+from calibration_core.diagnosis.evidence.design import Design
+from calibration_core.diagnosis.evidence.predictive_density import FLAT, log_predictive_densities, passes
+from calibration_core.diagnosis.evidence.selection import select
 from calibration_core.model.effects.candidate import Candidate, Parameter
 
 ROWS, CONFIGURATIONS = 120, 12
@@ -34,20 +34,29 @@ def candidate(effect: str, joint: int, count: int, *, positive: bool = False) ->
     return Candidate(effect, "structure", {"joint": f"joint_{joint}"}, "law", parameters, lambda _: np.zeros((1, 3, 1)))
 
 
-def design(seed: int, truth: dict[int, float] | None = None, *, positive: bool = False, places: int = 8) -> Design:
-    """Return a random design of candidates with two columns each at far apart joints, with some columns planted."""
+def design(
+    seed: int, truth: dict[int, float] | None = None, *, positive: bool = False, places: int = 8, chance: int = 0
+) -> Design:
+    """Return a random design of candidates with two columns each at far apart joints, with some columns planted.
+
+    Candidate 2 leaves `chance` configurations to chance, with a column for each.
+    """
     rng = np.random.default_rng(seed)
     candidates = tuple(candidate(f"effect_{k}", 3 * k + 1, 2, positive=positive) for k in range(places))
     own = 2 * places
-    null, columns = 30 * rng.standard_normal((ROWS, 3)), 2 * rng.standard_normal((ROWS, own + 2))
+    null, columns = 30 * rng.standard_normal((ROWS, 3)), 2 * rng.standard_normal((ROWS, own + 2 + chance))
+    configuration = np.repeat(np.arange(CONFIGURATIONS), ROWS // CONFIGURATIONS)
+    columns[:, own + 2 :] *= configuration[:, None] == np.arange(chance)
+    last = slice(own + 2, own + 2 + chance)
     residual = rng.standard_normal(ROWS) + null @ [0.5, -1.0, 2.0]
     for column, value in (truth or {}).items():
         residual += columns[:, column] * value
     return Design(
         residual=residual, null=null, columns=columns,
-        configuration=np.repeat(np.arange(CONFIGURATIONS), ROWS // CONFIGURATIONS),
-        candidates=candidates, blocks=tuple(slice(2 * k, 2 * k + 2) for k in range(places)), prior=np.ones(own + 2),
-        positive=np.array([positive] * own + [False] * 2), nuisances=slice(own, own + 2),
+        configuration=configuration, candidates=candidates,
+        blocks=tuple(slice(2 * k, 2 * k + 2) for k in range(places)), prior=np.ones(own + 2 + chance),
+        positive=np.array([positive] * own + [False] * (2 + chance)), discrepancy=slice(own, own + 2),
+        chances=tuple(last if k == 2 else slice(last.stop, last.stop) for k in range(places)),
         joints=tuple(f"joint_{k + 1}" for k in range(3 * places)),
     )  # fmt: skip
 
@@ -58,19 +67,20 @@ def dense(d: Design, weights: np.ndarray, flat: float = 50.0) -> float:
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0, 3.0])
-def test_bayes_factors_are_ratios_of_marginal_likelihoods(level: float) -> None:
-    d = design(1, {4: 1.0})
-    f = field(base_of(d), (5,), level)
+@pytest.mark.parametrize("chance", [0, 4])
+def test_bayes_factors_are_ratios_of_marginal_likelihoods(level: float, chance: int) -> None:
+    d = design(1, {4: 1.0}, chance=chance)
+    f = marginal_model(gram_cache(d), (5,), level)
     scores = log_bayes_factors(f)
     for index in (0, 2, 7):
         more = f.weights.copy()
-        more[d.blocks[index]] = np.hypot(more[d.blocks[index]], 1.0)
+        more[d.own(index)] = np.hypot(more[d.own(index)], 1.0)
         assert scores[index] == pytest.approx(dense(d, more) - dense(d, f.weights), abs=1e-3)
 
 
 def test_levels_are_compared_by_their_marginal_likelihood() -> None:
     d = design(2)
-    one, two = (field(base_of(d), (), level) for level in (0.5, 3.0))
+    one, two = (marginal_model(gram_cache(d), (), level) for level in (0.5, 3.0))
     assert one.likelihood - two.likelihood == pytest.approx(dense(d, one.weights) - dense(d, two.weights), abs=1e-3)
 
 
@@ -78,7 +88,7 @@ def test_what_is_negative_speaks_against_an_effect_that_cannot_be() -> None:
     signs = {}
     for value in (0.5, -0.5):
         d = design(3, {4: value, 5: value}, positive=True)
-        signs[value] = log_bayes_factors(field(base_of(d), (), 0.0))[2]
+        signs[value] = log_bayes_factors(marginal_model(gram_cache(d), (), 0.0))[2]
     assert signs[0.5] > 20
     assert signs[-0.5] < 0
 
@@ -94,7 +104,7 @@ def test_the_share_of_a_posterior_that_is_positive_counts_all_parameters_togethe
 
 
 def test_a_threshold_is_higher_where_the_noise_is_known_badly() -> None:
-    f = field(base_of(design(4)), (), 0.0)
+    f = marginal_model(gram_cache(design(4)), (), 0.0)
     assert threshold(f, 20) > threshold(f, 200) > threshold(f, 0) - 0.5
 
 
@@ -102,29 +112,30 @@ def test_the_threshold_is_passed_by_chance_in_one_of_a_hundred() -> None:
     above = 0
     for seed in range(300):
         d = design(1000 + seed)
-        now = best_field(fields(base_of(d), ()))
-        scores, _ = profile(fields(base_of(d), ()))
+        now = most_probable(marginal_models(gram_cache(d), ()))
+        scores, _ = profile(marginal_models(gram_cache(d), ()))
         above += bool(scores.max() > threshold(now, seed=seed))
     assert above <= 12  # 1 % expected, 12 of 300 has a chance below 1e-4; choosing the level costs a little
 
 
 def test_estimates_are_those_of_generalised_least_squares() -> None:
     d = design(5, {4: 1.0, 5: -0.5})
-    value, covariance = estimates(field(base_of(d), (2,), 0.0))
+    value, covariance = estimates(marginal_model(gram_cache(d), (2,), 0.0))
     columns = np.column_stack([d.null, d.columns[:, 4:6], d.columns[:, 16:]])
     prior = np.diag([0.0] * 3 + [1.0] * 4)
     inverse = np.linalg.inv(columns.T @ columns + prior)
     np.testing.assert_allclose(value, (inverse @ columns.T @ d.residual)[:5], rtol=1e-6)
     np.testing.assert_allclose(covariance, inverse[:5, :5], rtol=1e-5, atol=1e-10)
-    mean, _ = posterior(field(base_of(d), (), 0.0), 2)
+    mean, _ = posterior(marginal_model(gram_cache(d), (), 0.0), 2)
     np.testing.assert_allclose(mean, value[3:], rtol=1e-6)
 
 
-def test_left_out_densities_are_conditional_densities() -> None:
-    d = design(6, {4: 0.6})
-    f = field(base_of(d), (), 1.0)
+@pytest.mark.parametrize("chance", [0, CONFIGURATIONS])
+def test_left_out_densities_are_conditional_densities(chance: int) -> None:
+    d = design(6, {4: 0.6}, chance=chance)
+    f = marginal_model(gram_cache(d), (), 1.0)
     more = f.weights.copy()
-    more[4:6] = np.hypot(more[4:6], 1.0)
+    more[d.own(2)] = np.hypot(more[d.own(2)], 1.0)
     null = d.null / np.linalg.norm(d.null, axis=0) * FLAT
     for seen, weights in zip(log_predictive_densities(f, 2), (f.weights, more), strict=True):
         covariance = np.eye(ROWS) + null @ null.T + (d.columns * weights**2) @ d.columns.T
@@ -138,6 +149,18 @@ def test_left_out_densities_are_conditional_densities() -> None:
         np.testing.assert_allclose(seen, expected, atol=1e-4)
     assert passes(np.zeros(5), np.full(5, 1.0))
     assert not passes(np.zeros(5), np.array([9.0, -1.0, -1.0, -1.0, -1.0]))  # one configuration alone
+
+
+def test_chance_is_part_of_the_covariance_where_its_effect_is_accepted() -> None:
+    d = design(10, {4: 1.0}, chance=CONFIGURATIONS)
+    without, with_it = (marginal_model(gram_cache(d), accepted, 0.0) for accepted in ((), (2,)))
+    assert np.all(without.weights[d.chances[2]] == 0)
+    assert np.all(with_it.weights[d.chances[2]] == 1)
+    value, covariance = estimates(with_it)
+    columns = np.column_stack([d.null, d.columns[:, 4:6], d.columns[:, 16:]])
+    inverse = np.linalg.inv(columns.T @ columns + np.diag([0.0] * 3 + [1.0] * (columns.shape[1] - 3)))
+    np.testing.assert_allclose(value, (inverse @ columns.T @ d.residual)[:5], rtol=1e-6)
+    np.testing.assert_allclose(covariance, inverse[:5, :5], rtol=1e-5, atol=1e-10)
 
 
 def test_two_planted_effects_are_selected_and_nothing_else() -> None:
@@ -157,7 +180,7 @@ def test_a_crowd_of_small_effects_is_no_finding() -> None:
     named = 0
     for seed in range(20):
         d = design(50 + seed)
-        unit = base_of(d).unit[:16]
+        unit = gram_cache(d).unit[:16]
         crowd = d.columns[:, :16] @ (3 * unit * rng.standard_normal(16))
         named += bool(select(dataclasses.replace(d, residual=d.residual + crowd)).accepted)
     assert named <= 3
@@ -171,25 +194,27 @@ def test_a_crowd_of_small_effects_is_no_finding() -> None:
         ("kr240_a6", "link_2", "S", "10", "2nd", ""),
     ],
 )
-def test_kin_are_laws_of_one_joint_and_neighbours_of_the_structure(joints: tuple[str, ...]) -> None:
+def test_confounded_are_laws_of_one_joint_and_neighbours_of_the_structure(joints: tuple[str, ...]) -> None:
     def place(effect: str, family: str, **location: object) -> Candidate:
         return Candidate(effect, family, location, "law", (Parameter("p", "1", 1.0),), lambda _: np.zeros((1, 3, 1)))  # type: ignore[arg-type]
 
-    def kin(first: Candidate, second: Candidate) -> bool:
-        assert are_kin(first, second, joints) == are_kin(second, first, joints)
-        return are_kin(first, second, joints)
+    def confounded(first: Candidate, second: Candidate) -> bool:
+        assert are_confounded(first, second, joints) == are_confounded(second, first, joints)
+        return are_confounded(first, second, joints)
 
     soft, gap = (place(e, "joint law", joint=joints[1]) for e in ("soft_zone", "backlash"))
-    assert kin(soft, gap)
-    assert not kin(soft, place("backlash", "joint law", joint=joints[2]))
-    assert not kin(soft, place("hysteresis", "joint law", joint=joints[1]))
+    assert confounded(soft, gap)
+    assert not confounded(soft, place("backlash", "joint law", joint=joints[2]))
+    assert not confounded(soft, place("hysteresis", "joint law", joint=joints[1]))
     second = place("off_axis_compliance", "structure", joint=joints[1])
-    assert kin(second, place("link_bending", "structure", link="link_2"))
-    assert kin(second, place("link_bending", "structure", link="link_1"))
-    assert kin(second, place("base_compliance", "structure", base="base"))
-    assert kin(second, place("joint_coupling", "structure", joints=joints[2:4]))
-    assert not kin(second, place("joint_coupling", "structure", joints=joints[3:5]))
-    assert not kin(second, place("off_axis_compliance", "structure", joint=joints[4]))
-    assert not kin(second, place("tool_compliance", "structure", tool="tool"))
-    assert kin(place("wrench_gain", "load chain", sensor="s"), place("wrench_crosstalk", "load chain", sensor="s"))
-    assert not kin(second, soft)
+    assert confounded(second, place("link_bending", "structure", link="link_2"))
+    assert confounded(second, place("link_bending", "structure", link="link_1"))
+    assert confounded(second, place("base_compliance", "structure", base="base"))
+    assert confounded(second, place("joint_coupling", "structure", joints=joints[2:4]))
+    assert not confounded(second, place("joint_coupling", "structure", joints=joints[3:5]))
+    assert not confounded(second, place("off_axis_compliance", "structure", joint=joints[4]))
+    assert not confounded(second, place("tool_compliance", "structure", tool="tool"))
+    assert confounded(
+        place("wrench_gain", "load chain", sensor="s"), place("wrench_crosstalk", "load chain", sensor="s")
+    )
+    assert not confounded(second, soft)

@@ -11,8 +11,8 @@ from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.identification.identify import identify
-from calibration_core.identification.predict import predict_readings
-from calibration_core.model.given import GivenModel
+from calibration_core.identification.stiffness.predict import predict_readings
+from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.timeseries import Readings
@@ -104,3 +104,18 @@ def test_loads_and_single_steps_in_one_recording_are_both_freed_of_what_is_known
     assert np.sqrt(np.mean(error**2)) < 2 * cell.instruments.tracker.sigma  # noise, and the doubt of the sag
     found = diagnose(readings, cell, given=given(model))
     assert (found.verdict, found.findings) == ("consistent", ())
+
+
+def test_a_gross_error_and_understated_noise_are_said_of_loads_and_single_steps_together(tmp_path: Path) -> None:
+    cell = write_cell(tmp_path)
+    single = loaded_readings(cell, 6, 40, noise=2.0)
+    readings = joined(loaded_readings(cell, 5, noise=2.0), single.select(single.step == 0))
+    position = readings.position.copy()
+    position[-60] += [0.0, 2e-3, 0.0]
+    found = diagnose(dataclasses.replace(readings, position=position), cell)
+    said = {anomaly.kind: anomaly for anomaly in found.anomalies}
+    assert set(said) == {"noise_understated", "outlier_readings"}
+    claimed = cell.instruments.tracker.sigma
+    assert 1.8 * claimed < said["noise_understated"].magnitude < 2.2 * claimed
+    assert said["outlier_readings"].configurations == (readings.configuration[-60],) * 2
+    assert found.findings == ()

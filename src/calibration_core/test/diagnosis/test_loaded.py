@@ -12,8 +12,9 @@ from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.loaded import diagnose_loaded
-from calibration_core.identification.predict import from_step_zero, predict_readings
-from calibration_core.model.model_file import model_text, read_model
+from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
+from calibration_core.input_checks.check import check_inputs
+from calibration_core.model.identified.model_file import model_text, read_model
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.timeseries import Readings
 
@@ -156,9 +157,8 @@ def test_a_file_of_another_robot_stops_the_search(cell: Cell, tmp_path: Path) ->
     rows = [vars(row) | {} for row in cell.robot.dh or ()]
     rows[1]["a"] += 0.15
     other = write_cell(tmp_path, robot={"dh": rows})
-    found = diagnose_loaded(readings, other)
-    assert [a.kind for a in found.anomalies][:1] == ["wrong_robot_file"]
-    assert (found.verdict, found.findings) == ("consistent", ())
+    assert check_inputs(readings, cell) == ()
+    assert [a.kind for a in check_inputs(readings, other)] == ["wrong_robot_file"]
 
 
 def test_frames_that_the_file_has_wrong_are_said(tmp_path: Path) -> None:

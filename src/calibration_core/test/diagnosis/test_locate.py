@@ -9,11 +9,11 @@ import pytest
 from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.locate import CERTAIN, Located, locate
-from calibration_core.identification.problem import load_of
-from calibration_core.model.effects.hysteresis import stop
+from calibration_core.diagnosis.location import CERTAIN, Located, locate
+from calibration_core.model.effects.joint_law.hysteresis import stop
 from calibration_core.model.kinematics import cross, posture
 from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import load_torque
 from calibration_core.timeseries import Float1D, Float2D, Readings

@@ -10,18 +10,20 @@ import pytest
 from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.commands.offers import offers_for, proposed_plan
-from calibration_core.diagnosis.finding import Diagnosis
+from calibration_core.commands.evaluation.candidate_measurements import offers_for, proposed_plan
 from calibration_core.diagnosis.loaded import diagnose_loaded
-from calibration_core.diagnosis.next_knowledge import Knowledge, expected_log_bayes_factor
-from calibration_core.diagnosis.next_offers import Offer, alternating, levels_of
-from calibration_core.identification.problem import build_problem, load_of
+from calibration_core.diagnosis.proposals.candidates import Offer, alternating
+from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
+from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.loads import wrench_steps
-from calibration_core.procedure.plan_file import plan_text, read_plan
+from calibration_core.observations.load_levels import levels_of
+from calibration_core.planning.feasible.loads import wrench_steps
+from calibration_core.planning.plans.plan_file import plan_text, read_plan
 from calibration_core.report.document import Items
 from calibration_core.report.sections.diagnosis import next_blocks
 from calibration_core.timeseries import Readings
@@ -59,7 +61,7 @@ def test_the_expected_log_bayes_factor_is_what_sampling_gives() -> None:
     rng = np.random.default_rng(0)
     recorded = [rng.standard_normal((30, 3)) for _ in range(2)]
     residual = recorded[0] @ [0.5, -0.2, 1.0] + rng.standard_normal(30)
-    known = [Knowledge.of(columns, residual, 1) for columns in recorded]
+    known = [HypothesisPosterior.of(columns, residual, 1) for columns in recorded]
     further = rng.standard_normal((2, 4, 3))
     first, second = (k.predict(further[[i]]) for i, k in enumerate(known))
     expected = expected_log_bayes_factor(first, second)[0]
@@ -77,11 +79,11 @@ def test_the_expected_log_bayes_factor_is_what_sampling_gives() -> None:
 def test_knowledge_after_a_measurement_is_that_of_both_together() -> None:
     rng = np.random.default_rng(1)
     columns, residual = rng.standard_normal((40, 4)), rng.standard_normal(40)
-    apart = Knowledge.of(columns[:30], residual[:30], 2).after(columns[30:], residual[30:])
+    apart = HypothesisPosterior.of(columns[:30], residual[:30], 2).after(columns[30:], residual[30:])
     weight = columns.T @ columns + np.diag([0.0, 0.0, 1.0, 1.0])
     np.testing.assert_allclose(apart.mean, np.linalg.solve(weight, columns.T @ residual), rtol=1e-6)
     np.testing.assert_allclose(apart.covariance, np.linalg.inv(weight), rtol=1e-6)
-    before = Knowledge.of(columns[:30], residual[:30], 2)
+    before = HypothesisPosterior.of(columns[:30], residual[:30], 2)
     np.testing.assert_allclose(
         before.variances_after(columns[None, 30:], [0, 2])[0], np.diag(apart.covariance)[[0, 2]], rtol=1e-6
     )
@@ -167,8 +169,8 @@ def test_nothing_is_expected_to_part_exact_aliases() -> None:
     turned = np.linalg.qr(rng.standard_normal((2, 2)))[0]  # the same space, other parameters
     mixed = np.eye(3)
     mixed[1:, 1:] = turned
-    first = Knowledge.of(columns, residual, 1).predict(further)
-    second = Knowledge.of(columns @ mixed, residual, 1).predict(further @ mixed)
+    first = HypothesisPosterior.of(columns, residual, 1).predict(further)
+    second = HypothesisPosterior.of(columns @ mixed, residual, 1).predict(further @ mixed)
     np.testing.assert_allclose(expected_log_bayes_factor(first, second), 0.0, atol=1e-9)
 
 

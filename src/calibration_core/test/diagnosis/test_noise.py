@@ -9,9 +9,9 @@ import pytest
 from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.noise import claimed, directions, scatter, with_noise
-from calibration_core.identification.loaded import Options, PreparedLoaded, prepare_loaded
-from calibration_core.identification.offsets import whitened
+from calibration_core.diagnosis.data_checks.noise import claimed, directions, scatter, with_noise
+from calibration_core.identification.statistics.offsets import whitened
+from calibration_core.identification.stiffness.loaded import Options, PreparedLoaded, prepare_loaded
 from calibration_core.timeseries import Float2D
 
 SIGMA = 2e-5

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
-from calibration_core.diagnosis.design import PRIOR_WIDTH
-from calibration_core.diagnosis.next_offers import Offer
-from calibration_core.diagnosis.protocol import PROTOCOLS, SHOWN, Pace, Worth, _log_bayes_factor, worth_of
+from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH
+from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.protocol import PROTOCOLS, SHOWN, Pace, Worth, _log_bayes_factor, worth_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 
@@ -49,14 +49,14 @@ def test_each_step_reveals_what_it_is_made_for(judged: dict[str, Worth]) -> None
     assert judged["small steps"].apart["backlash"] > 1.5 * base.apart["backlash"]
     assert judged["reversed"].evidence["tool_compliance"] > 3 * base.evidence["tool_compliance"]
     assert judged["reversed"].stiffness_std.max() < 0.7 * base.stiffness_std.max()
-    assert set(judged["everything"].told) >= set(base.told)
+    assert set(judged["everything"].distinguished) >= set(base.distinguished)
 
 
 def test_exact_aliases_are_never_told(judged: dict[str, Worth]) -> None:
     for one in judged.values():
         assert one.apart["wrench_gain"] < SHOWN
         assert one.apart["gravity_compensator"] < SHOWN
-        assert "gravity_compensator" not in one.told
+        assert "gravity_compensator" not in one.distinguished
 
 
 def test_expected_bayes_factor_is_the_mean_of_drawn_ones() -> None:

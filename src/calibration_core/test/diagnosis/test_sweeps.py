@@ -8,8 +8,8 @@ import numpy as np
 from absolute_cases import make_cell, make_readings, random_angles, truth_of
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.absolute import diagnose_absolute
-from calibration_core.diagnosis.finding import Diagnosis
+from calibration_core.diagnosis.positions import diagnose_still
+from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.timeseries import Readings
 
 WAVES = {2: (1.5e-4, 0.5), 7: (1.0e-4, -1.0)}  # cycles per revolution of joint 2: amplitude and phase, rad
@@ -45,7 +45,7 @@ def _named(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 def test_a_transmission_error_in_slow_circles_is_named_with_its_joint_and_orders() -> None:
     cell = make_cell(points=("mp1",))
     q = _sweeps(40)
-    found = diagnose_absolute(_seen(cell, q, _waves(q)), cell)
+    found = diagnose_still(_seen(cell, q, _waves(q)), cell)
     assert _named(found)[0] == ("transmission_error", "joint_2")
     values = {p.name: p.value for p in found.findings[0].parameters}
     seen = {int(values[f"harmonic_{k}"]): values[f"amplitude_{k}"] for k in (1, 2) if f"harmonic_{k}" in values}
@@ -53,18 +53,19 @@ def test_a_transmission_error_in_slow_circles_is_named_with_its_joint_and_orders
     assert {effect for effect, _ in _named(found)} == {"transmission_error"}
 
 
-def test_circles_alone_are_called_unexplained() -> None:
-    """What one sweep of the joint shows, no configuration left out can confirm: a rest is told, no cause."""
+def test_circles_almost_alone_tell_the_joint_and_its_orders() -> None:
     cell = make_cell(points=("mp1",))
     q = _sweeps(12)
-    found = diagnose_absolute(_seen(cell, q, _waves(q)), cell)
-    assert found.verdict == "unexplained"
-    assert _named(found) == []
+    found = diagnose_still(_seen(cell, q, _waves(q)), cell)
+    assert found.verdict == "missing_physics"
+    assert _named(found) == [("transmission_error", "joint_2")]
+    values = {p.name: p.value for p in found.findings[0].parameters}
+    assert {values["harmonic_1"], values["harmonic_2"]} == set(WAVES)
 
 
 def test_nothing_is_found_in_circles_of_a_sound_robot() -> None:
     cell = make_cell(points=("mp1",))
     q = _sweeps(40)
-    found = diagnose_absolute(_seen(cell, q, np.zeros_like(q)), cell)
+    found = diagnose_still(_seen(cell, q, np.zeros_like(q)), cell)
     assert _named(found) == []
     assert found.verdict == "consistent"

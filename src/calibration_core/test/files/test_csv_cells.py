@@ -10,8 +10,8 @@ import pytest
 
 from calibration_core.cell import load_cell
 from calibration_core.files.csv_cells import inert, meant
-from calibration_core.recording.table import read_table, write_table
-from calibration_core.report.tables import predictions_csv
+from calibration_core.recording.tables.table import read_table, write_table
+from calibration_core.report.writing.tables import predictions_csv
 
 CELL = """name: a cell
 robot:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.geometry import AbsoluteProblem
+from calibration_core.identification.geometry.fit import AbsoluteProblem
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters

@@ -8,9 +8,9 @@ import numpy as np
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.identification.problem import load_of
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Provenance, Readings
 

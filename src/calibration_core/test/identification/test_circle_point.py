@@ -11,11 +11,11 @@ from robots import write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.circle import _jacobian, _residual, fit_circle
-from calibration_core.identification.circle_point import identify_axes, identify_base_frame
-from calibration_core.identification.sphere import fit_sphere, trilaterate
-from calibration_core.identification.sweeps import single_joint_sweeps
-from calibration_core.identification.wrist_centre import identify_wrist_centre
+from calibration_core.identification.circle_point.circle import _jacobian, _residual, fit_circle
+from calibration_core.identification.circle_point.joint_axes import identify_axes, identify_base_frame
+from calibration_core.identification.circle_point.sweeps import single_joint_sweeps
+from calibration_core.identification.wrist.centre import identify_wrist_centre
+from calibration_core.identification.wrist.sphere import fit_sphere, trilaterate
 from calibration_core.model.chain import Chain, rpy_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
@@ -99,8 +99,8 @@ def test_base_frame_is_found(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
     found = identify_base_frame(_readings(cell, chain_of(cell), _sweeps(range(2)), SIGMA), cell)
     error = found.tracker @ np.linalg.inv(nominal_parameters(cell).tracker)
-    assert np.linalg.norm(error[:3, 3]) < 5 * found.position_std < 5e-4
-    assert np.linalg.norm(error[:3, :3] - np.eye(3)) < 8 * found.orientation_std < 1e-3
+    assert np.linalg.norm(error[:3, 3]) < 5 * np.linalg.norm(found.std[:3]) < 5e-4
+    assert np.linalg.norm(error[:3, :3] - np.eye(3)) < 8 * np.linalg.norm(found.std[3:]) < 1e-3
     assert abs(found.axis_angle_error) < 1e-4
     assert not found.warnings
 

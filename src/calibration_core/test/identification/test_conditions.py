@@ -11,15 +11,15 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell, EndEffector
 from calibration_core.errors import CellError
-from calibration_core.identification.conditions import NAMES, CellState, judge
-from calibration_core.identification.end_effector import TOOL_COMPLIANCE, accounted, relative_stiffness
+from calibration_core.identification.checks.conditions import NAMES, CellState, judge
 from calibration_core.identification.identify import identify
-from calibration_core.identification.predict import shift_by_effects
-from calibration_core.model.given import GivenModel
+from calibration_core.identification.stiffness.end_effector import TOOL_COMPLIANCE, accounted, relative_stiffness
+from calibration_core.identification.stiffness.predict import shift_by_effects
+from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.observations.conditions import worst
 from calibration_core.report.content import build
-from calibration_core.report.result import result_dict
+from calibration_core.report.results.result import result_dict
 from calibration_core.timeseries import Condition, Override, Readings
 
 STATE = CellState(

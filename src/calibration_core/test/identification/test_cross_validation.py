@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from absolute_cases import make_cell, make_problem, make_readings, random_angles, truth_of
 
-from calibration_core.identification.choice import candidates, choose, choose_frames
-from calibration_core.identification.cross_validation import LinearModel, compare, folds, held_out
-from calibration_core.identification.geometry import GeometryFit, fit, normal_equations
-from calibration_core.identification.terms import ElasticityTerm
+from calibration_core.identification.absolute.prediction_error import LinearModel, compare, folds, held_out
+from calibration_core.identification.geometry.fit import GeometryFit, fit, normal_equations
+from calibration_core.identification.geometry.identifiability import candidates, select_frames, select_identifiable
+from calibration_core.identification.geometry.terms import ElasticityTerm
 from calibration_core.model.nominal import nominal_parameters
 
 POINTS = ("mp1", "mp2")
@@ -29,8 +29,8 @@ def test_held_out_equals_fits_without_the_fold() -> None:
     readings = make_readings(cell, truth, random_angles(2, 40, 6))
     problem = make_problem(cell, readings)
     start = nominal_parameters(cell)
-    frames, _ = choose_frames(problem, start)
-    terms = [*frames, choose(problem, start, frames, candidates(cell)).term]
+    frames, _ = select_frames(problem, start)
+    terms = [*frames, select_identifiable(problem, start, frames, candidates(cell)).term]
     used = np.ones(len(problem), dtype=bool)
     used[[3, 50]] = False
     whole = fit(problem.select(np.flatnonzero(used)), start, terms)
@@ -57,7 +57,7 @@ def test_the_linear_model_agrees_with_the_equilibrium() -> None:
     truth = nominal_parameters(cell).replace(compliance=np.array([0, 8e-7, 5e-7, 0, 0, 0]))
     readings = make_readings(cell, truth, random_angles(2, 60, 6))
     problem, start = make_problem(cell, readings), nominal_parameters(cell)
-    frames, _ = choose_frames(problem, start)
+    frames, _ = select_frames(problem, start)
     rigid = fit(problem, start, frames)
     elastic = [*frames, ElasticityTerm((1, 2), ("C2", "C3"))]
     fold = folds(readings.configuration)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scipy import stats
 
-from calibration_core.identification import distributions
+from calibration_core.identification.statistics import distributions
 
 
 @pytest.mark.parametrize("probability", [1e-9, 0.01, 0.5, 0.975])

@@ -9,8 +9,8 @@ import pytest
 from absolute_cases import ELBOW, SEVEN, SIGMA, make_cell, make_readings, random_angles, truth_of
 
 from calibration_core.cell import Cell
-from calibration_core.identification.absolute import identify_absolute
-from calibration_core.identification.estimate import Identification
+from calibration_core.identification.absolute.evaluate import identify_absolute
+from calibration_core.identification.result.estimate import Identification
 from calibration_core.timeseries import Readings
 
 COUNT = 150

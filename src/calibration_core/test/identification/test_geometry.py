@@ -10,20 +10,18 @@ from absolute_cases import POINTS, SIGMA, make_cell, make_problem, make_readings
 from scipy.optimize import lsq_linear
 
 from calibration_core.cell import Cell
-from calibration_core.identification import geometry
-from calibration_core.identification.choice import candidates, choose, choose_frames
-from calibration_core.identification.geometry import (
+from calibration_core.identification.geometry import fit as geometry
+from calibration_core.identification.geometry.fit import (
     NormalEquations,
     bounded_step,
     fit,
-    fit_geometry,
     moved,
     normal_equations,
 )
-from calibration_core.identification.terms import ElasticityTerm, Term
+from calibration_core.identification.geometry.identifiability import candidates, select_frames, select_identifiable
+from calibration_core.identification.geometry.terms import ElasticityTerm, Term
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.robot import chain_of
 
 SEEDS = 200
 
@@ -33,8 +31,8 @@ def _setup(cell: Cell, count: int) -> tuple[np.ndarray, ModelParameters, list[Te
     q = random_angles(1, count, len(cell.robot.joints))
     start = nominal_parameters(cell)
     problem = make_problem(cell, make_readings(cell, start, q))
-    frames, _ = choose_frames(problem, start)
-    terms: list[Term] = [*frames, choose(problem, start, frames, candidates(cell)).term]
+    frames, _ = select_frames(problem, start)
+    terms: list[Term] = [*frames, select_identifiable(problem, start, frames, candidates(cell)).term]
     rng = np.random.default_rng(2)
     size = sum(len(term.names) for term in terms)
     return q, moved(start, terms, 1e-3 * rng.standard_normal(size)), terms
@@ -44,7 +42,7 @@ def test_exact_data_give_the_truth() -> None:
     cell = make_cell()
     q, truth, terms = _setup(cell, 60)
     readings = make_readings(cell, truth, q, noise=0.0)
-    result = fit_geometry(chain_of(cell), q, readings.position, SIGMA, nominal_parameters(cell), terms)
+    result = fit(make_problem(cell, readings), nominal_parameters(cell), terms)
     assert result.converged
     np.testing.assert_allclose(result.parameters.geometry, truth.geometry, atol=1e-10)
     np.testing.assert_allclose(result.parameters.tracker, truth.tracker, atol=1e-10)
@@ -96,7 +94,7 @@ def test_three_points_share_one_geometry() -> None:
     q, truth, terms = _setup(cell, 40)
     readings = make_readings(cell, truth, q, noise=0.0)
     start = nominal_parameters(cell)
-    result = fit_geometry(chain_of(cell), readings.q, readings.position, SIGMA, start, terms, point=readings.point)
+    result = fit(make_problem(cell, readings), start, terms)
     for name in POINTS:
         np.testing.assert_allclose(result.parameters.points[name], truth.points[name], atol=1e-9)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.identification.offsets import Rows, deleted, normal_equations, without_offsets
+from calibration_core.identification.statistics.offsets import Rows, deleted, normal_equations, without_offsets
 
 
 def _rows(rng: np.random.Generator, configurations: int = 3, steps: int = 4, points: int = 2) -> Rows:

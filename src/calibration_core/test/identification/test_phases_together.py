@@ -12,14 +12,14 @@ from test_circle_point import HOME
 
 from calibration_core.cell import Cell
 from calibration_core.identification.identify import identify
-from calibration_core.identification.kinematic_phases import identify_kinematics, split, without_sensor_noise
-from calibration_core.identification.phases import holds_phases, identify_phases
+from calibration_core.identification.standard.kinematic_phases import identify_kinematics, split, without_sensor_noise
+from calibration_core.identification.standard.phases import holds_phases, identify_phases
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.simulate import simulate_plan
+from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.report.content import build
-from calibration_core.report.result import result_dict
+from calibration_core.report.results.result import result_dict
 from calibration_core.timeseries import Readings
 
 POSES = 16
@@ -160,8 +160,8 @@ def test_the_command_goes_the_same_way(cell: Cell, readings: Readings) -> None:
 
 
 def test_the_doubt_of_what_stays_nominal_widens_the_stiffness_intervals(cell: Cell, readings: Readings) -> None:
-    from calibration_core.identification.carried import fit_carried
-    from calibration_core.identification.loaded import Options
+    from calibration_core.identification.standard.fit_with_prior import fit_with_prior
+    from calibration_core.identification.stiffness.loaded import Options
 
     some = readings.select(readings.point < 3)
     rows = split(some)
@@ -170,8 +170,8 @@ def test_the_doubt_of_what_stays_nominal_widens_the_stiffness_intervals(cell: Ce
     assert known.held is not None
     assert set(known.held.term.names) == {one.name for one in found.choice.nominal if one.joint > 0}
     loaded = some.select(rows.loaded)
-    with_doubt = fit_carried(loaded, cell, Options(), known)
-    without = fit_carried(loaded, cell, Options(), dataclasses.replace(known, held=None))
+    with_doubt = fit_with_prior(loaded, cell, Options(), known)
+    without = fit_with_prior(loaded, cell, Options(), dataclasses.replace(known, held=None))
     more = np.diag(with_doubt.covariance)[:6] - np.diag(without.covariance)[:6]
     assert np.all(more >= -1e-12 * np.diag(without.covariance)[:6])
     assert more.max() > 0
@@ -182,9 +182,9 @@ def test_the_doubt_of_what_stays_nominal_widens_the_stiffness_intervals(cell: Ce
     step[k] = 5e-4
     believed = term.moved(nominal_parameters(cell), step)
     other = identify_kinematics(some.select(rows.kinematic), cell, believed)
-    moved = fit_carried(loaded, cell, Options(), other.final.without_compliances())
+    moved = fit_with_prior(loaded, cell, Options(), other.final.without_compliances())
     change = moved.prepared.parameters.compliance - with_doubt.prepared.parameters.compliance
     one = dataclasses.replace(known.held, std=np.where(np.arange(len(step)) == k, 5e-4, 0.0))
-    said = fit_carried(loaded, cell, Options(), dataclasses.replace(known, held=one))
+    said = fit_with_prior(loaded, cell, Options(), dataclasses.replace(known, held=one))
     size = np.sqrt(np.maximum(np.diag(said.covariance)[:6] - np.diag(without.covariance)[:6], 0.0))
     np.testing.assert_allclose(np.abs(change), size, atol=0.15 * size.max())

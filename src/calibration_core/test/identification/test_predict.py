@@ -10,7 +10,7 @@ import pytest
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.errors import RecordingError
-from calibration_core.identification.predict import predict_readings
+from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.nominal import nominal_parameters
 
 

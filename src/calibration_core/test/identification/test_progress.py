@@ -11,10 +11,10 @@ from robots import LEVELS, STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.loaded import identify_loaded
 from calibration_core.identification.progress import progress
+from calibration_core.identification.stiffness.loaded import identify_loaded
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.simulate import simulate_plan
+from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.timeseries import Readings
 
 ALL = 14
@@ -142,7 +142,7 @@ def test_the_next_configuration_is_the_one_that_helps_the_worst_joint_most(
     told = progress(first(readings, 5), cell, offered[:5], offered[5:])
     alone = {one.number: float(progress(first(readings, 5), cell, [one]).expected.max()) for one in offered}
     assert told.next_configuration == min(alone, key=lambda number: alone[number])
-    assert f"configuration {told.next_configuration} would tell most" in told.text
+    assert f"configuration {told.next_configuration} would add most" in told.text
 
 
 def test_unloaded_phases_before_do_not_disturb(cell: Cell, readings: Readings) -> None:

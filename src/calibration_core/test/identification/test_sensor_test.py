@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration_core.cell import load_cell
 from calibration_core.errors import CellError, IdentificationError
-from calibration_core.identification.sensor_test import evaluate_sensor_test, gravity_in_sensor
+from calibration_core.identification.checks.sensor_test import evaluate_sensor_test, gravity_in_sensor
 from calibration_core.model.robot import chain_of, pinocchio_model
 
 CELL = Path(__file__).resolve().parents[4] / "config" / "cells" / "demo.cell.yaml"

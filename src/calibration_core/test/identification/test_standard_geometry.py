@@ -14,15 +14,16 @@ from test_circle_point import HOME, SIGMA, _readings, _sweeps
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.identify import identify
-from calibration_core.identification.standard_geometry import StandardGeometry, standard_geometry
-from calibration_core.identification.wrist_centre import identify_wrist_centre
+from calibration_core.identification.result.standard_methods import StandardGeometry
+from calibration_core.identification.standard.standard_geometry import standard_geometry
+from calibration_core.identification.wrist.centre import identify_wrist_centre
 from calibration_core.model.chain import rpy_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.model.simulate import simulate_plan
+from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.report.content import build
-from calibration_core.report.result import result_dict
-from calibration_core.report.standard_result import standard_rows
+from calibration_core.report.results.result import result_dict
+from calibration_core.report.results.standard import standard_rows
 
 
 @dataclasses.dataclass(frozen=True)

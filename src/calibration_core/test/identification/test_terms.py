@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from absolute_cases import ELBOW, SEVEN, make_cell, make_problem, make_readings, random_angles, truth_of
 
-from calibration_core.identification.geometry import AbsoluteProblem, whitened
-from calibration_core.identification.terms import (
+from calibration_core.identification.geometry.fit import AbsoluteProblem, whitened
+from calibration_core.identification.geometry.terms import (
     CORRECTIONS,
     ElasticityTerm,
     GeometryTerm,

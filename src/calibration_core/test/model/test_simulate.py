@@ -16,8 +16,8 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.model.simulate import Schedule, simulate_plan
-from calibration_core.model.streams import as_recording
+from calibration_core.model.simulation.simulate import Schedule, simulate_plan
+from calibration_core.model.simulation.streams import as_recording
 from calibration_core.timeseries import Phase, Readings
 
 CELLS = Path(__file__).parents[4] / "config" / "cells"
@@ -232,7 +232,7 @@ def test_corrected_geometry_is_used(cell: Cell) -> None:
 @pytest.mark.parametrize("seed", [None, 5])
 def test_bag_is_read_back_as_the_same_readings(cell: Cell, seed: int | None, tmp_path: Path) -> None:
     from calibration_core.observations.observe import observe
-    from calibration_core.recording.bag_writer import write_bag
+    from calibration_core.recording.bags.writer import write_bag
 
     parameters, pulls = nominal_parameters(cell), _pulls(4, _force(cell))
     write_bag(tmp_path / "bag", as_recording(pulls, cell, parameters, seed), cell)

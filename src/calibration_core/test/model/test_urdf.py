@@ -168,6 +168,12 @@ def test_limits_of_the_cell_file_go_before_those_of_the_urdf(tmp_path: Path) -> 
     np.testing.assert_allclose(chain_of(cell).limits, [[-3, 2], [-1, 1], [-2, 2]])
 
 
+def test_limits_of_the_cell_file_in_degrees_are_refused_beside_a_urdf(tmp_path: Path) -> None:
+    text = CELL.replace("rated_load", "joint_limits: [[-185, 185], [-1, 1], [-2, 2]], rated_load")
+    with pytest.raises(CellError, match=r"robot.joint_limits.0: found \[-185, 185\], expected radians.*degrees"):
+        chain_of(cell_of(tmp_path, ROBOT, text))
+
+
 def test_as_many_links_as_allowed_can_be_read(tmp_path: Path) -> None:
     count = MAX_LINKS - 6
     more = "".join(f'<link name="l{i}"/>' for i in range(count - 1)) + "".join(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.timeseries import NANOSECONDS, Phase, Provenance, Recording, StepMarkers, TimeSeries
+from calibration_core.timeseries import NANOSECONDS, Phase, Provenance, StepMarkers, Streams, TimeSeries
 
 START = 1_700_000_000 * NANOSECONDS
 CELL = """
@@ -84,7 +84,7 @@ class Session:
         markers.append((clock, self.configurations, len(self.loads) - 1, Phase.DONE))
         return np.array(time), np.array(place), np.array(load), markers
 
-    def record(self, *, markers: bool = True) -> Recording:
+    def record(self, *, markers: bool = True) -> Streams:
         rng = np.random.default_rng(self.seed)
         node_time, node_place, node_load, marks = self.nodes()
         duration = node_time[-1]
@@ -125,7 +125,7 @@ class Session:
             clock, configuration, step, phase = zip(*marks, strict=True)
             stamps = START + np.round(np.array(clock) * NANOSECONDS).astype(np.int64)
             steps = StepMarkers(stamps, np.array(configuration), np.array(step), np.array(phase, np.int64))
-        return Recording(
+        return Streams(
             joints=joints,
             points=points,
             wrench=series(time, wrench) if self.loaded else None,

@@ -10,10 +10,10 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.observations.clock import ClockOffset, clock_offset, corrected, on_one_base
 from calibration_core.observations.plateaus import marked_windows
-from calibration_core.timeseries import NANOSECONDS, Recording
+from calibration_core.timeseries import NANOSECONDS, Streams
 
 
-def estimate(recording: Recording, cell: Cell) -> ClockOffset:
+def estimate(recording: Streams, cell: Cell) -> ClockOffset:
     windows, _ = marked_windows(recording.steps, 10**20)
     found = clock_offset(recording, windows, cell)
     assert found is not None

@@ -11,9 +11,9 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.errors import ObservationError
 from calibration_core.observations.observe import observe, observe_recording
-from calibration_core.recording.bag_writer import write_bag
-from calibration_core.recording.table import write_table
-from calibration_core.timeseries import NANOSECONDS, Readings, Recording, TimeSeries
+from calibration_core.recording.bags.writer import write_bag
+from calibration_core.recording.tables.table import write_table
+from calibration_core.timeseries import NANOSECONDS, Readings, Streams, TimeSeries
 
 COMPLIANCE = np.array([2.0e-6, -1.0e-6, 1.5e-6])
 LOADS = np.array([0.0, 150.0, 400.0, 150.0, 0.0])
@@ -68,7 +68,7 @@ def test_live_equals_replay(session: type, cell: Cell, tmp_path: Path) -> None:
     assert np.array_equal(table.wrench, live.wrench)
 
 
-def disturbed(recording: Recording, begin: float, end: float, change: np.ndarray) -> Recording:
+def disturbed(recording: Streams, begin: float, end: float, change: np.ndarray) -> Streams:
     """Add a movement to the left point between two times, s."""
     series = recording.points["left"]
     seconds = (series.time - series.time[0]) / NANOSECONDS

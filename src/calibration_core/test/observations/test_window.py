@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from calibration_core.observations.average import average
-from calibration_core.observations.window import Averaging, Settled, Waiting
+from calibration_core.observations.window import Averaging, SettledWindow, Waiting
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
 TOLERANCE = np.full(3, 3e-5)
 
 
-def feed(averaging: Averaging, values: np.ndarray, first: int = 0) -> Settled | Waiting:
+def feed(averaging: Averaging, values: np.ndarray, first: int = 0) -> SettledWindow | Waiting:
     for k, one in enumerate(values):
         averaging.add(START + 10 * MS * (first + k), one)
     return averaging.state()
@@ -22,7 +22,7 @@ def feed(averaging: Averaging, values: np.ndarray, first: int = 0) -> Settled | 
 def test_the_mean_is_that_of_the_window() -> None:
     values = 1e-5 * np.random.default_rng(1).standard_normal((301, 3))
     state = feed(Averaging(START, 1.0, TOLERANCE, 20), values)
-    assert isinstance(state, Settled)
+    assert isinstance(state, SettledWindow)
     expected = average(values[-101:])
     assert (state.begin, state.end) == (START + 2000 * MS, START + 3000 * MS)
     np.testing.assert_array_equal(state.average.mean, expected.mean)
@@ -57,7 +57,7 @@ def test_it_waits_while_the_window_moves_and_slides_on() -> None:
     assert isinstance(state, Waiting)
     assert state.moving
     state = feed(averaging, values[110:], first=110)
-    assert isinstance(state, Settled)
+    assert isinstance(state, SettledWindow)
     assert np.abs(state.average.mean).max() < 3e-6
 
 
@@ -75,5 +75,5 @@ def test_no_average_across_a_gap() -> None:
 def test_memory_is_bounded_by_the_window(window: float) -> None:
     averaging = Averaging(START, window, TOLERANCE, 1)
     state = feed(averaging, np.random.default_rng(6).standard_normal((2000, 3)))
-    assert isinstance(state, Settled)
+    assert isinstance(state, SettledWindow)
     assert state.average.samples + state.average.outliers <= window / 0.01 + 2

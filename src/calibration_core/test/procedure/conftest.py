@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.messages import RunState
+from calibration_core.measurement.sequence import Sequence
 from calibration_core.model.chain import Chain
-from calibration_core.procedure import messages as m
-from calibration_core.procedure.agenda import SequenceRules
-from calibration_core.procedure.messages import State
-from calibration_core.procedure.plan import REFERENCE_NUMBER, Plan, PlannedConfiguration, Reference
-from calibration_core.procedure.planning import make_plan
-from calibration_core.procedure.sequence import Sequence
-from calibration_core.procedure.speed import Monitored
+from calibration_core.motion.speed import Monitored
+from calibration_core.planning.loaded import make_plan
+from calibration_core.planning.plans.measurement_queue import SequenceRules
+from calibration_core.planning.plans.plan import REFERENCE_NUMBER, Plan, PlannedConfiguration, Reference
 
 CELLS = Path(__file__).parents[4] / "config" / "cells"
 
@@ -86,13 +86,15 @@ class World:
         self.asked: m.Command | None = None  # the command that waits for an answer
         self.readings_asked: list[m.TakeReading] = []
         self.place: np.ndarray | None = None
-        self.load, self.load_known = np.zeros(6), True
+        self.load_known = not resumed.get("loaded")
+        self.load = np.zeros(6) if self.load_known else np.full(6, 7.0)
         self.settled = False
         self.attempt: m.BeginAttempt | None = None
         self.confirmed: dict[tuple[int, int], list[int]] = {}
         self.visits: list[int] = []
         self.completed: list[int] = []
         self.attempts: dict[int, int] = {}
+        self.wishes: dict[int, int] = {}  # of the operator, to have a configuration measured again
         self.records: list[m.Record] = []
         self.marks: list[m.Mark] = []
         self.finish: m.Finish | None = None
@@ -111,7 +113,7 @@ class World:
         if moving and isinstance(event, m.PermissionChanged) and not event.permitted and self.permitted:
             assert isinstance(commands[-1] if len(commands) == 1 else self._stop_in(commands), m.StopMotion)
         if isinstance(event, m.PermissionChanged):
-            self.lost |= self.permitted and not event.permitted and self.sequence.state is not State.IDLE
+            self.lost |= self.permitted and not event.permitted and self.sequence.state is not RunState.IDLE
             self.permitted = event.permitted
         if isinstance(event, m.GuardHearing):
             self.heard = event.hears
@@ -154,7 +156,12 @@ class World:
                 assert isinstance(self.asked, m.Move), "stops what does not move"
                 self.asked = None
             case m.RequestLoad():
-                assert self.place is not None, "loads a robot that has not arrived"
+                if command.unknown:
+                    assert not self.load_known
+                    assert not command.wrench.any(), "loads a robot of which nothing is known"
+                    assert self.attempt is None
+                else:
+                    assert self.place is not None, "loads a robot that has not arrived"
                 assert not self.paused, "loads in a pause"
                 assert not self.lost
                 self.asked, self.load, self.load_known, self.settled = command, command.wrench, False, False
@@ -167,7 +174,8 @@ class World:
         if isinstance(command, m.BeginAttempt):
             assert self.attempt is None
             assert command.attempt == self.attempts.get(command.configuration, -1) + 1
-            assert command.attempt < self.rules.attempts, "tries too often"
+            wished = self.wishes.get(command.configuration, 0)
+            assert command.attempt < self.rules.attempts + wished, "tries too often"
             self.attempts[command.configuration] = command.attempt
             self.attempt = command
             return
@@ -258,11 +266,13 @@ class World:
             getattr(self, action)()
             return
         if action == "pause":
-            self.paused = self.sequence.state is not State.IDLE
+            self.paused = self.sequence.state is not RunState.IDLE
         elif action == "resume" and not self.lost:
             self.paused = False
         elif action == "resume_motion":
             self.paused = self.lost = False
+        elif action.startswith("repeat") and self.attempt is not None:
+            self.wishes[self.attempt.configuration] = self.wishes.get(self.attempt.configuration, 0) + 1
         events = {
             "gain": m.PermissionChanged(self.now, True),
             "loss": m.PermissionChanged(self.now, False, "mode"),
@@ -271,6 +281,10 @@ class World:
             "pause": m.Pause(self.now),
             "resume": m.Resume(self.now),
             "resume_motion": m.ResumeMotion(self.now, "A. Smith"),
+            "repeat": m.Redo(self.now),
+            "skip": m.Redo(self.now, skip=True),
+            "repeat_after_load": m.Redo(self.now, moves_load=True),
+            "skip_after_load": m.Redo(self.now, skip=True, moves_load=True),
             "tick": m.Tick(self.now),
             "wait": m.Tick(self.now),
             "stop": m.Stop(self.now),

@@ -14,11 +14,11 @@ from calibration_core.errors import CellError, PlanError
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.agenda import SequenceRules
-from calibration_core.procedure.collision import CollisionModel
-from calibration_core.procedure.itinerary import stops
-from calibration_core.procedure.planning import PlanningRules, make_plan
-from calibration_core.procedure.space import Site, SpaceRules, joint_range, measurable, positions
+from calibration_core.planning.feasible.collision import CollisionModel
+from calibration_core.planning.feasible.space import Site, SpaceRules, joint_range, measurable, positions
+from calibration_core.planning.loaded import PlanningRules, make_plan
+from calibration_core.planning.plans.measurement_queue import SequenceRules
+from calibration_core.planning.route import stops
 
 STRETCHED = np.array([0.0, 0.6, 0.3, 0.0, 0.6, 0.0])
 
@@ -233,7 +233,7 @@ def test_k_csm_is_what_the_equilibrium_adds(demo_cell: Cell) -> None:
     from calibration_core.model.equilibrium import solve_equilibrium
     from calibration_core.model.kinematics import linear_jacobian
     from calibration_core.model.statics import Load, load_torque
-    from calibration_core.procedure.loads import complementary_share
+    from calibration_core.planning.feasible.loads import complementary_share
 
     parameters = nominal_parameters(demo_cell)
     chain = dataclasses.replace(chain_of(demo_cell), mass=None, com=None)

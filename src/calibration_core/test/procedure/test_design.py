@@ -7,9 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calibration_core.procedure.criteria import CRITERIA, Criterion, Observability
-from calibration_core.procedure.design import choose, exchange_scores, extend, rated
-from calibration_core.procedure.optimum import Candidates, continuous_optimum
+from calibration_core.planning.optimal_design.criteria import CRITERIA, Criterion, Observability
+from calibration_core.planning.optimal_design.design import choose, exchange_scores, extend, rated
+from calibration_core.planning.optimal_design.optimum import Candidates, continuous_optimum
 
 ALL = [pytest.param(one, id=name) for name, one in CRITERIA.items()]
 CONCAVE = [pytest.param(one, id=name) for name, one in CRITERIA.items() if one.concave]

@@ -10,12 +10,12 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration_core.procedure.guard import Guard, GuardRules
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
-from calibration_core.procedure.speed import Monitored
-from calibration_core.procedure.stop_proof import Stop
+from calibration_core.motion.guard import Guard, GuardRules
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
+from calibration_core.motion.speed import Monitored
+from calibration_core.motion.stop_proof import RequestedStop
 
-GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, Safety.NORMAL, True, False, False, 1.0)
+GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, SafetyState.NORMAL, True, False, False, 1.0)
 RULES = GuardRules()
 SEQUENCES = int(os.environ.get("GUARD_SEQUENCES", "600"))  # `make bench` runs 10,000
 
@@ -61,10 +61,11 @@ class History:
     def against(self, now: float, planned: float | None) -> set[str]:
         """Return everything that speaks against motion now."""
         rules, found = self.rules, set()
-        if self.decided and (
-            now < self.decided[-1][0] - rules.clock_tolerance or now > self.decided[-1][0] + rules.max_pause
-        ):
-            found.add("CLOCK_JUMPED")
+        if self.decided:
+            last, forbidden, _ = self.decided[-1]
+            paused = not forbidden and now > last + rules.max_pause
+            if paused or now < last - rules.clock_tolerance:
+                found.add("CLOCK_JUMPED")
         if planned is not None and (math.isnan(planned) or planned > rules.speed_limit):
             found.add("PLANNED_OVER_SPEED")
         found |= self._against_joints(now)
@@ -192,7 +193,7 @@ FAULTS = st.fixed_dictionaries(
     optional={
         "operating_mode": st.sampled_from(OperatingMode),
         "drives": st.sampled_from(Drives),
-        "safety": st.sampled_from(Safety),
+        "safety": st.sampled_from(SafetyState),
         "motion_possible": st.sampled_from([True, False, None]),
         "in_motion": st.sampled_from([True, False, None]),
         "in_error": st.sampled_from([True, False, None]),
@@ -249,7 +250,7 @@ def test_never_a_permission_that_the_rules_forbid(
     plane_arm: Monitored, sequence: list, declared: float | None, warm: bool
 ) -> None:
     rules = dataclasses.replace(RULES, allowed_modes=MODES, declared_limit=declared)
-    guard, history, sender, now = Guard(plane_arm, rules, Stop.NONE), History(rules), _Sender(), 0.0
+    guard, history, sender, now = Guard(plane_arm, rules, RequestedStop.NONE), History(rules), _Sender(), 0.0
     good = [(0.02, ("both", "move"))] * 2 if warm else []
     for gap, (kind, value) in [*good, *sequence]:
         now += gap

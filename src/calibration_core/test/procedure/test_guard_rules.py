@@ -11,19 +11,19 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.guard import Guard, GuardRules
-from calibration_core.procedure.robot_status import TEXT, Drives, OperatingMode, Reason, RobotStatus, Safety
-from calibration_core.procedure.speed import Monitored
-from calibration_core.procedure.stop_proof import Stop
+from calibration_core.motion.guard import Guard, GuardRules
+from calibration_core.motion.robot_status import TEXT, Drives, OperatingMode, Reason, RobotStatus, SafetyState
+from calibration_core.motion.speed import Monitored
+from calibration_core.motion.stop_proof import RequestedStop
 
-GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, Safety.NORMAL, True, False, False, 1.0)
+GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, SafetyState.NORMAL, True, False, False, 1.0)
 RULES = GuardRules()
 MODES = frozenset({OperatingMode.MANUAL_REDUCED, OperatingMode.AUTOMATIC, OperatingMode.MANUAL_UNSPECIFIED})
 
 
 def permitting(arm: Monitored, start: float = 0.0) -> tuple[Guard, float]:
     """Return a guard that permits motion, and the time."""
-    guard, now = Guard(arm, RULES, Stop.NONE), start
+    guard, now = Guard(arm, RULES, RequestedStop.NONE), start
     for _ in range(3):
         now += 0.02
         guard.on_status(GOOD, now)
@@ -40,8 +40,8 @@ def permitting(arm: Monitored, start: float = 0.0) -> tuple[Guard, float]:
         ({"operating_mode": OperatingMode.MANUAL_HIGH}, Reason.MODE_NOT_ALLOWED),
         ({"drives": Drives.OFF}, Reason.DRIVES_OFF),
         ({"drives": Drives.UNKNOWN}, Reason.DRIVES_UNKNOWN),
-        ({"safety": Safety.EMERGENCY_STOP}, Reason.SAFETY_STOP),
-        ({"safety": Safety.UNKNOWN}, Reason.SAFETY_UNKNOWN),
+        ({"safety": SafetyState.EMERGENCY_STOP}, Reason.SAFETY_STOP),
+        ({"safety": SafetyState.UNKNOWN}, Reason.SAFETY_UNKNOWN),
         ({"motion_possible": False}, Reason.MOTION_NOT_POSSIBLE),
         ({"in_error": True}, Reason.IN_ERROR),
         ({"operator_confirmed": True}, Reason.CONFIRMATION_EXPIRED),
@@ -99,7 +99,7 @@ def test_over_speed_is_measured(demo_cell: Cell, rate: float) -> None:
     """A turn of joint 1: the farthest point's speed is its distance from the axis times the rate."""
     chain = chain_of(demo_cell)
     monitored = Monitored.of(chain, nominal_parameters(demo_cell))
-    guard, q, now = Guard(monitored, RULES, Stop.NONE), np.array([0.0, 0.2, -0.3, 0.1, 0.8, 0.0]), 0.0
+    guard, q, now = Guard(monitored, RULES, RequestedStop.NONE), np.array([0.0, 0.2, -0.3, 0.1, 0.8, 0.0]), 0.0
     unit = monitored.speeds(q[None], np.eye(6)[:1])[0].max()
     speed = rate * RULES.speed_limit
     seen = []
@@ -125,7 +125,7 @@ def test_modes_other_than_reduced_need_a_declared_limit(plane_arm: Monitored) ->
         (0.3, 0.5, False),
     ):
         rules = dataclasses.replace(RULES, allowed_modes=MODES, declared_limit=declared)
-        guard = Guard(plane_arm, rules, Stop.NONE)
+        guard = Guard(plane_arm, rules, RequestedStop.NONE)
         for now in (0.0, 0.02):
             guard.on_status(dataclasses.replace(automatic, speed_limit=reported), now)
             guard.on_joints(np.zeros(3), now, now)
@@ -135,7 +135,7 @@ def test_modes_other_than_reduced_need_a_declared_limit(plane_arm: Monitored) ->
 
 
 def test_operator_confirmation_expires(plane_arm: Monitored) -> None:
-    guard = Guard(plane_arm, dataclasses.replace(RULES, allowed_modes=MODES), Stop.NONE)
+    guard = Guard(plane_arm, dataclasses.replace(RULES, allowed_modes=MODES), RequestedStop.NONE)
     confirmed = dataclasses.replace(
         GOOD, operating_mode=OperatingMode.MANUAL_UNSPECIFIED, operator_confirmed=True, confirmed_until=0.05
     )
@@ -159,6 +159,9 @@ def test_clock_jumps_and_the_end(plane_arm: Monitored) -> None:
     for jump in (-0.5, 5.0):
         guard, now = permitting(plane_arm, 10.0)
         assert Reason.CLOCK_JUMPED in guard.decide(now + jump).latched
+    guard = Guard(plane_arm, RULES, RequestedStop.NONE)  # one that has permitted nothing yet, on a busy computer
+    assert not guard.decide(1.0).permitted
+    assert guard.decide(6.0).latched == ()
     guard, now = permitting(plane_arm)
     guard.stop()
     assert Reason.STOPPING in guard.decide(now).reasons
@@ -178,7 +181,7 @@ def test_every_reason_has_a_text() -> None:
 
 
 def test_joint_states_that_came_are_never_called_absent(plane_arm: Monitored) -> None:
-    guard = Guard(plane_arm, RULES, Stop.NONE)
+    guard = Guard(plane_arm, RULES, RequestedStop.NONE)
     guard.on_status(GOOD, 0.0)
     assert Reason.JOINTS_ABSENT in guard.decide(0.0).reasons
     guard.on_joints(np.array([0.0, math.nan, 0.0]), 0.01, 0.01)

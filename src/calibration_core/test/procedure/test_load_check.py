@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell
+from calibration_core.measurement.load_check import Felt, LoadCheck
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.simulate import simulate_plan
-from calibration_core.procedure.load_check import Felt, LoadCheck
-from calibration_core.procedure.plan import PlannedConfiguration
-from calibration_core.procedure.tolerances import Tolerances
+from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.planning.plans.plan import PlannedConfiguration
+from calibration_core.planning.plans.tolerances import Tolerances
 from calibration_core.timeseries import Float1D
 
 WANTED = np.array([300.0, -400.0, -2000.0, 0.0, 0.0, 0.0])
@@ -38,7 +38,7 @@ def test_the_load_as_planned(demo_cell: Cell, postures: np.ndarray) -> None:
     check = LoadCheck(demo_cell, Tolerances())
     for q in postures:
         unloaded = felt(demo_cell, q, np.zeros(6))
-        found = check.pulls(felt(demo_cell, q, WANTED)) - check.pulls(unloaded)
+        found = check.acting_load(felt(demo_cell, q, WANTED), unloaded)
         np.testing.assert_allclose(found, WANTED, atol=1e-6)
         assert check.fault(WANTED, felt(demo_cell, q, WANTED), unloaded) == ""
         assert check.fault(np.zeros(6), unloaded, unloaded) == ""
@@ -68,6 +68,19 @@ def test_another_direction(demo_cell: Cell, postures: np.ndarray, degrees: float
         assert (text == "") is right
         if not right:
             assert f"{degrees:.1f}° from the direction wanted, expected at most 9.7°" in text
+
+
+def test_the_band_is_the_one_that_faults_are_found_by(demo_cell: Cell, postures: np.ndarray) -> None:
+    check = LoadCheck(demo_cell, Tolerances())
+    size, angle = check.force_band(WANTED)
+    assert (size, angle) == (pytest.approx(0.1 * np.linalg.norm(WANTED)), 0.17)
+    unloaded, unit = felt(demo_cell, postures[0], np.zeros(6)), WANTED / np.linalg.norm(WANTED)
+    for share, right in ((0.99, True), (1.01, False)):
+        pulled = felt(demo_cell, postures[0], WANTED + share * size * unit)
+        assert (check.fault(WANTED, pulled, unloaded) == "") is right
+    size, angle = check.force_band(np.zeros(6))
+    assert size == check.floor
+    assert np.isnan(angle)
 
 
 def test_what_stays_on_when_released(demo_cell: Cell, postures: np.ndarray) -> None:

@@ -10,10 +10,10 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.procedure.candidates import Ground, brought, places_of
-from calibration_core.procedure.operating_space import CUBE_SIDES, iso_cube, read_task
-from calibration_core.procedure.planning import PlanningRules, ground_of, make_plan
-from calibration_core.procedure.space import SpaceRules, joint_range
+from calibration_core.planning.feasible.candidates import Ground, brought, places_of
+from calibration_core.planning.feasible.operating_space import CUBE_SIDES, iso_cube, read_task
+from calibration_core.planning.feasible.space import SpaceRules, joint_range
+from calibration_core.planning.loaded import PlanningRules, ground_of, make_plan
 
 
 @pytest.fixture(scope="module")

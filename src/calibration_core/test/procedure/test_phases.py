@@ -14,20 +14,20 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.identification.sweeps import single_joint_sweeps, wrist_sweep
+from calibration_core.identification.circle_point.sweeps import single_joint_sweeps, wrist_sweep
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.messages import Kind, Outcome
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure import messages as m
-from calibration_core.procedure import phases
-from calibration_core.procedure.candidates import Ground
-from calibration_core.procedure.collision import CollisionModel
-from calibration_core.procedure.messages import Kind, Outcome
-from calibration_core.procedure.phases import PhaseRules, Sweep, best_sweep, plan_phases
-from calibration_core.procedure.plan import Plan, PlannedConfiguration
-from calibration_core.procedure.plan_file import plan_text, read_plan
-from calibration_core.procedure.space import Site, fitness, joint_range
-from calibration_core.procedure.speed import Monitored
-from calibration_core.procedure.trajectory import MotionLimits, plan_path
+from calibration_core.motion.speed import Monitored
+from calibration_core.motion.trajectory import MotionLimits, plan_path
+from calibration_core.planning import phases
+from calibration_core.planning.feasible.candidates import Ground
+from calibration_core.planning.feasible.collision import CollisionModel
+from calibration_core.planning.feasible.space import Site, fitness, joint_range
+from calibration_core.planning.phases import PhaseRules, PlannedSweep, best_sweep, plan_phases
+from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
+from calibration_core.planning.plans.plan_file import plan_text, read_plan
 
 Started, Plans = Callable[..., Any], Callable[..., Plan]
 RULES = PhaseRules()
@@ -152,7 +152,7 @@ def test_the_wider_arc_is_taken_before_the_larger_circle(demo_cell: Cell) -> Non
     site = Site.of(chain_of(demo_cell), nominal_parameters(demo_cell), demo_cell)
     bodies = CollisionModel.of(demo_cell, site, RULES.space)
     sweep = best_sweep(bodies, 5, RULES, np.random.default_rng(1))
-    assert isinstance(sweep, Sweep)
+    assert isinstance(sweep, PlannedSweep)
     assert sweep.arc == pytest.approx(RULES.arc)
     assert np.ptp(sweep.q, axis=0) == pytest.approx([0.0] * 5 + [RULES.arc], abs=1e-12)
     assert best_sweep(bodies, 5, dataclasses.replace(RULES, least_arc=6.0), np.random.default_rng(1)) is None
@@ -199,7 +199,7 @@ def test_a_standstill_that_is_not_seen_is_left_out(started: Started, plan_of: Pl
         in_the_way = getattr(world.asked, "configuration", 0) == 1002
         world.act("fail" if in_the_way else "answer" if world.asked is not None else "tick")
     assert world.completed == [1001, 4001, 1, 2, 3, 4]  # and no spare of the compliance took its place
-    assert world.sequence.agenda.given_up == {1002}
+    assert world.sequence.queue.given_up == {1002}
     assert (world.finish.outcome, world.finish.text) == (Outcome.INCOMPLETE, "6 of 7 configurations are measured")
 
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.procedure.plan import Plan, PlannedConfiguration
-from calibration_core.procedure.plan_file import KEYS, plan_dict, plan_text, read_plan
-from calibration_core.procedure.planned_robot import planned_robot
-from calibration_core.procedure.tolerances import Tolerances
+from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
+from calibration_core.planning.plans.plan_file import KEYS, plan_dict, plan_text, read_plan
+from calibration_core.planning.plans.planned_robot import planned_robot
+from calibration_core.planning.plans.tolerances import Tolerances
 
 
 def test_round_trip(plan: Plan, demo_cell: Cell, tmp_path: Path) -> None:

@@ -15,12 +15,12 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import Load
-from calibration_core.procedure.loads import LoadRules
-from calibration_core.procedure.order import clear_paths, short_order
-from calibration_core.procedure.plan import Plan
-from calibration_core.procedure.plan_file import plan_text
-from calibration_core.procedure.planning import PlanningRules, make_plan
-from calibration_core.procedure.space import Site, SpaceRules, joint_range, measurable, positions
+from calibration_core.planning.feasible.loads import LoadRules
+from calibration_core.planning.feasible.order import clear_paths, short_order
+from calibration_core.planning.feasible.space import Site, SpaceRules, joint_range, measurable, positions
+from calibration_core.planning.loaded import PlanningRules, make_plan
+from calibration_core.planning.plans.plan import Plan
+from calibration_core.planning.plans.plan_file import plan_text
 
 
 def test_counts_and_limits(plan: Plan, demo_cell: Cell) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.procedure.posture_check import Stood, posture_fault
-from calibration_core.procedure.tolerances import Tolerances
+from calibration_core.measurement.posture_check import Stood, posture_fault
+from calibration_core.planning.plans.tolerances import Tolerances
 
 JOINTS = ("a", "b", "c")
 PLANNED = np.array([0.1, -0.2, 1.5])

@@ -16,7 +16,7 @@ import pytest
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import SessionError
-from calibration_core.procedure.session import DATABASE, PLAN, Session
+from calibration_core.measurement.session import DATABASE, PLAN, Session
 from calibration_core.recording.session_values import ConfirmedReading, Decision, Event, as_readings
 
 ROOT = Path(__file__).parents[4]
@@ -183,7 +183,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from calibration_core.cell import load_cell
-from calibration_core.procedure.session import Session, DATABASE
+from calibration_core.measurement.session import Session, DATABASE
 from calibration_core.recording.session_values import ConfirmedReading
 directory, cell = Path(sys.argv[1]), load_cell(sys.argv[2])
 opening = Session.resume if (directory / DATABASE).exists() else Session.create

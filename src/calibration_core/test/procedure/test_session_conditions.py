@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from calibration_core.cell import Cell
-from calibration_core.procedure.session import DATABASE, Session
+from calibration_core.measurement.session import DATABASE, Session
 from calibration_core.timeseries import Condition, Override
 
 WHO = Override("temperature", "A. Smith", "no cooling today")

@@ -7,17 +7,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calibration_core.procedure.guard import Guard, GuardRules
-from calibration_core.procedure.robot_status import Drives, OperatingMode, Reason, RobotStatus, Safety
-from calibration_core.procedure.speed import Monitored
-from calibration_core.procedure.stop_proof import Stop, StopProof
+from calibration_core.motion.guard import Guard, GuardRules
+from calibration_core.motion.robot_status import Drives, OperatingMode, Reason, RobotStatus, SafetyState
+from calibration_core.motion.speed import Monitored
+from calibration_core.motion.stop_proof import RequestedStop, StopProof
 
-GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, Safety.NORMAL, True, False, False, 1.0)
+GOOD = RobotStatus(OperatingMode.MANUAL_REDUCED, Drives.ON, SafetyState.NORMAL, True, False, False, 1.0)
 Q = np.array([0.1, 0.2, 0.3])
 
 
 def tried(
-    stop: Stop = Stop.CANCEL,
+    stop: RequestedStop = RequestedStop.CANCEL,
     *,
     answers_after: float = 0.1,
     cancelled: bool = True,
@@ -76,12 +76,12 @@ def test_noise_of_encoders_is_no_motion() -> None:
 
 
 def test_a_held_position_ends_without_a_word() -> None:
-    assert tried(Stop.HOLD, answers_after=9.0)[0].proven
-    assert not tried(Stop.HOLD, answers_after=9.0, moves=2e-4)[0].proven
+    assert tried(RequestedStop.HOLD, answers_after=9.0)[0].proven
+    assert not tried(RequestedStop.HOLD, answers_after=9.0, moves=2e-4)[0].proven
 
 
 def test_where_only_the_pendant_stops_nothing_is_to_be_proven() -> None:
-    proof = StopProof(Stop.NONE)
+    proof = StopProof(RequestedStop.NONE)
     proof.begin(0.0)
     proof.void("never mind")
     assert proof.proven
@@ -101,7 +101,7 @@ def alive(guard: Guard, begin: float, end: float, q: np.ndarray = Q, status: Rob
 
 
 def test_no_motion_before_the_proof(plane_arm: Monitored) -> None:
-    guard = Guard(plane_arm, GuardRules(), Stop.CANCEL)
+    guard = Guard(plane_arm, GuardRules(), RequestedStop.CANCEL)
     alive(guard, 0.0, 0.5)
     decision = guard.decide(0.5)
     assert (decision.reasons, decision.latched) == ((Reason.STOP_UNPROVEN,), ())
@@ -114,7 +114,7 @@ def test_no_motion_before_the_proof(plane_arm: Monitored) -> None:
 
 
 def test_a_proof_ends_with_what_it_rests_on(plane_arm: Monitored) -> None:
-    guard = Guard(plane_arm, GuardRules(), Stop.CANCEL)
+    guard = Guard(plane_arm, GuardRules(), RequestedStop.CANCEL)
     alive(guard, 0.0, 0.1)
     guard.proof.begin(0.1)
     alive(guard, 0.1, 1.0)
@@ -139,7 +139,7 @@ def test_a_proof_ends_with_what_it_rests_on(plane_arm: Monitored) -> None:
     [(Guard.on_silence, Reason.SEQUENCER_SILENT), (Guard.on_second_guard, Reason.TWO_GUARDS)],
 )
 def test_what_is_latched_at_once(plane_arm: Monitored, tell, reason: Reason) -> None:
-    guard = Guard(plane_arm, GuardRules(), Stop.NONE)
+    guard = Guard(plane_arm, GuardRules(), RequestedStop.NONE)
     alive(guard, 0.0, 0.1)
     tell(guard)
     assert guard.decide(0.1).latched == (reason,)
@@ -148,7 +148,7 @@ def test_what_is_latched_at_once(plane_arm: Monitored, tell, reason: Reason) -> 
 
 
 def test_two_that_publish_the_same_are_named(plane_arm: Monitored) -> None:
-    guard = Guard(plane_arm, GuardRules(), Stop.NONE)
+    guard = Guard(plane_arm, GuardRules(), RequestedStop.NONE)
     alive(guard, 0.0, 0.1)
     guard.on_sources("/joint_states: /driver, /replay")
     assert "/joint_states: /driver, /replay" in guard.decide(0.1).text

@@ -6,17 +6,17 @@ import math
 
 import numpy as np
 
-from calibration_core.procedure.thermometer import KEPT, SPACING, Thermometer
+from calibration_core.measurement.thermometer import KEPT, SPACING, TemperatureHistory
 
 
 def test_nothing_heard_is_no_temperature() -> None:
-    thermometer = Thermometer()
+    thermometer = TemperatureHistory()
     assert math.isnan(thermometer.value)
     assert thermometer.history(7.0).shape == (0, 2)
 
 
 def test_the_history_is_thinned_and_ends_with_the_newest() -> None:
-    thermometer = Thermometer()
+    thermometer = TemperatureHistory()
     for second in range(21):
         thermometer.hear(float(second), 20.0 + 0.1 * second)
     history = thermometer.history(20.5)
@@ -25,7 +25,7 @@ def test_the_history_is_thinned_and_ends_with_the_newest() -> None:
 
 
 def test_what_is_not_finite_is_heard_but_not_kept() -> None:
-    thermometer = Thermometer()
+    thermometer = TemperatureHistory()
     thermometer.hear(0.0, 20.0)
     thermometer.hear(60.0, math.nan)
     assert math.isnan(thermometer.value)
@@ -33,14 +33,14 @@ def test_what_is_not_finite_is_heard_but_not_kept() -> None:
 
 
 def test_a_clock_set_back_does_not_stop_the_history() -> None:
-    thermometer = Thermometer()
+    thermometer = TemperatureHistory()
     thermometer.hear(1000.0, 20.0)
     thermometer.hear(3.0, 21.0)
     assert len(thermometer.history(3.0)) == 3
 
 
 def test_the_history_is_bounded() -> None:
-    thermometer = Thermometer()
+    thermometer = TemperatureHistory()
     for k in range(KEPT + 10):
         thermometer.hear(k * SPACING, 20.0)
     assert len(thermometer.history(0.0)) == KEPT + 1

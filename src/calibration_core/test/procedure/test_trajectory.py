@@ -14,9 +14,9 @@ from calibration_core.model.chain import Chain, rotation_rpy
 from calibration_core.model.kinematics import linear_jacobian, posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.plan import Plan
-from calibration_core.procedure.speed import Monitored, hermite_bound
-from calibration_core.procedure.trajectory import MotionLimits, Trajectory, checked, plan_motion, plan_path
+from calibration_core.motion.speed import Monitored, hermite_bound
+from calibration_core.motion.trajectory import MotionLimits, Trajectory, checked, plan_motion, plan_path
+from calibration_core.planning.plans.plan import Plan
 
 LIMITS = MotionLimits()
 
@@ -71,7 +71,7 @@ def test_levers_and_second_derivatives_are_never_exceeded(n: int) -> None:
     points = rng.uniform(-0.4, 0.4, (3, 3))
     names = tuple(f"p{i}" for i in range(n + 3))
     cell_like = Monitored(chain, names, points, np.empty(0))
-    from calibration_core.procedure.speed import _levers
+    from calibration_core.motion.speed import _levers
 
     monitored = dataclasses.replace(cell_like, lever=_levers(chain, points))
     q = rng.uniform(-3, 3, (4000, n))

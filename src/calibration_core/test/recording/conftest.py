@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.timeseries import Provenance, Recording, StepMarkers, TimeSeries
+from calibration_core.timeseries import Provenance, StepMarkers, Streams, TimeSeries
 
 START = 1_700_000_000_000_000_000
 CELL = """
@@ -35,7 +35,7 @@ def cell(tmp_path: Path) -> Cell:
     return load_cell(path)
 
 
-def make_recording(seed: int = 0, n: int = 200, *, efforts: bool = True) -> Recording:
+def make_recording(seed: int = 0, n: int = 200, *, efforts: bool = True) -> Streams:
     """Return streams of random numbers at different rates, with step markers and a robot description."""
     rng = np.random.default_rng(seed)
 
@@ -44,7 +44,7 @@ def make_recording(seed: int = 0, n: int = 200, *, efforts: bool = True) -> Reco
         return TimeSeries(time, rng.normal(size=(count, columns)), time + 1000, frame)
 
     joints = series(n, 3, "")
-    return Recording(
+    return Streams(
         joints=joints,
         points={"left": series(n // 2, 3, "tracker"), "right": series(n // 3, 3, "tracker")},
         wrench=series(3 * n, 6, "force_torque"),
@@ -57,7 +57,7 @@ def make_recording(seed: int = 0, n: int = 200, *, efforts: bool = True) -> Reco
 
 
 @pytest.fixture
-def recording() -> Recording:
+def recording() -> Streams:
     return make_recording()
 
 
@@ -72,10 +72,10 @@ def series_equal(a: TimeSeries | None, b: TimeSeries | None) -> bool:
 
 
 @pytest.fixture
-def same() -> Callable[[Recording, Recording], None]:
+def same() -> Callable[[Streams, Streams], None]:
     """Return a function that asserts that two recordings hold the same data, to the bit."""
 
-    def check(a: Recording, b: Recording) -> None:
+    def check(a: Streams, b: Streams) -> None:
         assert series_equal(a.joints, b.joints)
         assert series_equal(a.wrench, b.wrench)
         assert series_equal(a.temperature, b.temperature)

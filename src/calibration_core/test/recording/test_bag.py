@@ -14,16 +14,16 @@ from mcap.writer import CompressionType, Writer
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import RecordingError
-from calibration_core.recording.bag import iso_date, read_bag, read_contents
-from calibration_core.recording.bag_writer import write_bag
-from calibration_core.recording.encode import encode
-from calibration_core.recording.files import bag_files
-from calibration_core.recording.kinds import Kind
+from calibration_core.recording.bags.bag import iso_date, read_bag, read_contents
+from calibration_core.recording.bags.files import bag_files
+from calibration_core.recording.bags.writer import write_bag
+from calibration_core.recording.messages.encode import encode
+from calibration_core.recording.messages.kinds import StreamKind
+from calibration_core.recording.messages.typed import standard_types
 from calibration_core.recording.source import sha256_of
-from calibration_core.recording.typed import standard_types
-from calibration_core.timeseries import Recording, TimeSeries
+from calibration_core.timeseries import Streams, TimeSeries
 
-Same = Callable[[Recording, Recording], None]
+Same = Callable[[Streams, Streams], None]
 FORMS = [
     ("mcap", None), ("mcap", "zstd"), ("mcap", "lz4"), ("mcap", "zstd_file"), ("mcap", "zstd_message"),
     ("sqlite3", None), ("sqlite3", "zstd_file"), ("sqlite3", "zstd_message"),
@@ -33,7 +33,13 @@ FORMS = [
 @pytest.mark.parametrize("splits", [1, 3])
 @pytest.mark.parametrize(("storage", "compression"), FORMS)
 def test_round_trip(
-    tmp_path: Path, cell: Cell, recording: Recording, same: Same, storage: str, compression: str | None, splits: int
+    tmp_path: Path,
+    cell: Cell,
+    recording: Streams,
+    same: Same,
+    storage: str,
+    compression: str | None,
+    splits: int,
 ) -> None:
     bag = tmp_path / "bag"
     write_bag(bag, recording, cell, storage=storage, compression=compression, splits=splits)
@@ -49,11 +55,11 @@ def test_round_trip(
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_equal_to_the_typed_reader(tmp_path: Path, cell: Cell, recording: Recording, storage: str) -> None:
+def test_equal_to_the_typed_reader(tmp_path: Path, cell: Cell, recording: Streams, storage: str) -> None:
     write_bag(tmp_path / "bag", recording, cell, storage=storage)
     streams = {
-        "/joint_states": Kind.JOINTS, "/tracker/left": Kind.POINT, "/force_torque/wrench": Kind.WRENCH,
-        "/cell/temperature": Kind.TEMPERATURE,
+        "/joint_states": StreamKind.JOINTS, "/tracker/left": StreamKind.POINT,
+        "/force_torque/wrench": StreamKind.WRENCH, "/cell/temperature": StreamKind.TEMPERATURE,
     }  # fmt: skip
     fast, typed = (
         read_contents(bag_files(tmp_path / "bag"), streams, cell.robot.joints, fast=flag).streams
@@ -66,13 +72,13 @@ def test_equal_to_the_typed_reader(tmp_path: Path, cell: Cell, recording: Record
 
 
 @pytest.mark.parametrize(("storage", "suffix"), [("mcap", ".mcap"), ("sqlite3", ".db3")])
-def test_bare_file(tmp_path: Path, cell: Cell, recording: Recording, same: Same, storage: str, suffix: str) -> None:
+def test_bare_file(tmp_path: Path, cell: Cell, recording: Streams, same: Same, storage: str, suffix: str) -> None:
     write_bag(tmp_path / "bag", recording, cell, storage=storage)
     same(read_bag(tmp_path / "bag" / f"bag{suffix}", cell), recording)
 
 
 def test_directory_without_metadata_is_read_in_natural_order(
-    tmp_path: Path, cell: Cell, recording: Recording, same: Same
+    tmp_path: Path, cell: Cell, recording: Streams, same: Same
 ) -> None:
     write_bag(tmp_path / "bag", recording, cell, splits=12)
     (tmp_path / "bag" / "metadata.yaml").unlink()
@@ -82,7 +88,7 @@ def test_directory_without_metadata_is_read_in_natural_order(
     assert any(note.kind == "no_metadata" for note in read.notes)
 
 
-def test_missing_split_is_reported(tmp_path: Path, cell: Cell, recording: Recording) -> None:
+def test_missing_split_is_reported(tmp_path: Path, cell: Cell, recording: Streams) -> None:
     write_bag(tmp_path / "bag", recording, cell, splits=3)
     (tmp_path / "bag" / "bag_1.mcap").unlink()
     read = read_bag(tmp_path / "bag", cell)
@@ -93,7 +99,7 @@ def test_missing_split_is_reported(tmp_path: Path, cell: Cell, recording: Record
 @pytest.mark.parametrize("compression", list(CompressionType))
 @pytest.mark.parametrize("options", [{}, {"use_chunking": False}, {"chunk_size": 3000, "use_statistics": False}])
 def test_files_of_another_writer(
-    tmp_path: Path, cell: Cell, recording: Recording, compression: CompressionType, options: dict[str, bool]
+    tmp_path: Path, cell: Cell, recording: Streams, compression: CompressionType, options: dict[str, bool]
 ) -> None:
     """With checksums, other chunk sizes, no chunks, no index."""
     path = tmp_path / "other.mcap"
@@ -104,13 +110,14 @@ def test_files_of_another_writer(
     assert {note.kind for note in read.notes} <= {"gap", "missing_point"}
 
 
-def other_writer(path: Path, cell: Cell, recording: Recording, **options: object) -> None:
+def other_writer(path: Path, cell: Cell, recording: Streams, **options: object) -> None:
     definitions = {
-        kind: standard_types().generate_msgdef(kind.value, ros_version=2)[0] for kind in (Kind.JOINTS, Kind.POINT)
+        kind: standard_types().generate_msgdef(kind.value, ros_version=2)[0]
+        for kind in (StreamKind.JOINTS, StreamKind.POINT)
     }
     streams = {
-        "/joint_states": (Kind.JOINTS, recording.joints),
-        "/tracker/left": (Kind.POINT, recording.points["left"]),
+        "/joint_states": (StreamKind.JOINTS, recording.joints),
+        "/tracker/left": (StreamKind.POINT, recording.points["left"]),
     }
     with path.open("wb") as stream:
         writer = Writer(stream, **options)
@@ -127,7 +134,7 @@ def other_writer(path: Path, cell: Cell, recording: Recording, **options: object
 
 
 @pytest.mark.parametrize("compression", [None, "zstd", "lz4"])
-def test_cut_off_at_any_place(tmp_path: Path, cell: Cell, compression: str | None, big: Recording) -> None:
+def test_cut_off_at_any_place(tmp_path: Path, cell: Cell, compression: str | None, big: Streams) -> None:
     """Every cut gives a beginning of the recording, and a later cut never gives less."""
     write_bag(tmp_path / "bag", big, cell, compression=compression)
     whole = (tmp_path / "bag" / "bag.mcap").read_bytes()
@@ -145,7 +152,7 @@ def test_cut_off_at_any_place(tmp_path: Path, cell: Cell, compression: str | Non
 
 
 @pytest.fixture(scope="module")
-def big() -> Recording:
+def big() -> Streams:
     """Return a recording of several chunks, in which joint states arrive in the order of their stamps."""
     rng = np.random.default_rng(1)
     start = 1_700_000_000_000_000_000
@@ -154,12 +161,12 @@ def big() -> Recording:
         time = start + np.arange(count) * (20_000_000_000 // count)
         return TimeSeries(time, rng.normal(size=(count, columns)), time + 1000, "f")
 
-    empty = Recording(series(8000, 3), {}, None, None, None, "", None)  # type: ignore[arg-type]
+    empty = Streams(series(8000, 3), {}, None, None, None, "", None)  # type: ignore[arg-type]
     return dataclasses.replace(empty, points={"left": series(4000, 3)}, wrench=series(20_000, 6))
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_database_cut_off(tmp_path: Path, cell: Cell, big: Recording, share: float) -> None:
+def test_database_cut_off(tmp_path: Path, cell: Cell, big: Streams, share: float) -> None:
     write_bag(tmp_path / "bag", big, cell, storage="sqlite3")
     path = tmp_path / "bag" / "bag.db3"
     data = path.read_bytes()
@@ -170,7 +177,7 @@ def test_database_cut_off(tmp_path: Path, cell: Cell, big: Recording, share: flo
     assert len(read.joints) > 0.95 * share * len(big.joints)
 
 
-def test_database_with_a_damaged_page(tmp_path: Path, cell: Cell, big: Recording) -> None:
+def test_database_with_a_damaged_page(tmp_path: Path, cell: Cell, big: Streams) -> None:
     """Inner pages lost: the leaves tell for themselves."""
     write_bag(tmp_path / "bag", big, cell, storage="sqlite3")
     path = tmp_path / "bag" / "bag.db3"
@@ -184,7 +191,7 @@ def test_database_with_a_damaged_page(tmp_path: Path, cell: Cell, big: Recording
     assert np.array_equal(read.joints.values, big.joints.values)
 
 
-def test_log_of_a_killed_recorder(tmp_path: Path, cell: Cell, recording: Recording, same: Same) -> None:
+def test_log_of_a_killed_recorder(tmp_path: Path, cell: Cell, recording: Streams, same: Same) -> None:
     """Messages that are still in the write-ahead log are read, and nothing in the folder changes."""
     write_bag(tmp_path / "bag", recording, cell, storage="sqlite3")
     live = tmp_path / "live.db3"
@@ -207,7 +214,7 @@ def test_log_of_a_killed_recorder(tmp_path: Path, cell: Cell, recording: Recordi
     assert {path.name: sha256_of(path) for path in folder.iterdir()} == before
 
 
-def test_damaged_chunk_is_left_out(tmp_path: Path, cell: Cell, big: Recording) -> None:
+def test_damaged_chunk_is_left_out(tmp_path: Path, cell: Cell, big: Streams) -> None:
     other_writer(tmp_path / "a.mcap", cell, big, compression=CompressionType.ZSTD, chunk_size=100_000)
     data = bytearray((tmp_path / "a.mcap").read_bytes())
     second = data.index(b"zstd", data.index(b"zstd") + 1)
@@ -218,7 +225,7 @@ def test_damaged_chunk_is_left_out(tmp_path: Path, cell: Cell, big: Recording) -
     assert 0.7 * len(big.joints) < len(read.joints) < len(big.joints)
 
 
-def test_zeros_at_the_end_are_a_cut(tmp_path: Path, cell: Cell, big: Recording) -> None:
+def test_zeros_at_the_end_are_a_cut(tmp_path: Path, cell: Cell, big: Streams) -> None:
     """A file system that lost power leaves zeros where data should be."""
     write_bag(tmp_path / "bag", big, cell)
     path = tmp_path / "bag" / "bag.mcap"
@@ -230,7 +237,7 @@ def test_zeros_at_the_end_are_a_cut(tmp_path: Path, cell: Cell, big: Recording) 
     assert len(read.joints) > 0.3 * len(big.joints)
 
 
-def test_other_topics_do_not_matter(tmp_path: Path, cell: Cell, recording: Recording) -> None:
+def test_other_topics_do_not_matter(tmp_path: Path, cell: Cell, recording: Streams) -> None:
     """Names and points that this cell does not know are not read."""
     write_bag(tmp_path / "bag", recording, cell)
     text = cell.path.read_text().replace("left: [0.1, 0, 0], right", "right")
@@ -251,7 +258,7 @@ def test_other_topics_do_not_matter(tmp_path: Path, cell: Cell, recording: Recor
         ("joints: [shoulder, elbow, other]", "found the joints shoulder, elbow, wrist, expected positions of"),
     ],
 )
-def test_topics_that_do_not_fit(tmp_path: Path, cell: Cell, recording: Recording, change: str, message: str) -> None:
+def test_topics_that_do_not_fit(tmp_path: Path, cell: Cell, recording: Streams, change: str, message: str) -> None:
     write_bag(tmp_path / "bag", recording, cell)
     text = cell.path.read_text()
     if change.startswith("joints"):
@@ -264,7 +271,7 @@ def test_topics_that_do_not_fit(tmp_path: Path, cell: Cell, recording: Recording
     assert "\n" not in str(caught.value)
 
 
-def test_joints_in_another_order_and_more_of_them(tmp_path: Path, cell: Cell, recording: Recording) -> None:
+def test_joints_in_another_order_and_more_of_them(tmp_path: Path, cell: Cell, recording: Streams) -> None:
     write_bag(tmp_path / "bag", recording, cell)
     text = cell.path.read_text().replace("[shoulder, elbow, wrist]", "[wrist, shoulder, elbow]")
     (tmp_path / "turned.yaml").write_text(text)
@@ -272,7 +279,7 @@ def test_joints_in_another_order_and_more_of_them(tmp_path: Path, cell: Cell, re
     assert np.array_equal(read.joints.values, recording.joints.values[:, [2, 0, 1]])
 
 
-def test_written_bags_can_be_read_by_rosbags(tmp_path: Path, cell: Cell, recording: Recording) -> None:
+def test_written_bags_can_be_read_by_rosbags(tmp_path: Path, cell: Cell, recording: Streams) -> None:
     from rosbags.highlevel import AnyReader
 
     write_bag(tmp_path / "bag", recording, cell, splits=2)
@@ -287,7 +294,7 @@ def test_written_bags_can_be_read_by_rosbags(tmp_path: Path, cell: Cell, recordi
     assert count == 200 + 100 + 66 + 600 + 5 + 4 + 1
 
 
-def test_writer_refuses(tmp_path: Path, cell: Cell, recording: Recording) -> None:
+def test_writer_refuses(tmp_path: Path, cell: Cell, recording: Streams) -> None:
     with pytest.raises(ValueError, match="sqlite3"):
         write_bag(tmp_path / "bag", recording, cell, storage="sqlite3", compression="lz4")
     (tmp_path / "bag").mkdir()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from calibration_core.recording.compression import (
+from calibration_core.recording.storage.compression import (
     MAX_CHUNK,
     budget,
     decompress,

@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calibration_core.errors import RecordingError
-from calibration_core.recording import decode
-from calibration_core.recording.batch import Batch, Channel
-from calibration_core.recording.decode import Decoder
-from calibration_core.recording.kinds import Kind, Samples
-from calibration_core.recording.typed import standard_types
+from calibration_core.recording.messages import decode
+from calibration_core.recording.messages.decode import Decoder
+from calibration_core.recording.messages.kinds import Samples, StreamKind
+from calibration_core.recording.messages.typed import standard_types
+from calibration_core.recording.storage.batch import Batch, Channel
 
 JOINTS = ("a", "bb", "joint_3")
 numbers = st.floats(width=64, allow_nan=True, allow_infinity=True)
@@ -30,22 +30,24 @@ def header(sec: int, nanosec: int, frame: str) -> object:
 headers = st.builds(header, st.integers(-(2**31), 2**31 - 1), st.integers(0, 2**32 - 1), frames)
 
 
-def message(kind: Kind, head: object, values: list[float], names: list[str], sizes: tuple[int, int, int]) -> object:
+def message(
+    kind: StreamKind, head: object, values: list[float], names: list[str], sizes: tuple[int, int, int]
+) -> object:
     types = standard_types().types
     make = {name.split("/")[-1]: cls for name, cls in types.items()}
-    if kind is Kind.POINT:
+    if kind is StreamKind.POINT:
         return make["PointStamped"](header=head, point=make["Point"](*values[:3]))
-    if kind is Kind.WRENCH:
+    if kind is StreamKind.WRENCH:
         wrench = make["Wrench"](force=make["Vector3"](*values[:3]), torque=make["Vector3"](*values[3:6]))
         return make["WrenchStamped"](header=head, wrench=wrench)
-    if kind is Kind.TEMPERATURE:
+    if kind is StreamKind.TEMPERATURE:
         return make["Temperature"](header=head, temperature=values[0], variance=values[1])
     arrays = [np.resize(np.array(values), size) for size in sizes]
     return make["JointState"](header=head, name=names, position=arrays[0], velocity=arrays[1], effort=arrays[2])
 
 
 @st.composite
-def messages(draw: st.DrawFn, kind: Kind) -> bytes:
+def messages(draw: st.DrawFn, kind: StreamKind) -> bytes:
     names = draw(
         st.sampled_from([list(JOINTS), ["joint_3", "a", "bb"], ["gripper", *JOINTS], ["a", "bb"], [], ["bb", "a", "q"]])
     )
@@ -74,7 +76,7 @@ def messages(draw: st.DrawFn, kind: Kind) -> bytes:
     return data
 
 
-def batch_of(kind: Kind, rows: list[bytes], gap: int = 0) -> Batch:
+def batch_of(kind: StreamKind, rows: list[bytes], gap: int = 0) -> Batch:
     """Lay messages into a buffer, `gap` bytes apart."""
     length = np.array([len(row) for row in rows], np.int64)
     start = gap + np.cumsum(length + gap) - (length + gap)
@@ -82,8 +84,8 @@ def batch_of(kind: Kind, rows: list[bytes], gap: int = 0) -> Batch:
     return Batch(Channel("/topic", kind.value), buffer, start, length, np.arange(len(rows)) + 5)
 
 
-def decoded(kind: Kind, batches: list[Batch], *, fast: bool) -> Samples:
-    decoder = Decoder("file", kind, JOINTS if kind is Kind.JOINTS else (), fast=fast)
+def decoded(kind: StreamKind, batches: list[Batch], *, fast: bool) -> Samples:
+    decoder = Decoder("file", kind, JOINTS if kind is StreamKind.JOINTS else (), fast=fast)
     for batch in batches:
         decoder.add(batch)
     return decoder.samples()
@@ -100,10 +102,10 @@ def assert_same(a: Samples, b: Samples) -> None:
     assert (a.frames, a.malformed, a.unusable) == (b.frames, b.malformed, b.unusable)
 
 
-@pytest.mark.parametrize("kind", list(Kind))
+@pytest.mark.parametrize("kind", list(StreamKind))
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
-def test_equal_to_the_typed_reader(kind: Kind, data: st.DataObject) -> None:
+def test_equal_to_the_typed_reader(kind: StreamKind, data: st.DataObject) -> None:
     pool = data.draw(st.lists(messages(kind), min_size=1, max_size=5))
     rows = data.draw(st.lists(st.sampled_from(pool), min_size=1, max_size=25))
     batches = [batch_of(kind, rows, data.draw(st.integers(0, 9))), batch_of(kind, rows[::-1])]
@@ -113,8 +115,9 @@ def test_equal_to_the_typed_reader(kind: Kind, data: st.DataObject) -> None:
 def wrench_rows(count: int, frame: str = "tool0") -> list[bytes]:
     rng = np.random.default_rng(3)
     return [
-        bytes(standard_types().serialize_cdr(message(Kind.WRENCH, header(i, i, frame), list(rng.normal(size=6)), [],
-                                                     (0, 0, 0)), Kind.WRENCH.value))
+        bytes(standard_types().serialize_cdr(
+            message(StreamKind.WRENCH, header(i, i, frame), list(rng.normal(size=6)), [], (0, 0, 0)),
+            StreamKind.WRENCH.value))
         for i in range(count)
     ]  # fmt: skip
 
@@ -125,7 +128,7 @@ def test_constant_layouts_never_reach_the_typed_reader(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(decode, "read_typed", refuse)
     rows = wrench_rows(50) + wrench_rows(50, "another frame")
-    samples = decoded(Kind.WRENCH, [batch_of(Kind.WRENCH, rows)], fast=True)
+    samples = decoded(StreamKind.WRENCH, [batch_of(StreamKind.WRENCH, rows)], fast=True)
     assert len(samples.stamp) == 100
     assert samples.frames == {"tool0": 50, "another frame": 50}
 
@@ -137,8 +140,8 @@ def test_one_changed_byte_that_fixes_the_layout_is_seen(offset: int) -> None:
     bad = bytearray(rows[7])
     bad[offset] ^= 1
     rows[7] = bytes(bad)
-    batch = batch_of(Kind.WRENCH, rows)
-    fast, typed = (decoded(Kind.WRENCH, [batch], fast=flag) for flag in (True, False))
+    batch = batch_of(StreamKind.WRENCH, rows)
+    fast, typed = (decoded(StreamKind.WRENCH, [batch], fast=flag) for flag in (True, False))
     assert_same(fast, typed)
     assert fast.frames.get("tool0") == 39
 
@@ -149,10 +152,10 @@ def test_a_definition_of_their_own_is_obeyed() -> None:
         ["=" * 80, "MSG: std_msgs/Header", "builtin_interfaces/Time stamp", "string frame_id",
          "=" * 80, "MSG: builtin_interfaces/Time", "int32 sec", "uint32 nanosec", ""]
     )  # fmt: skip
-    channel = Channel("/t", Kind.TEMPERATURE.value, "cdr", definition, "ros2msg")
+    channel = Channel("/t", StreamKind.TEMPERATURE.value, "cdr", definition, "ros2msg")
     payload = b"\x00\x01\x00\x00" + struct.pack("<IiIIc7xd", 9, 1, 2, 1, b"\x00", 21.5)
     buffer = np.frombuffer(payload, np.uint8)
-    decoder = Decoder("file", Kind.TEMPERATURE)
+    decoder = Decoder("file", StreamKind.TEMPERATURE)
     decoder.add(Batch(channel, buffer, np.array([0]), np.array([len(payload)]), np.array([3])))
     samples = decoder.samples()
     assert samples.values.tolist() == [[21.5]]
@@ -162,14 +165,14 @@ def test_a_definition_of_their_own_is_obeyed() -> None:
 @pytest.mark.parametrize(
     "channel",
     [
-        Channel("/t", Kind.POINT.value, "cdr", "float64 x\nnonsense nonsense nonsense", "ros2msg"),
-        Channel("/t", Kind.POINT.value, "json"),
-        Channel("/t", Kind.POINT.value, "cdr", "unknown_msgs/Unknown x\n", "ros2msg"),
-        Channel("/t", Kind.POINT.value, "cdr", "module broken {", "ros2idl"),
+        Channel("/t", StreamKind.POINT.value, "cdr", "float64 x\nnonsense nonsense nonsense", "ros2msg"),
+        Channel("/t", StreamKind.POINT.value, "json"),
+        Channel("/t", StreamKind.POINT.value, "cdr", "unknown_msgs/Unknown x\n", "ros2msg"),
+        Channel("/t", StreamKind.POINT.value, "cdr", "module broken {", "ros2idl"),
     ],
 )
 def test_definitions_that_cannot_be_used(channel: Channel) -> None:
-    decoder = Decoder("some.mcap", Kind.POINT)
+    decoder = Decoder("some.mcap", StreamKind.POINT)
     batch = Batch(channel, np.zeros(8, np.uint8), np.array([0]), np.array([8]), np.array([0]))
     with pytest.raises(RecordingError, match=r"some\.mcap: /t: found"):
         decoder.add(batch)

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from calibration_core.errors import RecordingError
-from calibration_core.recording.batch import Channel
-from calibration_core.recording.cdr import read_message
-from calibration_core.recording.definition_idl import parse_idl
-from calibration_core.recording.definition_text import Field, parse_definition, parse_msg
-from calibration_core.recording.kinds import Kind
-from calibration_core.recording.typed import deserializer, is_standard, standard_types
+from calibration_core.recording.definitions.fields import MessageField
+from calibration_core.recording.definitions.idl import parse_idl
+from calibration_core.recording.definitions.msg import parse_msg
+from calibration_core.recording.definitions.text import parse_definition
+from calibration_core.recording.messages.cdr import read_message
+from calibration_core.recording.messages.kinds import StreamKind
+from calibration_core.recording.messages.typed import deserializer, is_standard, standard_types
+from calibration_core.recording.storage.batch import Channel
 
 NAME = "a_msgs/msg/A"
 LINE = "=" * 80
@@ -49,13 +51,13 @@ uint32 nanosec
 """
     types = parse_definition(text, NAME, "ros2msg")
     assert types[NAME] == (
-        Field("header", "std_msgs/msg/Header"),
-        Field("matrix", "float64", "array", 9),
-        Field("more", "float64", "sequence", 0),
-        Field("few", "string", "sequence", 0),
-        Field("inner", "a_msgs/msg/B", "array", 2),
-        Field("stamp", "builtin_interfaces/msg/Time"),
-        Field("c", "uint8"),
+        MessageField("header", "std_msgs/msg/Header"),
+        MessageField("matrix", "float64", "array", 9),
+        MessageField("more", "float64", "sequence", 0),
+        MessageField("few", "string", "sequence", 0),
+        MessageField("inner", "a_msgs/msg/B", "array", 2),
+        MessageField("stamp", "builtin_interfaces/msg/Time"),
+        MessageField("c", "uint8"),
     )
     assert set(types) == {NAME, "a_msgs/msg/B", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"}
 
@@ -128,7 +130,7 @@ def test_idl_says_the_same_as_msg() -> None:
 
 def test_every_bundled_type_is_read_field_by_field_as_generated_code_reads_it() -> None:
     types = standard_types()
-    kind = Kind.WRENCH.value
+    kind = StreamKind.WRENCH.value
     text, _ = types.generate_msgdef(kind, ros_version=2)
     payload = b"\x00\x01\x00\x00" + struct.pack("<iII4x6d", 1, 2, 1, *range(6))
     message = read_message(payload, parse_definition(text, kind, "ros2msg"), kind)
@@ -163,15 +165,15 @@ def test_messages_that_are_none(payload: bytes) -> None:
 
 
 def test_nothing_from_a_bag_is_executed(monkeypatch: pytest.MonkeyPatch) -> None:
-    standard_types().get_msgdef(Kind.POINT.value)  # what is bundled is generated before
+    standard_types().get_msgdef(StreamKind.POINT.value)  # what is bundled is generated before
 
     def never(*_: object) -> None:
         pytest.fail("code was generated")
 
     monkeypatch.setattr(builtins, "exec", never)
-    text, _ = standard_types().generate_msgdef(Kind.POINT.value, ros_version=2)
-    own = Channel("/p", Kind.POINT.value, "cdr", "uint32 extra\n" + text, "ros2msg")
-    assert is_standard(Channel("/p", Kind.POINT.value, "cdr", "# a comment\n" + text, "ros2msg"))
+    text, _ = standard_types().generate_msgdef(StreamKind.POINT.value, ros_version=2)
+    own = Channel("/p", StreamKind.POINT.value, "cdr", "uint32 extra\n" + text, "ros2msg")
+    assert is_standard(Channel("/p", StreamKind.POINT.value, "cdr", "# a comment\n" + text, "ros2msg"))
     assert not is_standard(own)
     message = deserializer("bag", own)(b"\0\1\0\0" + struct.pack("<IiIIc7x3d", 9, 1, 2, 1, b"\0", 1.0, 2.0, 3.0))
     assert (message.extra, message.point.z) == (9, 3.0)

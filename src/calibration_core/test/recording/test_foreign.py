@@ -35,7 +35,7 @@ from calibration_core.recording.foreign.meaning import meanings
 from calibration_core.recording.foreign.names import split_names
 from calibration_core.recording.foreign.text import read_text
 from calibration_core.recording.foreign.units import split_unit
-from calibration_core.recording.table import read_table
+from calibration_core.recording.tables.table import read_table
 
 MAP = Path("map.yaml")
 
@@ -131,8 +131,17 @@ def test_rows_that_do_not_match_are_refused(tmp_path: Path) -> None:
         ({"files": [{"units": {"x": "furlong"}}]}, "one of"),
         ({"files": [{"name": "(?P<point>x)"}]}, "configuration"),
         ({"files": [{"name": "("}]}, "no regular expression"),
-        ({"join": "luck"}, "number"),
-        ([], "dictionary"),
+        ({"join": "luck"}, "join: found 'luck', expected one of number, order, time"),
+        ([], "the map: found [], expected a map with keys of files, join, tolerance, points"),
+        ({"file": []}, "file: found an unknown key, expected one of files, join, tolerance, points"),
+        ({"files": {}}, "files: found {}, expected a list with an entry for each kind of file"),
+        ({"files": [3]}, "files.0: found 3, expected an entry with keys of match, encoding"),
+        ({"files": [{"seperator": ";"}]}, "files.0.seperator: found an unknown key, expected one of match"),
+        ({"files": [{"separator": "#"}]}, "files.0.separator: found '#', expected a tab, a semicolon, a bar"),
+        ({"files": [{"header": -1}]}, "files.0.header: found -1, expected the number of the line"),
+        ({"files": [{"columns": {"X": 3}}]}, "files.0.columns"),
+        ({"tolerance": "soon"}, "tolerance: found 'soon', expected a time in s, more than 0"),
+        ({"points": ["mp1"]}, "points: found ['mp1'], expected names of the cell file by names in the files"),
     ],
 )
 def test_a_wrong_map_is_one_line(content: object, words: str) -> None:
@@ -140,6 +149,7 @@ def test_a_wrong_map_is_one_line(content: object, words: str) -> None:
         import_map(MAP, content)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert "Input should be" not in str(caught.value)
 
 
 def test_a_column_of_the_map_must_be_there(tmp_path: Path) -> None:

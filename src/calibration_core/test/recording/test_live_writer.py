@@ -17,11 +17,11 @@ from rosbags.highlevel import AnyReader
 
 from calibration_core.cell import load_cell
 from calibration_core.errors import OutputError
-from calibration_core.recording.bag import read_bag
-from calibration_core.recording.encode import encode
-from calibration_core.recording.kinds import Kind
-from calibration_core.recording.live_writer import LiveBag, LiveTopic
-from calibration_core.recording.typed import standard_types
+from calibration_core.recording.bags.bag import read_bag
+from calibration_core.recording.bags.live_writer import LiveBag, LiveTopic
+from calibration_core.recording.messages.encode import encode
+from calibration_core.recording.messages.kinds import StreamKind
+from calibration_core.recording.messages.typed import standard_types
 from calibration_core.timeseries import TimeSeries
 
 CELL = load_cell(Path(__file__).resolve().parents[4] / "config" / "cells" / "demo.cell.yaml")
@@ -41,26 +41,26 @@ QOS = {
 }
 
 
-def payloads(kind: Kind, width: int, n: int, seed: int) -> tuple[TimeSeries, list[bytes]]:
+def payloads(kind: StreamKind, width: int, n: int, seed: int) -> tuple[TimeSeries, list[bytes]]:
     time_ns = START + MS * np.arange(n)
     values = np.random.default_rng(seed).standard_normal((n, width))
     series = TimeSeries(time_ns, values, time_ns + 1000, "f")
     return series, [bytes(one) for one in encode(kind, series, CELL.robot.joints, None)]
 
 
-def type_hash(kind: Kind) -> str:
+def type_hash(kind: StreamKind) -> str:
     return str(standard_types().hash_rihs01(kind.value))
 
 
-def add(bag: LiveBag, name: str, kind: Kind) -> int:
+def add(bag: LiveBag, name: str, kind: StreamKind) -> int:
     text = standard_types().generate_msgdef(kind.value)[0]
     return bag.add_topic(LiveTopic(name, kind.value, text, type_hash(kind), (QOS,)))
 
 
 def fill(bag: LiveBag, n: int = 50, seed: int = 0) -> tuple[TimeSeries, TimeSeries]:
-    joints, q = payloads(Kind.JOINTS, 6, n, seed)
-    points, p = payloads(Kind.POINT, 3, n, seed + 1)
-    numbers = add(bag, "/joint_states", Kind.JOINTS), add(bag, "/tracker/mp1", Kind.POINT)
+    joints, q = payloads(StreamKind.JOINTS, 6, n, seed)
+    points, p = payloads(StreamKind.POINT, 3, n, seed + 1)
+    numbers = add(bag, "/joint_states", StreamKind.JOINTS), add(bag, "/tracker/mp1", StreamKind.POINT)
     for k in range(n):
         bag.write(numbers[0], START + MS * k + 1000, q[k])
         bag.write(numbers[1], START + MS * k + 1000, p[k])
@@ -86,7 +86,8 @@ def test_other_readers_agree(tmp_path: Path) -> None:
     bag.close()
     with AnyReader([tmp_path / "bag"]) as reader:
         assert {c.topic: (c.msgcount, c.digest) for c in reader.connections} == {
-            "/joint_states": (50, type_hash(Kind.JOINTS)), "/tracker/mp1": (50, type_hash(Kind.POINT))}  # fmt: skip
+            "/joint_states": (50, type_hash(StreamKind.JOINTS)),
+            "/tracker/mp1": (50, type_hash(StreamKind.POINT))}  # fmt: skip
         states = [reader.deserialize(raw, c.msgtype).position for c, _, raw in reader.messages() if "joint" in c.topic]
     np.testing.assert_array_equal(np.array(states), joints.values)
     with bag.file.open("rb") as stream:
@@ -95,7 +96,7 @@ def test_other_readers_agree(tmp_path: Path) -> None:
     assert summary.statistics is not None
     assert summary.statistics.message_count == 100
     channels = {channel.topic: channel for channel in summary.channels.values()}
-    assert channels["/joint_states"].metadata["topic_type_hash"] == type_hash(Kind.JOINTS)
+    assert channels["/joint_states"].metadata["topic_type_hash"] == type_hash(StreamKind.JOINTS)
     assert yaml.safe_load(channels["/joint_states"].metadata["offered_qos_profiles"]) == [QOS]
     metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert metadata["version"] == 9
@@ -121,8 +122,8 @@ def test_a_bag_that_is_there_is_continued(tmp_path: Path) -> None:
     first._stream.close()  # as a killed process leaves it
     second = LiveBag(tmp_path / "bag")
     assert second.file.name == "bag_1.mcap"
-    _, q = payloads(Kind.JOINTS, 6, 80, 7)
-    number = add(second, "/joint_states", Kind.JOINTS)
+    _, q = payloads(StreamKind.JOINTS, 6, 80, 7)
+    number = add(second, "/joint_states", StreamKind.JOINTS)
     for k in range(60, 80):
         second.write(number, START + MS * k + 1000, q[k])
     second.close()
@@ -135,10 +136,10 @@ WRITE_FOR_EVER = """
 import sys
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from test_live_writer import LiveBag, START, MS, Kind, add, payloads
+from test_live_writer import LiveBag, START, MS, StreamKind, add, payloads
 bag = LiveBag(Path({bag!r}))
-numbers = add(bag, "/joint_states", Kind.JOINTS), add(bag, "/tracker/mp1", Kind.POINT)
-q, p = payloads(Kind.JOINTS, 6, 200000, 0)[1], payloads(Kind.POINT, 3, 200000, 1)[1]
+numbers = add(bag, "/joint_states", StreamKind.JOINTS), add(bag, "/tracker/mp1", StreamKind.POINT)
+q, p = payloads(StreamKind.JOINTS, 6, 200000, 0)[1], payloads(StreamKind.POINT, 3, 200000, 1)[1]
 for k in range(200000):
     bag.write(numbers[0], START + MS * k + 1000, q[k])
     bag.write(numbers[1], START + MS * k + 1000, p[k])
@@ -160,7 +161,9 @@ def test_kill_9_loses_nothing_that_was_synced(tmp_path: Path, seed: int) -> None
     process.wait()
     back = read_bag(tmp_path / "bag", CELL)
     assert len(back.joints) >= synced
-    np.testing.assert_array_equal(back.joints.values, payloads(Kind.JOINTS, 6, 200000, 0)[0].values[: len(back.joints)])
+    np.testing.assert_array_equal(
+        back.joints.values, payloads(StreamKind.JOINTS, 6, 200000, 0)[0].values[: len(back.joints)]
+    )
 
 
 def test_places_that_cannot_be_used(tmp_path: Path) -> None:

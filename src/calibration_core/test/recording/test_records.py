@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration_core.recording.records import message_records
+from calibration_core.recording.storage.records import message_records
 
 
 def record(payload: bytes, opcode: int = 5) -> bytes:

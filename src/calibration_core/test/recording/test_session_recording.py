@@ -15,13 +15,13 @@ import pytest
 from calibration_core.cell import Cell, load_cell
 from calibration_core.cli import main
 from calibration_core.errors import RecordingError
+from calibration_core.measurement.session import DATABASE, Session
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.simulate import simulate_plan
+from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.observations.observe import observe
-from calibration_core.procedure.plan import PlannedConfiguration
-from calibration_core.procedure.session import DATABASE, Session
+from calibration_core.planning.plans.plan import PlannedConfiguration
 from calibration_core.recording.session_values import ConfirmedReading
-from calibration_core.recording.table import write_table
+from calibration_core.recording.tables.table import write_table
 from calibration_core.timeseries import Condition, Override, Readings
 
 ROOT = Path(__file__).parents[4]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.recording.kinds import Samples
-from calibration_core.recording.streams import to_series
+from calibration_core.recording.bags.streams import to_series
+from calibration_core.recording.messages.kinds import Samples
 
 MS = 1_000_000
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import RecordingError
-from calibration_core.recording.table import read_table, write_table
+from calibration_core.recording.tables.table import read_table, write_table
 from calibration_core.timeseries import Provenance, Readings
 
 HEADER = "configuration,step,q1,q2,q3,point,x,y,z"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.estimate import (
+from calibration_core.identification.result.estimate import (
     Anomaly,
     Exclusion,
     Fit,

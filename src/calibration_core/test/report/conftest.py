@@ -8,7 +8,7 @@ import pytest
 from answers import DAY, make_absolute, make_cell, make_hostile, make_loaded
 
 from calibration_core.cell import Cell
-from calibration_core.identification.estimate import Identification
+from calibration_core.identification.result.estimate import Identification
 from calibration_core.report.content import build
 from calibration_core.report.document import Document
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, Safety
-from calibration_core.identification.estimate import Identification, NoiseCheck
-from calibration_core.report.content import build, date_of_test, report_number
+from calibration_core.identification.result.estimate import Identification, NoiseCheck
+from calibration_core.report.content import build, date_of_test
 from calibration_core.report.document import Document, Facts, Items, Paragraph, Table
 from calibration_core.report.sections import procedure, residuals, stiffness, uncertainty
 from calibration_core.report.shown import references, shown
@@ -100,11 +100,11 @@ def test_table_2_is_rounded_by_its_uncertainty(loaded: Identification, cell: Cel
 def test_verdict_box_of_a_good_test(loaded: Identification, cell: Cell) -> None:
     verdict = build(loaded, cell, DAY).verdict
     lines = {label: line.replace("\u00a0", " ") for label, line in verdict.lines}
-    assert verdict.headline == "Joint stiffness identified: 6 of 6 joints"
+    assert verdict.headline == "Usable with reservations"
+    assert lines["Why"].startswith("Outlier readings: ")
+    assert lines["Result"] == "Joint stiffness identified: 6 of 6 joints"
     assert lines["Uncertainty"] == "Largest relative standard uncertainty 3.1 % (joint_6)"
-    assert lines["Requirements"].startswith(
-        "4 of 6 met, 1 not met, 1 cannot be told from the recording; not met: load at"
-    )
+    assert lines["Requirements"].startswith("4 of 6 met, 1 not met, 1 not visible in the recording; not met: load at")
     assert lines["Readings"] == "483 of 486 used, 3 set aside and named"
     assert "this agrees with" in lines["Residual"]
 
@@ -112,7 +112,9 @@ def test_verdict_box_of_a_good_test(loaded: Identification, cell: Cell) -> None:
 def test_a_rest_is_said_on_the_first_page(loaded: Identification, cell: Cell) -> None:
     noise = dataclasses.replace(loaded.noise, checks=(NoiseCheck("residual", 9e-5, 1272),))
     verdict = build(dataclasses.replace(loaded, noise=noise), cell, DAY).verdict
-    assert verdict.headline.endswith("the residual is more than noise")
+    assert verdict.headline == "Usable with reservations"
+    assert "the residual is more than noise" in dict(verdict.lines)["Why"]
+    assert dict(verdict.lines)["Result"].endswith("the residual is more than noise")
     assert "exceeds" in dict(verdict.lines)["Residual"]
 
 
@@ -126,7 +128,9 @@ def test_a_joint_that_is_not_determined_is_named_with_its_reason(loaded: Identif
         reason="no torque acts",
     )
     document = build(dataclasses.replace(loaded, stiffness=(*loaded.stiffness[:5], weak)), cell, DAY)
-    assert document.verdict.headline == "Joint stiffness identified: 5 of 6 joints"
+    assert document.verdict.headline == "Usable with reservations"
+    assert "not identifiable: joint_6" in dict(document.verdict.lines)["Why"]
+    assert dict(document.verdict.lines)["Result"] == "Joint stiffness identified: 5 of 6 joints"
     assert dict(document.verdict.lines)["Not identifiable"] == "joint_6"
     assert table(document, 2).rows[5][2:4] == ("–", "≥ 0.90")
     assert "kθ₆ (joint_6): no torque acts" in text(document)
@@ -213,8 +217,8 @@ def test_correlations_of_many_parameters_are_the_strongest_pairs(absolute: Ident
 
 def test_number_belongs_to_the_answer(loaded: Identification, cell: Cell) -> None:
     changed = dataclasses.replace(loaded, condition_number=8.43)
-    assert report_number(loaded, cell) == report_number(loaded, cell)
-    assert report_number(loaded, cell) != report_number(changed, cell)
+    assert build(loaded, cell, DAY).number == build(loaded, cell, DAY).number
+    assert build(loaded, cell, DAY).number != build(changed, cell, DAY).number
 
 
 @pytest.mark.parametrize(

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 
-from calibration_core.diagnosis.comparison import Part, StepByStep
-from calibration_core.diagnosis.locate import Dependence, JointShare, Level, Located
-from calibration_core.identification.estimate import Identification
-from calibration_core.report import diagnosis_figures
-from calibration_core.report.diagnosis_figures import before_after_figure, comparison_figure, where_figure
-from calibration_core.report.style import ACCENT, INK, drawing
+from calibration_core.diagnosis.comparison.result import PartDifference, StepByStep
+from calibration_core.diagnosis.location import Dependence, JointShare, Level, Located
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.report.figures import diagnosis as diagnosis_figures
+from calibration_core.report.figures.diagnosis import before_after_figure, comparison_figure, where_figure
+from calibration_core.report.figures.style import ACCENT, INK, panels
 
 Drawn = Callable[[], list[Axes]]
 
@@ -24,18 +23,18 @@ Drawn = Callable[[], list[Axes]]
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> Drawn:
     """Return the axes of the figure that was drawn last."""
-    figures: list[Figure] = []
+    figures: list[list[Axes]] = []
 
     @contextmanager
-    def kept(*size: float) -> Iterator[object]:
-        with drawing(*size) as (figure, buffer):
-            figures.append(figure)
-            yield figure, buffer
+    def kept(*rows: tuple[float, Sequence[float]]) -> Iterator[object]:
+        with panels(*rows) as (axes, buffer):
+            figures.append(axes)
+            yield axes, buffer
 
-    monkeypatch.setattr(diagnosis_figures, "drawing", kept)
+    monkeypatch.setattr(diagnosis_figures, "panels", kept)
 
     def last() -> list[Axes]:
-        return figures[-1].get_axes()
+        return figures[-1]
 
     return last
 
@@ -127,8 +126,8 @@ def test_without_load_levels_the_dependences_are_drawn_those_not_by_chance_fille
 
 
 def test_the_comparison_stands_in_the_order_of_configurations_and_of_steps(drawn: Drawn) -> None:
-    parts = tuple(Part(str(k), 1e-5 * k, 2e-5 * k, 1e-4) for k in (12, 3, 2, 1))
-    steps = tuple(Part(str(k), 2e-5, 3e-5, 1e-4) for k in range(3))
+    parts = tuple(PartDifference(str(k), 1e-5 * k, 2e-5 * k, 1e-4) for k in (12, 3, 2, 1))
+    steps = tuple(PartDifference(str(k), 2e-5, 3e-5, 1e-4) for k in range(3))
     comparison_figure(StepByStep(3e-5, 1.5e-5, 1.0, parts, steps, ()))
     left, right = drawn()
     assert np.allclose(left.lines[0].get_ydata(), [10, 20, 30, 120])

@@ -8,27 +8,31 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from calibration_core.cell import Cell
-from calibration_core.identification.estimate import Identification
+from calibration_core.identification.result.estimate import Identification
 from calibration_core.report.document import Document
-from calibration_core.report.figures import (
+from calibration_core.report.figures.identification import (
     grouped,
     grouped_rms,
     normality_figure,
     prediction_figure,
     residual_figure,
 )
-from calibration_core.report.sections.residuals import reach_of_rows
-from calibration_core.report.space import plotly_script, space_scene
-from calibration_core.report.space_figure import (
+from calibration_core.report.figures.operating_space import (
     deflection_scale,
     evenly,
     force_scale,
     hull_outline,
     reach,
 )
-from calibration_core.report.style import drawable, thinned
+from calibration_core.report.figures.style import WIDTH, drawable, drawing, panels, parts, thinned
+from calibration_core.report.sections.residuals import reach_of_rows
+from calibration_core.report.view3d import script_safe
+from calibration_core.report.view3d.space import space_view
 
 Case = tuple[Identification, Cell]
 
@@ -40,7 +44,9 @@ def test_well_formed_without_scripts_dates_or_outside_references(name: str, docu
     for svg in (figure.svg for figure in figures):
         root = ET.fromstring(svg)
         assert root.tag == "{http://www.w3.org/2000/svg}svg"
-        assert not [element for element in root.iter() if element.tag.endswith(("script", "image", "foreignObject"))]
+        assert not [element for element in root.iter() if element.tag.endswith(("script", "foreignObject"))]
+        images = [element for element in root.iter() if element.tag.endswith("}image")]
+        assert all(one.get("{http://www.w3.org/1999/xlink}href", "").startswith("data:image/png") for one in images)
         assert b"dc:date" not in svg
 
 
@@ -114,47 +120,83 @@ def test_evenly_spaced_rows_include_both_ends() -> None:
     np.testing.assert_array_equal(evenly(3, 60), [0, 1, 2])
 
 
-def test_scene_holds_every_configuration_and_point(loaded: Identification) -> None:
-    scene = json.loads(space_scene(loaded.space))
-    names = [trace["name"] for trace in scene["data"]]
+def test_the_view_holds_every_configuration_and_point(loaded: Identification, cell: Cell) -> None:
+    view = space_view(loaded.space, cell)
     factor = deflection_scale(loaded.space)
-    assert names[:6] == ["robot", "point mp1", "point mp2", "point mp3", "force", f"deflection × {factor:g}"]
-    arms = scene["data"][0]
-    assert len(arms["x"]) == 18 * (loaded.space.joint_origins.shape[1] + 1)
-    np.testing.assert_allclose(scene["data"][1]["z"], loaded.space.points["mp1"][:, 2], atol=1e-4)
+    assert [name for name, _ in view.postures] == [str(number) for number in loaded.space.configuration]
+    np.testing.assert_array_equal([q for _, q in view.postures], loaded.space.q)
+    assert list(view.places) == ["mp1", "mp2", "mp3"]
+    np.testing.assert_array_equal(view.places["mp1"], loaded.space.points["mp1"])
+    assert view.notes["deflection"] == f"× {factor:g}"
+    assert loaded.space.deflection is not None
+    drawn = {arrow.posture: arrow.vector for arrow in view.arrows if arrow.kind == "deflection"}
+    np.testing.assert_allclose([drawn[i] for i in range(18)], loaded.space.deflection * factor)
 
 
-def test_scene_shows_tracker_beams_and_boxes_where_they_are_known(loaded: Identification) -> None:
-    bare = {trace["name"] for trace in json.loads(space_scene(loaded.space))["data"]}
-    assert not bare & {"tracker", "beams", "boxes"}
-    corners = np.array([[(x, y, z) for z in (0.0, 1.0) for y in (0.0, 2.0) for x in (0.0, 3.0)]])
-    space = dataclasses.replace(loaded.space, tracker=np.array([4.0, 1.0, 1.2]), boxes=corners)
-    traces = {trace["name"]: trace for trace in json.loads(space_scene(space))["data"]}
-    assert [traces["tracker"][axis] for axis in "xyz"] == [[4.0], [1.0], [1.2]]
-    assert traces["beams"]["x"][0] == 4.0
-    assert traces["beams"]["x"].count(4.0) == 18 * 3
-    assert len(traces["boxes"]["i"]) == 12  # two triangles per face
+def test_the_view_shows_a_part_of_very_many_configurations(absolute: Identification, absolute_cell: Cell) -> None:
+    rows = np.arange(5000) % len(absolute.space.q)
+    many = dataclasses.replace(
+        absolute.space, configuration=np.arange(5000), q=absolute.space.q[rows],
+        points={name: places[rows] for name, places in absolute.space.points.items()},
+    )  # fmt: skip
+    view = space_view(many, absolute_cell)
+    assert (len(view.postures), view.postures[-1][0], view.arrows) == (200, "4999", ())
+    assert sum(len(places) for places in view.places.values()) <= 2000
 
 
-def test_scene_cannot_leave_its_script(hostile: Case) -> None:
-    scene = space_scene(hostile[0].space)
-    assert not set("<>&") & set(scene)
-    names = [trace["name"] for trace in json.loads(scene)["data"]]
-    assert any("&lt;/script&gt;" in name for name in names)
-
-
-def test_scene_of_coplanar_points_has_no_outline(absolute: Identification) -> None:
-    flat = {"target": np.asarray(absolute.space.points["target"]) * [1, 1, 0]}
-    scene = json.loads(space_scene(dataclasses.replace(absolute.space, points=flat)))
-    assert "mesh3d" not in [trace["type"] for trace in scene["data"]]
-
-
-def test_plotly_is_the_installed_one() -> None:
-    assert "Plotly" in plotly_script()
-    assert "</script" not in plotly_script()
+def test_the_view_cannot_leave_its_script(hostile: Case) -> None:
+    text = script_safe(space_view(hostile[0].space, hostile[1]).json())
+    assert not set("<>&") & set(text)
+    assert "</script>" in "".join(json.loads(text)["places"])
 
 
 def test_names_are_drawn_with_the_glyphs_there_are() -> None:
     assert drawable("joint_1") == "joint_1"
     assert drawable("θ \U0001f916 \x07") == "θ □ □"
     assert drawable("a" * 30) == "a" * 21 + "…"
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    size=st.tuples(st.floats(2.0, 6.7), st.floats(1.5, 4.0)),
+    span=st.floats(1e-9, 1e9),
+    name=st.text(st.characters(codec="ascii", categories=("L", "N")), max_size=22),
+    legend=st.booleans(),
+)
+def test_all_labels_of_a_diagram_lie_inside_its_figure(
+    size: tuple[float, float], span: float, name: str, legend: bool
+) -> None:
+    width, height = size
+    with drawing(height, width) as (figure, _):
+        axes = figure.subplots()
+        axes.plot([0.0, span], [-span, span], label="measured")
+        axes.set(xlabel="x [m]", ylabel="y [m]", title="a)")
+        axes.set_yticks([-span, 0.0, span], [name, "", name])
+        if legend:
+            axes.legend(loc="lower right", bbox_to_anchor=(1, 1))
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    outer = axes.get_tightbbox(renderer, for_layout_only=True)
+    room = np.array([outer.x0, outer.y0, figure.bbox.x1 - outer.x1, figure.bbox.y1 - outer.y1]) / figure.dpi
+    assert np.all(room > 0.0), room  # inches
+    assert np.all(room < 0.2), room
+
+
+def test_diagrams_beside_each_other_are_one_drawing_and_can_be_shown_one_by_one() -> None:
+    with panels((1.0, (-1, 3, -1)), (1.5, (2, 1))) as (axes, buffer):
+        for diagram, name in zip(axes, ("first", "second", "third"), strict=True):
+            diagram.set_title(name)
+    whole = ET.fromstring(buffer.getvalue())
+    assert whole.attrib["width"] == f"{72 * WIDTH:g}pt"
+    assert whole.attrib["height"] == "180pt"
+    places = [tuple(float(one.attrib[name]) for name in ("x", "y", "width", "height")) for one in whole]
+    third = 72 * WIDTH / 3
+    expected = [(0.6 * third, 0, 1.8 * third, 72), (0, 72, 2 * third, 108), (2 * third, 72, third, 108)]
+    assert places == [pytest.approx(place, abs=0.01) for place in expected]
+    found = parts(buffer.getvalue())
+    assert [share for _, share in found] == pytest.approx([0.6, 2 / 3, 1 / 3], abs=1e-4)
+    for (svg, _), name in zip(found, ("first", "second", "third"), strict=True):
+        assert ET.fromstring(svg).tag.endswith("svg")
+        assert f"<!-- {name} -->".encode() in svg
+    with drawing(1.0, 3.0) as (_, single):
+        pass
+    assert parts(single.getvalue()) == [(single.getvalue(), pytest.approx(3.0 / WIDTH))]

@@ -14,8 +14,8 @@ import pytest
 
 from calibration_core.commands import NAMES, WITHOUT_RESULT
 from calibration_core.errors import InputError, OutputError
-from calibration_core.report import output, swap
-from calibration_core.report.output import write_atomically, write_files
+from calibration_core.report.writing import output, swap
+from calibration_core.report.writing.output import write_files
 
 
 def contents(directory: Path) -> dict[str, bytes]:
@@ -88,8 +88,8 @@ def test_a_file_in_the_place_of_the_directory_is_an_input_error(tmp_path: Path) 
     assert (tmp_path / "out").read_bytes() == b"mine"
 
 
-def test_one_file(tmp_path: Path) -> None:
-    write_atomically(tmp_path / "new" / "model.yaml", b"a: 1\n")
+def test_one_file_in_a_new_directory(tmp_path: Path) -> None:
+    write_files(tmp_path / "new", {"model.yaml": b"a: 1\n"})
     assert contents(tmp_path / "new") == {"model.yaml": b"a: 1\n"}
 
 
@@ -159,7 +159,7 @@ def test_every_command_says_what_it_writes() -> None:
 WRITER = """
 import json, sys
 from pathlib import Path
-from calibration_core.report.output import write_files
+from calibration_core.report.writing.output import write_files
 out, name, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 for i in range(count):
     mark = f"{name}{i}".encode()

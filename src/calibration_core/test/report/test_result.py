@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, Safety
-from calibration_core.identification.estimate import Identification, NoiseCheck
-from calibration_core.report.result import correlation, result_dict, result_json
+from calibration_core.identification.result.estimate import Identification, NoiseCheck
+from calibration_core.report.results.result import correlation, result_dict, result_json
 
 CONTRACT = [
     "schema", "command", "robot", "recording", "stiffness", "fit", "verdict", "findings", "anomalies", "unexplained",

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.estimate import Identification
-from calibration_core.report.result import result_dict
-from calibration_core.report.scene import scene_of, space_dict
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.report.results.result import result_dict
+from calibration_core.report.results.scene import scene_of, space_dict
 
 
 def test_a_loaded_recording(loaded: Identification, cell: Cell) -> None:

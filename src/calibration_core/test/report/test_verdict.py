@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calibration_core.identification.estimate import Identification, NoiseCheck
-from calibration_core.report.verdict import SIGNIFICANCE, rest
+from calibration_core.identification.result.estimate import Identification, NoiseCheck
+from calibration_core.report.results.verdict import SIGNIFICANCE, rest
 
 
 def with_noise(answer: Identification, seen: float, *checks: NoiseCheck, freedom: int = 1272) -> Identification:

@@ -1,4 +1,4 @@
-"""Physics beyond the joint springs: one effect is one file, and adding the file registers it."""
+"""Physics beyond the joint springs: one effect is one file in its family's folder, and adding the file registers it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ import importlib
 import pkgutil
 
 from calibration_core.model.effects.candidate import Candidate, Effect
+from calibration_core.model.effects.recordings import in_each_recording
 from calibration_core.model.effects.state import State
 
 
 @functools.cache
 def catalogue() -> tuple[Effect, ...]:
-    """Return every effect that a file of this package defines as `EFFECT`, by name."""
+    """Return every effect that a file of a family's folder defines as `EFFECT`, by name."""
     found = []
-    for module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
-        effect = getattr(importlib.import_module(f"{__name__}.{module}"), "EFFECT", None)
+    for module in sorted(info.name for info in pkgutil.walk_packages(__path__, f"{__name__}.")):
+        effect = getattr(importlib.import_module(module), "EFFECT", None)
         if isinstance(effect, Effect):
             found.append(effect)
     return tuple(sorted(found, key=lambda effect: effect.name))
@@ -24,4 +25,5 @@ def catalogue() -> tuple[Effect, ...]:
 def candidates(state: State) -> tuple[Candidate, ...]:
     """Return every hypothesis that this recording could test, in the order of the catalogue."""
     usable = [effect for effect in catalogue() if (effect.loaded if state.loaded else effect.absolute)]
-    return tuple(candidate for effect in usable for candidate in effect.candidates(state))
+    found = [candidate for effect in usable for candidate in effect.candidates(state)]
+    return in_each_recording(found, state)

@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.recordings import RECORDING, in_recording
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D
@@ -40,10 +41,15 @@ def restored(effect: AppliedEffect, state: State) -> Candidate:
         ValueError: This recording cannot carry it, for example because it has no times; or there is no such form of
             the effect, or a parameter is missing or one too many.
     """
-    found = next(entry for entry in catalogue() if entry.name == effect.effect).restored(effect, state)
+    number = effect.location.get(RECORDING)
+    bare = {key: value for key, value in effect.location.items() if key != RECORDING}
+    entry = next(entry for entry in catalogue() if entry.name == effect.effect)
+    found = entry.restored(dataclasses.replace(effect, location=bare), state)
     if found is None:
         msg = f"{effect.effect} ({effect.variant}) at {dict(effect.location)} cannot be evaluated on this recording"
         raise ValueError(msg)
+    if number is not None:
+        found = in_recording(found, str(number))
     names = [parameter.name for parameter in found.parameters]
     given = [name for name in effect.parameters if name != REFERENCE]
     if sorted(names) != sorted(given):

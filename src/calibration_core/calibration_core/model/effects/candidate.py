@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
@@ -26,6 +27,8 @@ class Parameter:
         typical: Size that is typical for a robot of this class; the prior is normal about zero with three times this.
         sign: Factor from the fitted coefficient to the reported parameter (most are the coefficient itself).
         positive: Whether physics allows no negative value; the prior is then the positive half of the normal.
+        reach: How many times the candidate's first parameter it may be at most: beyond, the law is no longer linear in
+            it, and another variant is offered there.
     """
 
     name: str
@@ -33,6 +36,7 @@ class Parameter:
     typical: float
     sign: float = 1.0
     positive: bool = False
+    reach: float = math.inf
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,6 +50,9 @@ class Candidate:
         variant: Which form of the effect's law or which choice of axes; part of the hypothesis, not of its name.
         parameters: k of them.
         columns: State -> (m, 3, k) m, movement of every reading's point per unit of every parameter, base axes.
+        chances: State -> (m, 3, c) m, movements per standard deviation of what is a matter of chance in each
+            configuration and no property of the robot, for example where friction stood on arrival; None: nothing is.
+            Candidates with the same function share them.
     """
 
     effect: str
@@ -54,6 +61,7 @@ class Candidate:
     variant: str
     parameters: tuple[Parameter, ...]
     columns: Callable[[State], Float3D]
+    chances: Callable[[State], Float3D] | None = None
 
     def __post_init__(self) -> None:
         """Freeze the location."""

@@ -13,9 +13,29 @@ from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import Posture, cross, linear_jacobian, turned
 from calibration_core.model.statics import Load, gravity_torque, load_torque
 from calibration_core.model.virtual_joints import ExternalWrench, VirtualJoints
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
 UNLOADED = 1e-6  # N*m: a joint that carries less carries nothing
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SetUps:
+    """Which of several recordings every reading comes from, and how the instruments of each stood.
+
+    Attributes:
+        recording: (m,) number of the recording, from 0.
+        viewpoint: (m, 3) m, where the tracker stood, base axes.
+        wrench_change: (m, 6, 6) what takes a wrench from axes and origin of its own sensor to those of the state.
+    """
+
+    recording: Int1D
+    viewpoint: Float2D
+    wrench_change: Float3D
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the recordings."""
+        return [int(number) for number in np.unique(self.recording)]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,6 +67,7 @@ class State:
         rated_load: kg.
         reference_torque: (2, n) N*m, torque of the load, and with the weight, that laws relative to a largest torque
             refer to; None: the largest of these readings.
+        setups: Of several recordings, how the instruments of each stood; None: one recording alone.
     """
 
     chain: Chain
@@ -72,6 +93,7 @@ class State:
     tracker: Float2D
     rated_load: float
     reference_torque: Float2D | None = None
+    setups: SetUps | None = None
 
     @property
     def m(self) -> int:
@@ -87,6 +109,18 @@ class State:
     def loaded(self) -> bool:
         """Whether any external load acts."""
         return bool(np.any(self.force) or np.any(self.moment))
+
+    def seen_by(self, number: int) -> State:
+        """Return the same state with the tracker where one recording's stood, and wrenches as the sensors read them."""
+        if self.setups is None:
+            return self
+        rows = np.flatnonzero(self.setups.recording == number)
+        tracker = np.array(self.tracker)
+        if len(rows):
+            tracker[:3, 3] = self.setups.viewpoint[rows[0]]
+        change = self.setups.wrench_change
+        read = np.asarray(np.linalg.solve(change, self.wrench[:, :, None])[:, :, 0], dtype=np.float64)
+        return dataclasses.replace(self, tracker=tracker, wrench=read, by_wrench=self.by_wrench @ change)
 
     def bears_weight(self, joint: int) -> bool:
         """Say whether the robot's own weight loads a joint."""
@@ -157,6 +191,13 @@ class State:
         return result
 
 
+def setups_of(readings: Readings) -> SetUps | None:
+    """Return how the instruments of several recordings stood; None: one recording alone."""
+    if readings.recording is None or readings.viewpoint is None or readings.wrench_change is None:
+        return None
+    return SetUps(readings.recording, readings.viewpoint, readings.wrench_change)
+
+
 def state_of(
     chain: Chain,
     q: Float2D,
@@ -173,6 +214,7 @@ def state_of(
     tracker: Float2D,
     rated_load: float,
     rest: Equilibrium | None = None,
+    setups: SetUps | None = None,
 ) -> State:
     """Solve the equilibrium and gather everything that effects need.
 
@@ -191,13 +233,14 @@ def state_of(
         tracker: (4, 4) pose in the base frame.
         rated_load: kg.
         rest: The equilibrium, where it is known already; None: it is solved here.
+        setups: Of several recordings, how the instruments of each stood; None: one recording alone.
 
     Raises:
         EquilibriumError: The load is beyond what the joints can carry.
     """
     m = len(q)
     rest = solve_equilibrium(chain, q, compliance, load) if rest is None else rest
-    answer = np.einsum("anm,njm->ajm", rest.point_jacobian(points), rest.amplification)
+    answer = rest.loaded_point_jacobian(points)
     zero = np.zeros((3, m))
     if load is None:
         force = moment = zero
@@ -231,6 +274,7 @@ def state_of(
         temperature=temperature,
         tracker=tracker,
         rated_load=rated_load,
+        setups=setups,
     )
 
 

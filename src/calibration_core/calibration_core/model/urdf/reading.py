@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.cell.urdf import MOST_RADIANS, RADIANS
 from calibration_core.errors import CellError, quoted
 from calibration_core.model.chain import Chain, rotation_x
 from calibration_core.model.urdf.tree import MOVING, Tree, tree_of, unit_axis
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 ENDLESS = 2 * np.pi  # rad either way, for a continuous joint, which has no limits of its own
 
@@ -54,6 +55,16 @@ def chain_of_urdf(cell: Cell) -> Chain:
         rigid=tuple(stiffness == math.inf for stiffness in cell.robot.stiffness or ()),
         prismatic=tuple(tree.joints[name].type == "prismatic" for name in cell.robot.joints),
     )
+
+
+def joint_alignments(cell: Cell) -> Float3D:
+    """Return per joint the (3, 3) turn from its frame in the chain, z along the axis, to the axes of its URDF joint.
+
+    Raises:
+        CellError: As `chain_of_urdf`.
+    """
+    tree = tree_of(cell)
+    return np.stack([_align_z(_axis(cell, tree, i)) for i in range(len(cell.robot.joints))])
 
 
 def link_poses(cell: Cell, tree: Tree) -> dict[str, tuple[int, Float2D]]:
@@ -148,6 +159,9 @@ def _masses(cell: Cell, tree: Tree) -> tuple[Float1D | None, Float2D | None]:
 
 def _limits(cell: Cell, tree: Tree) -> Float2D:
     if cell.robot.joint_limits is not None:
+        for i, (name, (low, high)) in enumerate(zip(cell.robot.joints, cell.robot.joint_limits, strict=True)):
+            if tree.joints[name].type == "revolute" and max(abs(low), abs(high)) > MOST_RADIANS:
+                raise CellError(cell.path, f"robot.joint_limits.{i}", f"[{low:g}, {high:g}]", RADIANS)
         return np.array(cell.robot.joint_limits, dtype=float)
     limits = np.empty((len(cell.robot.joints), 2))
     for i, name in enumerate(cell.robot.joints):

@@ -102,9 +102,9 @@ def _stacked(positions: Sequence[Source], account: list[str]) -> Source:
             raise RecordingError(other.path, "columns", "other columns", f"those of {first.path.name}")
     numbers = {name: np.concatenate([one.numbers[name] for one in positions]) for name in first.numbers}
     texts = {name: tuple(text for one in positions for text in one.texts[name]) for name in first.texts}
-    told = [re.search(r"(\d+)\D*$", one.path.stem) for one in positions]
-    if "configuration" not in numbers and all(told):
-        by_file = [int(match.group(1)) for match in told if match is not None]
+    numbered = [re.search(r"(\d+)\D*$", one.path.stem) for one in positions]
+    if "configuration" not in numbers and all(numbered):
+        by_file = [int(match.group(1)) for match in numbered if match is not None]
         if len(set(by_file)) == len(by_file):
             counts = [np.full(len(one), number) for one, number in zip(positions, by_file, strict=True)]
             numbers["configuration"] = np.concatenate(counts).astype(float)

@@ -26,12 +26,26 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.foreign.meaning import AXES, COUNTS, FORCES, IGNORED, JOINT, NAMES, TORQUES
 from calibration_core.recording.foreign.text import ENCODINGS
-from calibration_core.recording.foreign.units import UNITS, Unit, unit_of
+from calibration_core.recording.foreign.units import UNITS, ForeignUnit, unit_of
 
 MEANINGS = (*AXES, *FORCES, *TORQUES, *COUNTS, *NAMES, "time", "temperature", IGNORED)
 GROUPS = ("configuration", "step", "point")
-JOINS = ("number", "order", "time")
 Text = Annotated[str, Field(max_length=1000)]
+EXPECTED = {
+    "files": "a list with an entry for each kind of file",
+    "match": "the pattern of names of files, a text",
+    "encoding": "one of " + ", ".join(ENCODINGS),
+    "separator": "a tab, a semicolon, a bar, a comma or a blank, in quotes",
+    "decimal": "a point or a comma, in quotes",
+    "header": "the number of the line that holds the header, 0 to 100000",
+    "columns": "meanings by names of columns, such as Lage: configuration",
+    "units": "units by meanings, such as x: mm",
+    "name": "a regular expression, a text",
+    "join": "one of number, order, time",
+    "tolerance": "a time in s, more than 0 and at most 3600",
+    "points": "names of the cell file by names in the files, such as SMR1: mp1",
+}
+"""Key of the map: what is expected there."""
 
 
 class FileMap(BaseModel):
@@ -83,7 +97,7 @@ class FileMap(BaseModel):
                 raise ValueError(f"the groups {sorted(groups)}: configuration, and at most step and point, are wanted")
         return value
 
-    def unit(self, meaning: str) -> Unit | None:
+    def unit(self, meaning: str) -> ForeignUnit | None:
         """Return the unit that is stated for a meaning: `q` stands for all joints, `f` and `t` for force and torque."""
         family = "q" if JOINT.fullmatch(meaning) else meaning[0] if meaning in (*FORCES, *TORQUES) else ""
         text = self.units.get(meaning) or (self.units.get(family) if family else None)
@@ -122,8 +136,20 @@ def import_map(path: Path, content: object) -> ImportMap:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the map"
-        expected = str(first["msg"]).removeprefix("Value error, ")
+        if first["type"] == "extra_forbidden":
+            keys = FileMap.model_fields if len(first["loc"]) > 1 else ImportMap.model_fields
+            raise RecordingError(path, place, "an unknown key", "one of " + ", ".join(keys)) from None
+        cause = first.get("ctx", {}).get("error")
+        expected = _expected(first["loc"]) if cause is None else str(cause)
         raise RecordingError(path, place, quoted(first["input"]), expected) from None
+
+
+def _expected(place: tuple[int | str, ...]) -> str:
+    """Return what is expected at a place: the words of the deepest part of it that has any."""
+    known = [EXPECTED[part] for part in place if isinstance(part, str) and part in EXPECTED]
+    if place == ("files",) or len(place) > 2 or place[:1] != ("files",):
+        return known[-1] if known else "a map with keys of " + ", ".join(ImportMap.model_fields)
+    return "an entry with keys of " + ", ".join(FileMap.model_fields)
 
 
 def _choice(value: str | None, choices: tuple[str, ...] | list[str]) -> str | None:

@@ -27,7 +27,7 @@ from calibration_core.recording.foreign.meaning import (
 )
 from calibration_core.recording.foreign.poses import Poses, read_poses
 from calibration_core.recording.foreign.text import Text, read_text
-from calibration_core.recording.foreign.units import SI, UNITS, Dimension, Unit, split_unit, unit_of
+from calibration_core.recording.foreign.units import SI, UNITS, Dimension, ForeignUnit, split_unit, unit_of
 from calibration_core.timeseries import Float1D, Float2D
 
 LARGEST_TURN = 7.0  # rad: no joint of a calibrated robot stands farther than a turn from its zero
@@ -159,7 +159,7 @@ def _of_poses(poses: Poses, text: Text) -> Source:
     return Source(poses.path, f"{poses.language}, {text.encoding}", numbers, texts, lines, taken, ())
 
 
-def _named(grid: Grid) -> tuple[list[str], list[Unit | None]]:
+def _named(grid: Grid) -> tuple[list[str], list[ForeignUnit | None]]:
     width = len(grid.rows[0])
     if not grid.header:
         return [str(i + 1) for i in range(width)], [None] * width
@@ -247,9 +247,9 @@ def _stamp(text: str) -> float | None:
     return None
 
 
-def _remarked(remarks: Sequence[str]) -> dict[Dimension, Unit]:
+def _remarked(remarks: Sequence[str]) -> dict[Dimension, ForeignUnit]:
     """Return units stated in a remark: `Units: Millimeters, Degrees`."""
-    found: dict[Dimension, Unit] = {}
+    found: dict[Dimension, ForeignUnit] = {}
     for remark in remarks:
         match = _STATED.search(remark)
         for word in re.split(r"[,;\s]+", match.group(1)) if match else ():
@@ -289,8 +289,8 @@ def _family(
     family: Sequence[str],
     numbers: Mapping[str, Float1D],
     taken: Mapping[str, Taken],
-    infer: Callable[[Path, Float2D, str], tuple[Unit, str]],
-) -> dict[str, tuple[Unit, str]]:
+    infer: Callable[[Path, Float2D, str], tuple[ForeignUnit, str]],
+) -> dict[str, tuple[ForeignUnit, str]]:
     """Return meaning -> (unit, how) for the columns of a family whose unit is not stated."""
     unstated = [name for name in family if name in numbers and not taken[name].unit]
     if not unstated:
@@ -302,7 +302,7 @@ def _family(
     return dict.fromkeys(unstated, choice)
 
 
-def _length(path: Path, values: Float2D, column: str) -> tuple[Unit, str]:
+def _length(path: Path, values: Float2D, column: str) -> tuple[ForeignUnit, str]:
     distance = np.linalg.norm(values, axis=1)
     fitting = [
         unit
@@ -319,7 +319,7 @@ def _length(path: Path, values: Float2D, column: str) -> tuple[Unit, str]:
     return fitting[0], limits
 
 
-def _angle(path: Path, values: Float2D, column: str) -> tuple[Unit, str]:
+def _angle(path: Path, values: Float2D, column: str) -> tuple[ForeignUnit, str]:
     largest = float(np.abs(values).max(initial=0.0))
     spread = float(np.ptp(values, axis=0).max(initial=0.0))
     if largest > LARGEST_TURN:
@@ -332,7 +332,7 @@ def _angle(path: Path, values: Float2D, column: str) -> tuple[Unit, str]:
     )
 
 
-def _force(path: Path, values: Float2D, column: str) -> tuple[Unit, str]:
+def _force(path: Path, values: Float2D, column: str) -> tuple[ForeignUnit, str]:
     largest = float(np.abs(values).max(initial=0.0))
     if largest >= LEAST_FORCE or largest == 0.0:
         return UNITS["n"], f"the largest is {largest:g}: in kN no robot carries it"

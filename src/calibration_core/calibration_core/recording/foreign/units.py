@@ -18,7 +18,7 @@ _DEGREE = math.pi / 180.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Unit:
+class ForeignUnit:
     """A unit of measurement.
 
     Attributes:
@@ -38,8 +38,8 @@ class Unit:
         return (value + self.offset) * self.factor
 
 
-def _all(dimension: Dimension, name: str, factor: float, *texts: str, offset: float = 0.0) -> dict[str, Unit]:
-    return {text: Unit(name, dimension, factor, offset) for text in (name.lower(), *texts)}
+def _all(dimension: Dimension, name: str, factor: float, *texts: str, offset: float = 0.0) -> dict[str, ForeignUnit]:
+    return {text: ForeignUnit(name, dimension, factor, offset) for text in (name.lower(), *texts)}
 
 
 UNITS = MappingProxyType(
@@ -73,13 +73,13 @@ _BRACKETS = re.compile(r"^\s*[\[(<{]\s*(.*?)\s*[\])>}]\s*$")
 _TRAILING = re.compile(r"^(.*?)(?:\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]|\s*/\s*(\S+)|[\s_]+(\S+))\s*$")
 
 
-def unit_of(text: str) -> Unit | None:
+def unit_of(text: str) -> ForeignUnit | None:
     """Return the unit that a text names, with or without brackets; None if it names none."""
     inside = _BRACKETS.match(text)
     return UNITS.get((inside.group(1) if inside else text).strip().lower().rstrip("."))
 
 
-def split_unit(field: str) -> tuple[str, Unit | None]:
+def split_unit(field: str) -> tuple[str, ForeignUnit | None]:
     """Return a header field without its unit, and the unit: `X [mm]`, `X (mm)`, `X/mm`, `X_mm`, `X mm`."""
     found = _TRAILING.match(field)
     if found is None:

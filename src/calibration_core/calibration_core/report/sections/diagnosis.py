@@ -6,14 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.comparison import Comparison
-from calibration_core.diagnosis.finding import EMPIRICAL, Diagnosis, Finding, Measurement
-from calibration_core.report.diagnosis_figures import before_after_figure, comparison_figure, where_figure
+from calibration_core.diagnosis.comparison.result import Comparison
+from calibration_core.diagnosis.result.evidence_words import evidence_words
+from calibration_core.diagnosis.result.finding import EMPIRICAL, Diagnosis, Finding, ProposedMeasurement
+from calibration_core.model.effects import catalogue
+from calibration_core.model.effects.words import effect_sentence, people_unit
 from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table
+from calibration_core.report.figures.diagnosis import before_after_figure, comparison_figure, where_figure
+from calibration_core.report.results.diagnosis import extended_joints
 from calibration_core.report.rounding import fixed, padded, significant
 from calibration_core.report.sections.procedure import joint_columns, joint_values
+from calibration_core.report.sections.stiffness import extended_table
 
 MOST_ROWS = 12
+STIFFNESS_OF = {"rad/(N*m)": "N·m/rad", "m/N": "N/m"}
 CONCERNED = {
     "structure": "the structure (bearings, links, base, tool)",
     "joint law": "how a joint gives way to torque",
@@ -39,7 +45,7 @@ def comparison_blocks(compared: Comparison) -> tuple[Block, ...]:
     steps = compared.steps
     if steps is None:
         return tuple(blocks)
-    caption = "Recording minus simulation per configuration (left) and per step (right); dashed: the noise of both."
+    caption = "Recording minus simulation: a) per configuration; b) per step; dashed: the noise of both."
     blocks.append(Figure("comparison", caption, "Difference per configuration and step", comparison_figure(steps)))
     parts = steps.by_configuration[:MOST_ROWS]
     body = tuple(
@@ -66,8 +72,8 @@ def where_blocks(found: Diagnosis) -> tuple[Block, ...]:
     where = found.where
     if where is not None and (where.shares or where.levels or where.dependences):
         left = (
-            "How much of the residual turns about lines through every joint explain (grey: any axis, black: the "
-            "joint's own; framed and bold: the joint that explains most); "
+            "a) How much of the residual turns about lines through every joint explain (grey: any axis, black: the "
+            "joint's own; framed and bold: the joint that explains most); b) "
             if where.shares
             else ""
         )
@@ -76,29 +82,44 @@ def where_blocks(found: Diagnosis) -> tuple[Block, ...]:
             if len(where.levels) > 2
             else "what it follows from configuration to configuration."
         )
-        caption = (left + right)[0].upper() + (left + right)[1:]
+        caption = left + right if left else right[0].upper() + right[1:]
         blocks.append(Figure("where", caption, "Where the residual is", where_figure(where)))
     return tuple(blocks)
 
 
 def finding_blocks(finding: Finding) -> tuple[Block, ...]:
     """Return one finding: what it is, why not something else, how sure, what would decide."""
-    rows = tuple(
-        (p.name.replace("_", " "), _number(p.value), _interval(p.value, p.std), p.unit) for p in finding.parameters
-    )
+    rows = tuple(_parameter(p.name.replace("_", " "), p.value, p.std, p.unit) for p in finding.parameters)
     columns = (Column("Parameter", "left", wide=True), Column("Value"), Column("95 % interval"), Column("Unit", "left"))
     blocks: list[Block] = [Paragraph(finding.explanation)]
     if finding.family in CONCERNED:
         blocks.append(Paragraph(f"It concerns {CONCERNED[finding.family]}."))
     if finding.family == EMPIRICAL:
         blocks.append(Paragraph("No effect of the catalogue is meant: it is a law that fits, nothing more."))
-    blocks.append(Table("Parameters", columns, padded(rows)))
+    blocks.append(Table("Parameters", columns, padded(rows), _law(finding)))
     if finding.refinements:
         blocks.append(Paragraph("Of the same cause: " + "; ".join(finding.refinements) + "."))
     blocks.append(_others(finding))
     if finding.separate_by:
         blocks.append(Paragraph(f"What would decide, or confirm it: {finding.separate_by}."))
     return tuple(blocks)
+
+
+def _law(finding: Finding) -> str:
+    """Return the equation of a finding's effect as the catalogue states it; nothing for a law that is no physics."""
+    return next(
+        (f"The effect's law: {effect.equation}." for effect in catalogue() if effect.name == finding.effect), ""
+    )
+
+
+def _parameter(name: str, value: float, std: float, unit: str) -> tuple[str, str, str, str]:
+    """Return a parameter as printed: name, value, 95 % interval, unit; a compliance as the stiffness that it is."""
+    low, high = value - 1.96 * std, value + 1.96 * std
+    if unit not in STIFFNESS_OF or not value > 0:
+        return name, _number(value), _interval(value, std), people_unit(unit)
+    named = name.replace("compliance", "stiffness") if "compliance" in name else f"{name}, as stiffness"
+    interval = f"{_number(1 / high)} to {_number(1 / low)}" if low > 0 else f"above {_number(1 / high)}"
+    return named, _number(1 / value), interval, STIFFNESS_OF[unit]
 
 
 def gain_blocks(found: Diagnosis) -> tuple[Block, ...]:
@@ -151,12 +172,12 @@ def next_blocks(found: Diagnosis, prismatic: Sequence[bool]) -> tuple[Block, ...
         "next.yaml, which `calibration simulate` and the sequencer read as a plan."
     )
     blocks.append(Table("Proposed measurements", columns, padded(rows), note))
-    said = (f"No {k}: {p.why}. {_steps_of(p)}" for k, p in enumerate(found.next_measurements, start=1))
-    blocks.append(Items(tuple(said)))
+    proposals = (f"No {k}: {p.why}. {_steps_of(p)}" for k, p in enumerate(found.next_measurements, start=1))
+    blocks.append(Items(tuple(proposals)))
     return tuple(blocks)
 
 
-def _steps_of(proposal: Measurement) -> str:
+def _steps_of(proposal: ProposedMeasurement) -> str:
     """Return the load steps in words, as shares of the full force."""
     full = np.array(proposal.wrench[:3])
     power = float(full @ full)
@@ -174,22 +195,7 @@ def stiffness_blocks(found: Diagnosis) -> tuple[Block, ...]:
     """Return the stiffnesses without and with the findings."""
     if not found.stiffness:
         return (Paragraph("This recording determines no joint stiffness."),)
-    before = {joint.joint: joint.value for joint in found.identification.stiffness}
-    rows = tuple(
-        (
-            name,
-            significant(1e-6 * before.get(name, float("nan")), 4),
-            significant(1e-6 * value, 4),
-            significant(1e-6 * std, 2),
-            _change(before.get(name), value),
-        )
-        for name, (value, std) in found.stiffness.items()
-    )
-    columns = (
-        Column("Joint", "left", wide=True), Column("Without findings [MN·m/rad]"), Column("With findings"),
-        Column("Standard deviation"), Column("Change [%]"),
-    )  # fmt: skip
-    return (Table("Joint stiffness", columns, padded(rows)),)
+    return (extended_table(found.identification.stiffness, extended_joints(found)),)
 
 
 def story(found: Diagnosis) -> Facts:
@@ -200,12 +206,15 @@ def story(found: Diagnosis) -> Facts:
     rows.append(("What", _what(found)))
     if first is not None:
         others = [other for finding in found.findings for other in finding.cannot_be_told_from]
-        told = "; ".join(f"{o.effect.replace('_', ' ')} at {_place(o.location)}" for o in others[:5])
+        named = "; ".join(effect_sentence(o.effect, o.location) for o in others[:5])
         rows.append(
-            ("Why not something else", f"It may be: {told}." if others else "Nothing else does nearly as well.")
+            (
+                "Why not something else",
+                f"It may also be: {named}." if others else "No other effect explains the recording nearly as well.",
+            )
         )
         sure = (
-            f"log Bayes factor {first.log_bayes_factor:.0f}; on configurations left out the squared error falls by "
+            f"{evidence_words(first.log_bayes_factor)}; on configurations left out the squared error falls by "
             f"{100 * first.held_out_gain:.0f} %"
         )
         rows.append(("How sure", sure))
@@ -221,7 +230,7 @@ def story(found: Diagnosis) -> Facts:
 
 def _what(found: Diagnosis) -> str:
     listed = [
-        f"{f.effect.replace('_', ' ')} at {_place(f.location) or 'a place that is not decided'} "
+        f"{effect_sentence(f.effect, f.location)}{'' if f.location else ' at a place that is not decided'} "
         f"({1e6 * f.magnitude:.0f} µm rms)" + (", which is no physics" if f.family == EMPIRICAL else "")
         for f in found.findings
     ]
@@ -232,24 +241,25 @@ def _what(found: Diagnosis) -> str:
 
 def _others(finding: Finding) -> Block:
     if not finding.cannot_be_told_from and finding.family == EMPIRICAL:
-        return Paragraph("No function at another joint describes the rest nearly as well.")
+        return Paragraph("No function at another joint describes the residual nearly as well.")
     if not finding.cannot_be_told_from:
         return Paragraph("No other effect or place of the catalogue explains the recording nearly as well.")
     rows = tuple(
         (
-            other.effect.replace("_", " "),
-            _place(other.location),
+            effect_sentence(other.effect, other.location),
             significant(other.log_bayes_factor, 3),
             significant(finding.log_bayes_factor - other.log_bayes_factor, 2),
         )
         for other in finding.cannot_be_told_from
     )
     columns = (
-        Column("Cannot be told from", "left", wide=True), Column("Place", "left"), Column("Log Bayes factor"),
-        Column("Behind [nats]"),
+        Column("Confounded with", "left", wide=True), Column("Log Bayes factor"), Column("Difference"),
     )  # fmt: skip
     return Table(
-        "What does as well", columns, padded(rows), "Within 5 nats, or without a difference in this recording."
+        "Explanations that do as well",
+        columns,
+        padded(rows),
+        "Log Bayes factor within 5 of the finding's, or no difference.",
     )
 
 
@@ -264,15 +274,3 @@ def _number(value: float) -> str:
     mantissa, exponent = f"{value:.2e}".split("e")
     power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
     return f"{mantissa.replace('-', '−')}·10{power}"
-
-
-def _change(before: float | None, after: float) -> str:
-    if before is None or not np.isfinite(before) or before == 0:
-        return significant(float("nan"), 2)
-    return fixed(100 * (after / before - 1), 1)
-
-
-def _place(location: object) -> str:
-    if not isinstance(location, dict) and not hasattr(location, "values"):
-        return ""
-    return ", ".join(v if isinstance(v, str) else " and ".join(v) for v in location.values())

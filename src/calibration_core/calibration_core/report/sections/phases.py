@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.identification.circle_point import BaseFrame
-from calibration_core.identification.estimate import Identification
-from calibration_core.identification.phase import (
+from calibration_core.identification.circle_point.joint_axes import BaseFrame
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.result.phase import (
     BASE_FRAME,
     GEOMETRY,
     POINTS,
@@ -15,8 +15,8 @@ from calibration_core.identification.phase import (
     Decoupled,
     PhaseEstimate,
 )
-from calibration_core.identification.point_frame import frame_of
-from calibration_core.report.arcs import arc_told
+from calibration_core.identification.standard.point_frame import frame_of
+from calibration_core.report.arcs import describe_arc
 from calibration_core.report.document import Block, Column, Items, Paragraph, Section, Table
 from calibration_core.report.rounding import STIFFNESS as UNIT
 from calibration_core.report.rounding import counted, decimals, fixed, padded, significant
@@ -33,7 +33,8 @@ WHAT = {
     BASE_FRAME: "Pose of the tracker in the base frame, from the circles that the targets describe when joints 1 and 2 "
     "turn alone.",
     GEOMETRY: "Corrections to the nominal geometry and the tracker pose that belongs to them: first from circles, then "
-    "from all sweeps and known configurations together. What cannot be told stays nominal and is named.",
+    "from all sweeps and known configurations together. What the recording does not determine stays nominal and is "
+    "named.",
     WRIST_CENTRE: "Wrist centre in the flange frame, by spheres and trilateration; the points' uncertainty is in it.",
     POINTS: "Points in the flange frame, with the actual kinematics and its uncertainty.",
     STIFFNESS: "Compliances of the joints; what the phases before left uncertain is in their uncertainty.",
@@ -137,7 +138,7 @@ def _clause(base: BaseFrame, sigma: float) -> list[Block]:
     texts = []
     for joint, swept in enumerate(base.axes, start=1):
         circle = max(swept.circles, key=lambda one: one.arc)
-        texts.append(f"joint {joint}: {arc_told(circle.arc, sigma, circle.points, 'readings')}")
+        texts.append(f"joint {joint}: {describe_arc(circle.arc, sigma, circle.points, 'readings')}")
     return [*blocks, Items(tuple(texts))]
 
 

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell, ForceTorque, Thermometer, Tracker
-from calibration_core.identification.estimate import Identification, OperatingSpace, Precondition
+from calibration_core.identification.result.estimate import Identification, OperatingSpace, Precondition
 from calibration_core.report.document import Block, Column, Facts, Figure, Paragraph, Table
-from calibration_core.report.rounding import counted, fixed, listed, significant, spread, subscript
-from calibration_core.report.space_figure import (
+from calibration_core.report.figures.operating_space import (
     MOST_ARMS,
     deflection_scale,
     measured_points,
     space_figure,
 )
+from calibration_core.report.rounding import counted, fixed, listed, significant, spread, subscript
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 MOST_ROWS, SHOWN_ROWS = 100, 40
@@ -25,7 +25,7 @@ STANDARD_GRAVITY = 9.80665
 NOT_STATED = "not stated"
 SPEED = "limit 250 mm/s at every point (CWA 17384, 5.1; EN ISO 10218-1); averaged readings do not show the speed"
 REDUCED = "manual reduced speed only, the operator confirms it by signature; the cell file declares no other limit"
-_ANSWER = {True: "met", False: "not met", None: "cannot be told"}
+_ANSWER = {True: "met", False: "not met", None: "not visible"}
 
 
 def equipment(cell: Cell) -> tuple[Block, ...]:
@@ -125,7 +125,7 @@ def requirement_text(preconditions: tuple[Precondition, ...], source: str = "rec
     if failed:
         overridden = sum(bool(item.override) for item in preconditions if item.met is False)
         text += f", {failed} not met" + (f" ({overridden} overridden by name)" if overridden else "")
-    return text + (f", {unknown} cannot be told from the {source}" if unknown else "")
+    return text + (f", {unknown} not visible in the {source}" if unknown else "")
 
 
 def joint_columns(prismatic: Sequence[bool]) -> tuple[Column, ...]:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 
 from calibration_core.cell import Cell
-from calibration_core.identification.estimate import Identification
+from calibration_core.identification.result.estimate import Identification
 from calibration_core.report.document import Block, Column, Facts, Items, Paragraph, Table
-from calibration_core.report.provenance import digests, software
+from calibration_core.report.results.provenance import digests, software
 from calibration_core.report.rounding import counted, length_unit, padded, shortened, spread
 from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
 from calibration_core.timeseries import Provenance
@@ -78,7 +78,7 @@ def given_model(result: Identification) -> tuple[tuple[str, str], ...]:
     given = result.given
     if given is None:
         return ()
-    text = f"{given.file} (SHA-256 {given.sha256[:12]}…), taken off the readings as known: {given.told()}"
+    text = f"{given.file} (SHA-256 {given.sha256[:12]}…), taken off the readings as known: {given.known_effects()}"
     return (("Given model", text),)
 
 

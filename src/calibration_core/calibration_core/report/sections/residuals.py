@@ -7,16 +7,22 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from calibration_core.identification.estimate import OperatingSpace, Residuals
+from calibration_core.identification.result.estimate import OperatingSpace, Residuals
 from calibration_core.report.document import Block, Column, Figure, Table
-from calibration_core.report.figures import PREDICTED_MARKS, grouped, grouped_rms, prediction_figure, residual_figure
+from calibration_core.report.figures.identification import (
+    PREDICTED_MARKS,
+    grouped,
+    grouped_rms,
+    prediction_figure,
+    residual_figure,
+)
+from calibration_core.report.figures.style import MOST_MARKS
 from calibration_core.report.rounding import Unit, decimals, fixed, length_unit, padded, rms, shortened, spread
 from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
-from calibration_core.report.style import MOST_MARKS
 from calibration_core.timeseries import Bool1D, Float1D, Readings
 
 
-class Compared(Protocol):
+class ShownResiduals(Protocol):
     """Readings beside what was predicted for them: an identification, or a prediction by a given model."""
 
     @property
@@ -36,7 +42,7 @@ class Compared(Protocol):
         """The operating space."""
 
 
-def residual_section(result: Compared) -> tuple[Block, ...]:
+def residual_section(result: ShownResiduals) -> tuple[Block, ...]:
     """Return figures and tables of the residuals."""
     rows = result.residuals
     used: Bool1D = ~np.asarray(rows.excluded, dtype=bool)
@@ -61,8 +67,8 @@ def residual_section(result: Compared) -> tuple[Block, ...]:
     blocks.append(
         Figure(
             "prediction",
-            f"{what} predicted and measured, base axes (left; line: equality), and what remains (right; dashed: twice "
-            f"the expected standard deviation).{_drawn(int(np.count_nonzero(used)), PREDICTED_MARKS)}",
+            f"{what}, base axes: a) predicted and measured, line: equality; b) what remains, dashed: twice the "
+            f"expected standard deviation.{_drawn(int(np.count_nonzero(used)), PREDICTED_MARKS)}",
             "Predicted against measured values",
             prediction_figure(rows, loaded),
         )
@@ -70,7 +76,7 @@ def residual_section(result: Compared) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def reach_of_rows(result: Compared) -> Float1D:
+def reach_of_rows(result: ShownResiduals) -> Float1D:
     """Return (m,) m, horizontal distance of the configuration's flange from the base's z axis, row by row."""
     radius = np.linalg.norm(np.asarray(result.space.flange)[:, :2], axis=1)
     order = np.argsort(result.space.configuration, kind="stable")
@@ -105,7 +111,7 @@ def _drawn(rows: int, most: int = MOST_MARKS) -> str:
     return "" if rows <= most else f" Marks: {most:,} of {rows:,} readings, evenly spaced ones and the largest."
 
 
-def _per_axis(result: Compared, used: Bool1D, unit: Unit) -> Table:
+def _per_axis(result: ShownResiduals, used: Bool1D, unit: Unit) -> Table:
     rows = result.residuals
     places = decimals(rms(rows.residual[used]) * unit.factor)
     body = [
@@ -138,7 +144,7 @@ def _per_axis(result: Compared, used: Bool1D, unit: Unit) -> Table:
     return Table("Residuals per base axis", columns, padded(body), note)
 
 
-def _per_point(result: Compared, used: Bool1D, unit: Unit) -> Table:
+def _per_point(result: ShownResiduals, used: Bool1D, unit: Unit) -> Table:
     body = []
     for i, name in enumerate(result.readings.points):
         mine = used & (result.readings.point == i)
@@ -154,7 +160,7 @@ def _per_point(result: Compared, used: Bool1D, unit: Unit) -> Table:
     return Table("Residuals per measurement point", columns, padded(body))
 
 
-def _per_load(result: Compared, used: Bool1D, unit: Unit) -> Table:
+def _per_load(result: ShownResiduals, used: Bool1D, unit: Unit) -> Table:
     rows = result.residuals
     load = rows.load
     group = np.full(len(load), -1)
@@ -187,7 +193,7 @@ def _per_load(result: Compared, used: Bool1D, unit: Unit) -> Table:
     return Table("Residuals per load", columns, padded(body), note)
 
 
-def _per_configuration(result: Compared, used: Bool1D, unit: Unit) -> Table:
+def _per_configuration(result: ShownResiduals, used: Bool1D, unit: Unit) -> Table:
     rows = result.residuals
     chosen = result.readings.configuration[used]
     numbers, fitted, largest = grouped_rms(chosen, rows.residual[used])

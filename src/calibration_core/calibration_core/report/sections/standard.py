@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from calibration_core.cell import Cell
-from calibration_core.identification.standard_geometry import StandardGeometry
+from calibration_core.identification.result.standard_methods import StandardGeometry
 from calibration_core.report.document import Block, Column, Items, Table
+from calibration_core.report.results.standard import standard_rows
 from calibration_core.report.rounding import decimals, fixed, padded
-from calibration_core.report.standard_result import standard_rows
 
 GROUPS = {"base_frame": "base coordinate system", "joint_axes": "joint axis", "wrist_centre": "wrist centre point"}
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.estimate import Identification, JointStiffness, TestResult
+from calibration_core.identification.result.estimate import Identification, JointStiffness, TestResult
 from calibration_core.report.document import Block, Column, Figure, Items, Paragraph, Table
-from calibration_core.report.figures import stiffness_figure
+from calibration_core.report.figures.identification import stiffness_figure
+from calibration_core.report.results.verdict import ResidualVerdict
 from calibration_core.report.rounding import (
     DASH,
     STIFFNESS,
@@ -20,11 +22,11 @@ from calibration_core.report.rounding import (
     fixed,
     length_unit,
     padded,
+    phrase,
     shortened,
     spread,
     subscript,
 )
-from calibration_core.report.verdict import Rest
 
 
 def symbol(index: int) -> str:
@@ -53,8 +55,10 @@ def table_2(result: Identification, cell: Cell) -> Table:
             )
         )
     stated_column = aligned([row[6] for row in rows])
-    rows = [(*row[:6], cell_file, row[7]) for row, cell_file in zip(rows, stated_column, strict=True)]
-    columns = (
+    body: list[tuple[str, ...]] = [
+        (*row[:6], cell_file, row[7]) for row, cell_file in zip(rows, stated_column, strict=True)
+    ]
+    columns: tuple[Column, ...] = (
         Column("Joint", "left"),
         Column("Name", "left", wide=True),
         Column(f"Stiffness [{STIFFNESS.name}]"),
@@ -67,9 +71,78 @@ def table_2(result: Identification, cell: Cell) -> Table:
     note = (
         f"All in {STIFFNESS.name}. Values are rounded to two significant digits of their standard uncertainty "
         "(one standard "
-        "deviation). “Cell file” is what the simulation has believed so far."
+        "deviation). “Cell file” is the value that the simulation uses today."
     )
-    return Table("Test results: joint stiffness", columns, tuple(rows), note, number=2)
+    beside = any(joint.extended is not None for joint in result.stiffness)
+    if beside:
+        note += (
+            " Interval and standard uncertainty include the bias of what the standard's model leaves out. “Extended "
+            "model” is the 95 % interval of the stiffness with that in the model."
+        )
+        place = columns.index(Column("Relative [%]"))  # gives its room to the extended model
+        columns = (*columns[:place], Column("Extended model", "center"), *columns[place + 1 :])
+        body = [
+            (*row[:place], _beside(joint), *row[place + 1 :]) for row, joint in zip(body, result.stiffness, strict=True)
+        ]
+    return Table("Test results: joint stiffness", columns, tuple(body), note, number=2)
+
+
+def left_out(result: Identification, findings: Sequence[str], *, unexplained: bool = False) -> tuple[Block, ...]:
+    """Return the sentences that say why the intervals of Table 2 are wider than noise makes them.
+
+    Args:
+        result: The identification.
+        findings: What the standard's model leaves out, in words.
+        unexplained: Whether more than noise remains that nothing explains.
+    """
+    texts = []
+    if any(joint.extended is not None for joint in result.stiffness):
+        texts.append(
+            "The standard's model, joint springs alone, does not hold for this recording. It leaves something out "
+            f"({phrase(findings)}), and the joint springs take up a part of it. Table 2 stands as the standard asks "
+            "for, with intervals that include this bias; the stiffness to use is that of the extended model."
+        )
+    if unexplained:
+        texts.append(
+            "The residual is more than noise, and nothing in the catalogue explains "
+            f"{'the rest of it' if findings else 'it'}: the model does not hold for this recording. The intervals of "
+            "Table 2 include what whole configurations scatter, but no bias of a cause that nobody knows: do not rely "
+            "on them before the cause is found."
+        )
+    return tuple(Paragraph(text) for text in texts)
+
+
+def extended_table(standard: Sequence[JointStiffness], extended: Sequence[JointStiffness]) -> Table:
+    """Return the stiffnesses of the extended model beside those of the standard's, in Table 2's unit and rounding."""
+    rows = []
+    for before, after in zip(standard, extended, strict=True):
+        value, std, relative, interval = _cells(after)
+        change = 100 * (after.value / before.value - 1)
+        rows.append(
+            (
+                shortened(after.joint) if after.unit == "N*m/rad" else f"{shortened(after.joint)} [10⁵ N/m]",
+                _cells(before)[0],
+                value,
+                interval,
+                std,
+                relative,
+                fixed(change, 1) if math.isfinite(change) else DASH,
+            )
+        )
+    columns = (
+        Column("Joint", "left", wide=True),
+        Column(f"Without findings [{STIFFNESS.name}]"),
+        Column("With findings"),
+        Column("95 % interval", "center"),
+        Column("Standard uncertainty"),
+        Column("Relative [%]"),
+        Column("Change [%]"),
+    )
+    return Table("Joint stiffness", columns, padded(rows))
+
+
+def _beside(joint: JointStiffness) -> str:
+    return DASH if joint.extended is None else _cells(joint.extended)[3]
 
 
 def limits(result: Identification) -> tuple[Block, ...]:
@@ -98,15 +171,14 @@ def drawing_of(result: Identification, cell: Cell) -> Figure:
     """Return the drawing of the stiffnesses with their intervals and what the cell file states."""
     return Figure(
         "stiffness",
-        "Joint stiffness, logarithmic (left), and its 95 % interval relative to the value (right). Dots: "
-        "identified, hollow "
+        "a) Joint stiffness, logarithmic; b) its 95 % interval relative to the value. Dots: identified, hollow "
         "where this recording does not determine the joint; diamonds: cell file.",
         "Dot plot of the stiffness of every joint with 95 percent intervals",
         stiffness_figure(result.stiffness, cell.robot.stiffness),
     )
 
 
-def fit_section(result: Identification, cell: Cell, rest: Rest) -> tuple[Block, ...]:
+def fit_section(result: Identification, cell: Cell, rest: ResidualVerdict) -> tuple[Block, ...]:
     """Return how well the model explains the recording, on fitted and on held-out configurations."""
     fit = result.fit
     unit = length_unit(fit.rms_after)
@@ -160,7 +232,7 @@ def _test_blocks(test: TestResult, unit: Unit, before: str) -> tuple[Block, ...]
     return (Table("Test of the identified model on a second recording", columns, padded(rows), note),)
 
 
-def rest_text(rest: Rest) -> str:
+def rest_text(rest: ResidualVerdict) -> str:
     """Return in words whether the residuals are noise."""
     unit = length_unit(rest.seen)
     source = (
@@ -175,7 +247,7 @@ def rest_text(rest: Rest) -> str:
     numbers = ", ".join(str(number) for number in rest.configurations)
     return (
         f"{shows} beyond chance this exceeds {source}, {noise}. {excess} are explained neither by the identified model "
-        f"nor by that noise; the rest is largest along {rest.axis} and in configurations {numbers}."
+        f"nor by that noise; the residual is largest along {rest.axis} and in configurations {numbers}."
     )
 
 

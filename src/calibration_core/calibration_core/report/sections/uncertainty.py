@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from calibration_core.identification.estimate import Identification, ParameterEstimate
+from calibration_core.identification.result.estimate import Identification, ParameterEstimate
 from calibration_core.report.document import Block, Column, Figure, Paragraph, Table
-from calibration_core.report.figures import correlation_figure, normality_figure
-from calibration_core.report.result import correlation
+from calibration_core.report.figures.identification import correlation_figure, normality_figure
+from calibration_core.report.results.result import correlation
 from calibration_core.report.rounding import DASH, decimals, fixed, length_unit, padded, shortened, significant, spread
 from calibration_core.timeseries import Float2D
 
@@ -51,8 +51,8 @@ def noise_section(result: Identification) -> tuple[Block, ...]:
         Table("Noise audit", columns, padded(rows)),
         Figure(
             "normality",
-            "Residuals in units of their expected standard deviation: normal probability plot (left) and distribution "
-            "with the normal density (right).",
+            "Residuals in units of their expected standard deviation: a) normal probability plot; b) distribution with "
+            "the normal density.",
             "Normal probability plot and histogram of the standardised residuals",
             normality_figure(result.residuals),
         ),
@@ -85,7 +85,7 @@ def correlation_section(result: Identification) -> tuple[Block, ...]:
 
 
 def stage_blocks(result: Identification) -> tuple[Block, ...]:
-    """Return the ladder of an absolute recording: each stage kept only if configurations left out say so."""
+    """Return the staged model selection of absolute positions: a stage is kept if configurations left out say so."""
     unit = length_unit(result.stages[-1].rms)
     rows = [
         (

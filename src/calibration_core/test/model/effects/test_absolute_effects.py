@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell
-from calibration_core.identification.predict import predict_readings
+from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects import candidates, catalogue
+from calibration_core.model.effects.absolute.approach_direction import last_motion
+from calibration_core.model.effects.absolute.geometry_error import frame_error
+from calibration_core.model.effects.absolute.joint_elasticity import turned
+from calibration_core.model.effects.absolute.transmission_error import HIGHEST, distinguishable_orders, harmonic
 from calibration_core.model.effects.applied import applied, applied_shift, restored
-from calibration_core.model.effects.approach_direction import last_motion
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.geometry_error import frame_error
-from calibration_core.model.effects.gravity_compensator import spring_torque
-from calibration_core.model.effects.joint_elasticity import turned
 from calibration_core.model.effects.state import State, state_of
-from calibration_core.model.effects.transmission_error import HIGHEST, carried_orders, harmonic
+from calibration_core.model.effects.structure.gravity_compensator import spring_torque
 from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.identified.model_file import model_text, read_model
 from calibration_core.model.kinematics import posture
-from calibration_core.model.model_file import model_text, read_model
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Provenance, Readings
@@ -91,10 +91,10 @@ def test_transmission_error(chain: Chain, q: np.ndarray, joint: int, order: int)
 
 
 def test_orders_that_the_sampling_carries() -> None:
-    assert carried_orders(np.linspace(-1.5, 1.5, 31)) == 31  # 30 intervals over 3 rad: half a period each
-    assert carried_orders(np.repeat([0.0, 0.5, 1.0], 50)) == 6  # repeated angles are one sample
-    assert carried_orders(np.zeros(100)) == 0
-    assert carried_orders(np.random.default_rng(1).uniform(-1, 1, 5000)) == HIGHEST
+    assert distinguishable_orders(np.linspace(-1.5, 1.5, 31)) == 31  # 30 intervals over 3 rad: half a period each
+    assert distinguishable_orders(np.repeat([0.0, 0.5, 1.0], 50)) == 6  # repeated angles are one sample
+    assert distinguishable_orders(np.zeros(100)) == 0
+    assert distinguishable_orders(np.random.default_rng(1).uniform(-1, 1, 5000)) == HIGHEST
 
 
 def test_approach_direction(chain: Chain, q: np.ndarray) -> None:

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.identification.problem import build_problem, load_of
+from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.applied import REFERENCE, RELATIVE, applied, applied_shift
-from calibration_core.model.effects.gravity_compensator import Triangle, spring, triangle_of
 from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.structure.gravity_compensator import Triangle, spring, triangle_of
 from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Readings
 

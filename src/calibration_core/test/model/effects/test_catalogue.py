@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
+from calibration_core.model import effects
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.state import State, state_of
@@ -32,6 +35,12 @@ def state(chain: Chain, m: int = 12) -> State:
         configuration=np.arange(m), step=np.zeros(m, dtype=np.int64),
         time=np.arange(m, dtype=float), temperature=np.full(m, 20.0), tracker=pose, rated_load=100.0,
     )  # fmt: skip
+
+
+def test_an_effect_stands_in_its_own_file_in_the_folder_of_its_family() -> None:
+    home = Path(effects.__file__).parent
+    files = {path.relative_to(home).as_posix() for path in home.glob("*/*.py") if path.stem != "__init__"}
+    assert {f"{one.family.replace(' ', '_')}/{one.name}.py" for one in catalogue()} == files
 
 
 def test_every_effect_of_the_contract_has_a_file() -> None:

@@ -10,10 +10,11 @@ import pytest
 from calibration_core.model.chain import Chain, rotation_x
 from calibration_core.model.effects import candidates, catalogue
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.creep import relaxed
-from calibration_core.model.effects.gravity_compensator import Triangle, carriers, spring, spring_torque
-from calibration_core.model.effects.hysteresis import stop
+from calibration_core.model.effects.joint_law import hysteresis
+from calibration_core.model.effects.joint_law.creep import relaxed
+from calibration_core.model.effects.joint_law.hysteresis import CHANCE, stop
 from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.structure.gravity_compensator import Triangle, carriers, spring, spring_torque
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.statics import Load
 from calibration_core.timeseries import Float1D, Float2D
@@ -173,6 +174,42 @@ def test_friction_begins_with_what_the_weight_strained(chain: Chain) -> None:
     np.testing.assert_allclose(columns[at_rest, :, 3], here.joint_column(1, law)[at_rest])
     free = chosen(here, "hysteresis", "virgin start", "B").columns(here)
     assert np.all(free[at_rest] == 0)
+
+
+def test_friction_of_teeth_grows_with_the_torque(chain: Chain) -> None:
+    here = mixed(chain)
+    scale = here.largest_torque(1)
+    pressed = (np.abs(here.torque[1]) / scale)[:, None, None]
+    for form in ("virgin start", "virgin start, below 6 %"):
+        plain, growing = (chosen(here, "hysteresis", form + more, "B").columns(here) for more in ("", ", growing"))
+        np.testing.assert_allclose(growing, plain * pressed)
+    several = chosen(here, "hysteresis", "virgin start", "B").columns(here)
+    np.testing.assert_allclose(plain[:, :, 0], several[:, :, 1])
+
+
+def test_what_friction_carries_on_arrival_fades_with_the_first_load(chain: Chain) -> None:
+    here = mixed(chain)
+    forms = [c for c in candidates(here) if c.effect == "hysteresis" and c.location["joint"] == "B"]
+    assert len({c.chances for c in forms}) == 2
+    assert forms[0].chances is not None
+    moved = forms[0].chances(here)
+    assert moved.shape == (here.m, 3, LOADED + RESTING)
+    for k in range(LOADED + RESTING):
+        assert np.all(moved[here.configuration != k, :, k] == 0)
+    size = np.linalg.norm(moved, axis=(1, 2)).reshape(-1)[: LOADED * STEPS].reshape(LOADED, STEPS)
+    lever = np.linalg.norm(here.joint_column(1, np.ones(here.m)), axis=1)[: LOADED * STEPS].reshape(LOADED, STEPS)
+    assert np.all(np.diff(size / lever, axis=1) <= 1e-15)
+    typical_width = forms[0].parameters[0].typical
+    np.testing.assert_allclose((size / lever)[:, 0], CHANCE * typical_width, rtol=1e-9)
+
+
+def test_chance_is_left_out_where_there_are_very_many_configurations(
+    chain: Chain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hysteresis, "MOST", LOADED + RESTING - 1)
+    forms = [c for c in candidates(mixed(chain)) if c.effect == "hysteresis"]
+    assert forms
+    assert all(c.chances is None for c in forms)
 
 
 def test_creep_of_the_weight_goes_on_from_posture_to_posture(chain: Chain) -> None:

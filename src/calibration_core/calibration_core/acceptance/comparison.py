@@ -1,0 +1,280 @@
+"""Measurements of one robot at different times, or of twins: what has changed, what has not, and what stays open.
+
+Compliances of two measurements differ by d, normal about the change with the sum of both covariances.  A robot that
+ages changes in few places: the change is looked for joint by joint, each with the others as found before (forward
+selection on conditional statistics); the level holds for all joints of all pairs together (Bonferroni).
+Sources: generalised least squares; Miller, Subset selection in regression, 2nd ed. (2002).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime as dt
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from calibration_core.identification.statistics.distributions import normal_quantile
+from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.timeseries import Float1D, Float2D
+
+STIFFNESS_LEVEL = 0.006  # probability that anything is said to have changed where nothing has: stiffnesses
+LAW_LEVEL = 0.002  # the same of backlash, hysteresis and effects
+POWER = 0.9  # with which a change of the limit's size is found by the number of configurations that is stated
+LIMIT = 0.05  # of a stiffness: what is smaller is no change
+COVERAGE = 1.96  # 95 %
+AS_GOOD = 6.0  # chi-squared (3 nats): a change elsewhere that explains nearly as much
+YEAR = 365.25 * 86400.0  # s
+COMPLIANCE = "compliance."
+Verdict = Literal["changed", "not_changed", "cannot_tell"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measurement:
+    """One of the measurements.
+
+    Attributes:
+        label: How it is called.
+        date: When, UTC; None where it is not known.
+        configurations: Number of measured configurations.
+        compliance: Compliances of the joints, named `compliance.JOINT`.
+        laws: Other quantities, each for itself, e.g. `backlash.joint_2`; one without a name here was not measured.
+    """
+
+    label: str
+    date: dt.datetime | None
+    configurations: int
+    compliance: GaussianEstimate
+    laws: GaussianEstimate
+
+
+@dataclasses.dataclass(frozen=True)
+class QuantityChange:
+    """One quantity of one measurement beside the first.
+
+    Attributes:
+        quantity: `stiffness`, `backlash`, `hysteresis`, or an effect's parameter.
+        location: Joint, or where the effect is.
+        first: Value of the first measurement, SI.
+        second: Of the other.
+        unit: Of both.
+        change: Relative change of a stiffness, absolute one of all others (in `unit`).
+        low: Lower end of its 95 % interval.
+        high: Upper end.
+        verdict: What may be said.
+        configurations: With how many configurations in each of the two a change of `limit` would be told; None where
+            these are enough, or nothing is known of the quantity.
+        limit: What is smaller is no change, as `change`.
+        or_else: Joints whose change explains the measurements nearly as well.
+    """
+
+    quantity: str
+    location: str
+    first: float
+    second: float
+    unit: str
+    change: float
+    low: float
+    high: float
+    verdict: Verdict
+    configurations: int | None
+    limit: float
+    or_else: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Trend:
+    """A straight line through all measurements of a quantity over time.
+
+    Attributes:
+        quantity: As in `QuantityChange`.
+        location: As there.
+        slope: Relative change of a stiffness per year; per year in `unit` for all others.
+        low: Lower end of its 95 % interval.
+        high: Upper end.
+        unit: `1/year`, or the quantity's unit per year.
+        verdict: `changed` where the slope is not zero at the level of all tests together.
+    """
+
+    quantity: str
+    location: str
+    slope: float
+    low: float
+    high: float
+    unit: str
+    verdict: Verdict
+
+
+def compare(
+    measurements: Sequence[Measurement], law_limit: float, limit: float = LIMIT
+) -> tuple[tuple[QuantityChange, ...], ...]:
+    """Compare every later measurement with the first.
+
+    Args:
+        measurements: Two or more.
+        law_limit: Size of a backlash or hysteresis below which a change is none, rad.
+        limit: The same of a stiffness, relative.
+
+    Returns:
+        Per measurement after the first its differences.
+    """
+    first, *others = measurements
+    pairs = len(others)
+    return tuple(
+        (*_stiffnesses(first, other, limit, pairs), *_laws(first, other, law_limit, pairs)) for other in others
+    )
+
+
+def trends(measurements: Sequence[Measurement]) -> tuple[Trend, ...]:
+    """Return the trends of what all measurements have in common; none for fewer than three, or without their dates.
+
+    Source: weighted least squares of value on date.
+    """
+    dates = [one.date for one in measurements if one.date is not None]
+    if len(dates) < 3 or len(dates) < len(measurements) or len(set(dates)) < 3:
+        return ()
+    time = np.array([date.timestamp() for date in dates]) / YEAR
+    found = []
+    for group, level in (("compliance", STIFFNESS_LEVEL), ("laws", LAW_LEVEL)):
+        estimates: list[GaussianEstimate] = [getattr(one, group) for one in measurements]
+        names = [name for name in estimates[0].names if all(_known(one, name) for one in estimates)]
+        for name in names:
+            index = [one.names.index(name) for one in estimates]
+            value = np.array([one.value[k] for one, k in zip(estimates, index, strict=True)])
+            std = np.array([one.std[k] for one, k in zip(estimates, index, strict=True)])
+            found.append(_trend(name, estimates[0].units[index[0]], time, value, std, critical_size(level, len(names))))
+    return tuple(found)
+
+
+def _trend(name: str, unit: str, time: Float1D, value: Float1D, std: Float1D, critical: float) -> Trend:
+    weight = 1 / std**2
+    centred = time - np.sum(weight * time) / np.sum(weight)
+    spread = float(np.sum(weight * centred**2))
+    slope, error = float(np.sum(weight * centred * value)) / spread, 1 / math.sqrt(spread)
+    verdict: Verdict = "changed" if abs(slope) > critical * error else "cannot_tell"
+    ends = sorted((slope - COVERAGE * error, slope + COVERAGE * error))
+    quantity, location = _named(name)
+    if quantity == "stiffness":  # K = 1/C: a compliance that grows is a stiffness that falls
+        mean = float(np.sum(weight * value) / np.sum(weight))
+        return Trend(quantity, location, -slope / mean, -ends[1] / mean, -ends[0] / mean, "1/year", verdict)
+    return Trend(quantity, location, slope, ends[0], ends[1], f"{unit}/year", verdict)
+
+
+def _stiffnesses(first: Measurement, other: Measurement, limit: float, pairs: int) -> list[QuantityChange]:
+    one, two = first.compliance, other.compliance
+    names = [name for name in one.names if name in two.names]
+    known = [name for name in names if _known(one, name) and _known(two, name)]
+    a, b = (estimate.chosen([estimate.names.index(name) for name in known]) for estimate in (one, two))
+    difference, covariance = b.value - a.value, a.covariance + b.covariance
+    critical = critical_size(STIFFNESS_LEVEL / pairs, len(known))
+    changed = changes(difference, covariance, critical)
+    found = []
+    for name in names:
+        location = name.removeprefix(COMPLIANCE)
+        if name not in known:
+            values = (1 / estimate.value[estimate.names.index(name)] for estimate in (one, two))
+            before, after = (float(x) for x in values)
+            found.append(
+                QuantityChange("stiffness", location, before, after, _stiffness_unit(one, name), after / before - 1,
+                           -math.inf, math.inf, "cannot_tell", None, limit)
+            )  # fmt: skip
+            continue
+        k = known.index(name)
+        std = math.sqrt(covariance[k, k])
+        before, after = float(a.value[k]), float(b.value[k])
+        low, high = (-(d / (before + d)) for d in (difference[k] + COVERAGE * std, difference[k] - COVERAGE * std))
+        alike = tuple(known[j].removeprefix(COMPLIANCE) for j in changed.get(k, ()))
+        verdict = _verdict(k in changed, max(abs(low), abs(high)), limit)
+        needed = _needed(verdict, (first.configurations, other.configurations), std / before, limit, critical)
+        found.append(
+            QuantityChange("stiffness", location, 1 / before, 1 / after, _stiffness_unit(a, name), before / after - 1,
+                       low, high, verdict, needed, limit, alike)
+        )  # fmt: skip
+    return found
+
+
+def changes(difference: Float1D, covariance: Float2D, critical: float) -> dict[int, tuple[int, ...]]:
+    """Return which of p numbers have changed -> which others explain that change nearly as well.
+
+    Args:
+        difference: (p,).
+        covariance: (p, p) of it.
+        critical: What the largest of p standard normal variables exceeds rarely enough.
+    """
+    p = len(difference)
+    if p == 0:
+        return {}
+    scale = np.sqrt(np.diag(covariance))  # compliances differ by factors of a hundred
+    precision = np.linalg.inv(covariance / np.outer(scale, scale))
+    scaled = difference / scale
+    found: dict[int, tuple[int, ...]] = {}
+    while len(found) < p:
+        chosen = list(found)
+        left = precision
+        if chosen:
+            columns = precision[:, chosen]
+            left = precision - columns @ np.linalg.solve(precision[np.ix_(chosen, chosen)], columns.T)
+        open_ = [k for k in range(p) if k not in found]
+        size = np.full(p, -1.0)
+        size[open_] = np.abs(left @ scaled)[open_] / np.sqrt(np.maximum(np.diag(left)[open_], 1e-300))
+        best = int(np.argmax(size))
+        if size[best] <= critical:
+            break
+        near = tuple(k for k in open_ if k != best and size[best] ** 2 - size[k] ** 2 < AS_GOOD)
+        found[best] = near
+    return found
+
+
+def _laws(first: Measurement, other: Measurement, limit: float, pairs: int) -> list[QuantityChange]:
+    one, two = first.laws, other.laws
+    names = [name for name in one.names if _known(one, name) and _known(two, name)]
+    critical = critical_size(LAW_LEVEL / pairs, len(names))
+    found = []
+    for name in names:
+        j, k = one.names.index(name), two.names.index(name)
+        change, std = float(two.value[k] - one.value[j]), math.hypot(one.std[j], two.std[k])
+        low, high = change - COVERAGE * std, change + COVERAGE * std
+        own = limit if one.units[j] == "rad" else LIMIT * max(abs(one.value[j]), abs(two.value[k]))
+        verdict = _verdict(abs(change) > critical * std, max(abs(low), abs(high)), own)
+        needed = _needed(verdict, (first.configurations, other.configurations), std, own, critical)
+        quantity, location = _named(name)
+        values = float(one.value[j]), float(two.value[k])
+        found.append(QuantityChange(quantity, location, *values, one.units[j], change, low, high, verdict, needed, own))
+    return found
+
+
+def _verdict(changed: bool, farthest: float, limit: float) -> Verdict:
+    if changed:
+        return "changed"
+    return "not_changed" if farthest <= limit else "cannot_tell"
+
+
+def _needed(verdict: Verdict, configurations: tuple[int, int], std: float, limit: float, critical: float) -> int | None:
+    """Return how many configurations in each would tell a change of the limit, the variance falling as their number."""
+    if verdict != "cannot_tell" or limit <= 0:
+        return None
+    number = 2 / sum(1 / count for count in configurations)  # the harmonic mean: variances add
+    return math.ceil(number * (std * (critical + normal_quantile(POWER)) / limit) ** 2)
+
+
+def critical_size(level: float, tests: int) -> float:
+    """Return what the largest of so many standard normal sizes exceeds with this probability at most (Bonferroni)."""
+    return normal_quantile(1 - level / (2 * max(tests, 1)))
+
+
+def _known(estimate: GaussianEstimate, name: str) -> bool:
+    if name not in estimate.names:
+        return False
+    k = estimate.names.index(name)
+    return bool(np.isfinite(estimate.std[k]) and estimate.std[k] > 0)
+
+
+def _named(name: str) -> tuple[str, str]:
+    quantity, _, location = name.partition(".")
+    return ("stiffness", location) if quantity == "compliance" else (quantity, location)
+
+
+def _stiffness_unit(estimate: GaussianEstimate, name: str) -> str:
+    return "N/m" if estimate.units[estimate.names.index(name)] == "m/N" else "N*m/rad"

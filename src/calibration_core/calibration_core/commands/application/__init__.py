@@ -1,0 +1,1 @@
+"""A calibrated robot put to use: deflection under load, corrected targets, other formats."""

@@ -1,0 +1,137 @@
+"""`calibration export`: the calibrated robot in the format of another program."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import re
+from typing import Any
+
+from calibration_core.cell import Cell, load_cell
+from calibration_core.errors import CalibrationError, InputError, quoted
+from calibration_core.formats.calibrated import Exported, ExportedRobot, calibrated_robot, named
+from calibration_core.formats.dh import dh_files
+from calibration_core.formats.mjcf import mjcf_files
+from calibration_core.formats.table import DeflectionGrid, table_files
+from calibration_core.formats.ur import ur_files
+from calibration_core.formats.urdf import urdf_files
+from calibration_core.model.identified.model_file import read_model
+from calibration_core.outcomes.inputs import Inputs, digest_of, naming_model
+from calibration_core.report.results.command import input_record
+from calibration_core.report.results.result import SCHEMA
+from calibration_core.report.writing.output import RESULT, Content, write_files
+
+WITHOUT_FORMAT = (
+    "KUKA's, FANUC's, ABB's and Yaskawa's own calibration files have no published format: correct the targets instead "
+    "(calibration compensate)."
+)
+MOST = {"urdf": 1e-9, "dh": 1e-6, "ur": 1e-6}  # m: what is written may not differ from the model by more
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Write the model's robot in one format, compare what was written with the model, and return a summary.
+
+    Raises:
+        InputError: Cell, model or template cannot be used, the format cannot hold the robot, or nothing can be written.
+        EquilibriumError: The robot cannot carry its own weight.
+    """
+    cell = load_cell(arguments.cell)
+    with naming_model(arguments.model):
+        robot = calibrated_robot(cell, read_model(arguments.model, cell))
+        exported = exported_as(robot, arguments)
+    write_files(arguments.out, files_of(robot, exported, arguments.format, {"model": digest_of(arguments.model)}))
+    where = f"{', '.join(sorted(exported.files))} in {arguments.out}"
+    return f"{robot.cell.robot.name} as {arguments.format}: {where}\n{export_summary(robot, exported)}"
+
+
+def exported_as(robot: ExportedRobot, arguments: argparse.Namespace) -> Exported:
+    """Return a robot in the format that the options ask for, compared with the model.
+
+    Raises:
+        InputError: Template or options cannot be used, or the format cannot hold the robot.
+        EquilibriumError: The robot cannot carry its own weight.
+        CalibrationError: What was written differs from the model by more than the format's digits do.
+    """
+    exported = _exported(robot, arguments)
+    too_far = [one for one in exported.deviations if one.largest > MOST.get(arguments.format, math.inf)]
+    if too_far:
+        msg = f"{too_far[0].what} differ by {too_far[0].largest:.3g} m from the model's"
+        raise CalibrationError(msg)
+    return exported
+
+
+def files_of(robot: ExportedRobot, exported: Exported, form: str, inputs: Inputs) -> dict[str, Content]:
+    """Return everything that the command writes: file name -> content.
+
+    Args:
+        robot: The robot.
+        exported: It in the format.
+        form: The format.
+        inputs: Role -> file -> SHA-256 of input files besides the cell's.
+    """
+    text = json.dumps(export_result(robot, exported, form, inputs), indent=2, ensure_ascii=False) + "\n"
+    return {RESULT: text.encode(), **exported.files}
+
+
+def _exported(robot: ExportedRobot, arguments: argparse.Namespace) -> Exported:
+    if arguments.format == "urdf":
+        return urdf_files(robot, arguments.out)
+    if arguments.format == "dh":
+        return dh_files(robot)
+    if arguments.format == "ur":
+        return ur_files(robot, arguments.template)
+    if arguments.format == "mjcf":
+        return mjcf_files(robot)
+    q, ends = _numbers("--q", arguments.q), _numbers("--range", arguments.range)
+    return table_files(robot, DeflectionGrid(tuple(arguments.joints), arguments.points, q, ends))
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
+    """Return the numbers of a text, with blanks or commas between."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in re.split(r"[\s,]+", text.strip()))
+    except ValueError:
+        raise InputError("export --format table", option, quoted(text), "numbers with blanks between, rad") from None
+
+
+def export_result(robot: ExportedRobot, exported: Exported, form: str, inputs: Inputs) -> dict[str, Any]:
+    """Return the content of result.json; arguments as `files_of`."""
+    cell: Cell = robot.cell
+    return {
+        "schema": SCHEMA,
+        "command": "export",
+        "robot": cell.robot.name,
+        "format": form,
+        "files": sorted(exported.files),
+        "deviations": [{**dataclasses.asdict(one), "unit": "m"} for one in exported.deviations],
+        "effects_folded": named(robot.folded),
+        "effects_held": named(exported.held),
+        "effects_left_out": named(_left(robot, exported)),
+        "notes": list(exported.notes),
+        "input": input_record(cell, None, inputs),
+    }
+
+
+def _left(robot: ExportedRobot, exported: Exported) -> tuple[Any, ...]:
+    return tuple(effect for effect in robot.further if effect not in exported.held)
+
+
+def export_summary(robot: ExportedRobot, exported: Exported) -> str:
+    """Return how far what was written is from the model, what it does not hold, and what its reader must know."""
+    lines = []
+    for one in exported.deviations:
+        size = f"largest {_length(one.largest)}, root mean square {_length(one.rms)}"
+        lines.append(f"{one.what}: {size} at {one.postures} postures")
+    left = _left(robot, exported)
+    if left:
+        lines.append(f"not in this format: {'; '.join(named(left))}")
+    return "\n".join([*lines, *exported.notes, WITHOUT_FORMAT])
+
+
+def _length(value: float) -> str:
+    """Return a length in the unit that suits it."""
+    return f"{1e3 * value:.3f} mm" if value >= 1e-4 else f"{1e6 * value:.3g} µm" if value >= 1e-8 else f"{value:.1g} m"

@@ -1,0 +1,1 @@
+"""Recordings: simulated, identified, diagnosed and predicted."""

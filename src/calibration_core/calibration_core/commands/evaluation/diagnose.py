@@ -1,0 +1,207 @@
+"""`calibration diagnose`: where simulation and recording differ, which physics is left out, and the extended model."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+from calibration_core.cell import Cell
+from calibration_core.commands.evaluation.candidate_measurements import offers_for, proposed_plan
+from calibration_core.commands.shared.common import report_line, report_progress
+from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.commands.shared.population_arguments import asked_population
+from calibration_core.commands.shared.several import look_at_all, prepared_from, read_recordings
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.errors import InputError
+from calibration_core.fleet.next_robot.population_file import TypePopulation
+from calibration_core.fleet.next_robot.prior import PooledJoint, finding_odds, pooled_joints, prior_lines, prior_record
+from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.model.identified.calibrated import ValidRange
+from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.model.identified.given import GivenModel, read_given
+from calibration_core.model.identified.model_file import model_text
+from calibration_core.model.identified.valid_range import range_of
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.observations.observe import observe
+from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_unit_note
+from calibration_core.planning.plans.plan_file import plan_text
+from calibration_core.report.diagnosis_summary import diagnosis_summary
+from calibration_core.report.document import Items, Paragraph, Section, cleaned
+from calibration_core.report.results.diagnosis import diagnosis_dict
+from calibration_core.report.results.result import plain, result_json
+from calibration_core.report.results.traffic_light import light_of
+from calibration_core.report.writing.output import RESULT, Content, write_files
+from calibration_core.report.writing.tables import table_files
+from calibration_core.timeseries import Readings
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Diagnosed:
+    """A diagnosis with its files.
+
+    Attributes:
+        cell: The cell.
+        readings: The recording.
+        diagnosis: What was found.
+        population: What is known of robots of this type; None: nothing.
+        covers: What the recordings covered; None: what the readings show.
+    """
+
+    cell: Cell
+    readings: Readings
+    diagnosis: Diagnosis
+    population: TypePopulation | None = None
+    covers: ValidRange | None = None
+
+    @functools.cached_property
+    def content(self) -> dict[str, Any]:
+        """The content of result.json."""
+        content = diagnosis_dict(self.diagnosis, self.cell)
+        if self.population is None:
+            return content
+        odds = finding_odds(self.diagnosis.physics, self.population)
+        return {**content, "population": plain(prior_record(self.sisters, odds, self.population))}
+
+    @functools.cached_property
+    def sisters(self) -> tuple[PooledJoint, ...]:
+        """The joints with what is known of the robot's sisters; none without a population."""
+        if self.population is None or self.estimate is None:
+            return ()
+        return pooled_joints(self.estimate, self.population)
+
+    @property
+    def summary(self) -> str:
+        """The traffic light and what came out."""
+        lines = [light_of(self.content).line, diagnosis_summary(self.diagnosis)]
+        return "\n".join([*lines, *([] if self.population is None else prior_lines(self.sisters, self.population))])
+
+    @property
+    def model(self) -> ModelParameters:
+        """The model with the findings; where there are none, the identified one."""
+        found = self.diagnosis
+        return found.identification.model if found.model is None else found.model
+
+    @property
+    def estimate(self) -> GaussianEstimate | None:
+        """What is known of the uncertainty of the model's numbers; None: nothing."""
+        found = self.diagnosis
+        return found.identification.estimate if found.model is None else found.estimate
+
+    @property
+    def covered(self) -> ValidRange:
+        """What the recording covered."""
+        return self.covers or range_of(self.readings, self.cell, self.model)
+
+    @property
+    def model_text(self) -> str:
+        """The model as its file."""
+        return model_text(self.model, self.cell, self.estimate, self.covered)
+
+    def files(self, *, report: bool) -> dict[str, Content]:
+        """Return all files: file name -> content."""
+        found, cell = self.diagnosis, self.cell
+        result = result_json(self.content)
+        files: dict[str, Content] = {RESULT: result, "model.yaml": self.model_text.encode()}
+        if found.next_measurements:
+            files["next.yaml"] = plan_text(proposed_plan(found.next_measurements, cell)).encode()
+        files |= table_files(dataclasses.replace(found.identification, model=self.model), cell.prismatic)
+        if not report:
+            return files
+        from calibration_core.report.documents.diagnosis import diagnosis_document
+        from calibration_core.report.view3d.space import space_view
+        from calibration_core.report.writing.rendering import rendered
+
+        document = diagnosis_document(found, cell, result, light_of(self.content))
+        if self.population is not None:
+            lines = Items(tuple(prior_lines(self.sisters, self.population)[1:]))
+            source = Paragraph(f"{self.population.source}; {self.population.file}, SHA-256 {self.population.sha256}")
+            section = Section(f"With the population of type {self.population.type}", "", (source, lines))
+            document = dataclasses.replace(document, sections=(*document.sections, cleaned(section)))
+        return {**files, **rendered(document, space_view(found.identification.space, self.cell))}
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Diagnose, write result, tables, extended model and report, and return a summary.
+
+    Raises:
+        InputError: The input cannot be used, or the output cannot be written.
+    """
+    report_progress(arguments, 0.0, "reading the recording")
+    cells, recordings = read_recordings(arguments)
+    cell = cells[0]
+    test = None if arguments.test is None else observe(arguments.test, cell)
+    simulation = None if arguments.simulation is None else observe(arguments.simulation, cell)
+    given = None if arguments.model is None else read_given(arguments.model, cell)
+    report_progress(arguments, 1 / 3, "looking for missing physics")
+    population = asked_population(arguments, cell)
+    answer = evaluate_all(recordings, cells, Options(robust=not arguments.no_robust), test, simulation, given)
+    if isinstance(answer, Diagnosed):
+        answer = dataclasses.replace(answer, population=population)
+    report_progress(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
+    write_files(arguments.out, answer.files(report=arguments.report))
+    return f"{answer.summary}\n{report_line(arguments)}"
+
+
+def evaluate_all(
+    recordings: Sequence[Readings],
+    cells: Sequence[Cell],
+    options: Options,
+    test: Readings | None = None,
+    simulation: Readings | None = None,
+    given: GivenModel | None = None,
+) -> Diagnosed | Refusal:
+    """Do what `evaluate` does with one recording, or with several of one robot together.
+
+    Args:
+        recordings: One or more.
+        cells: One for each.
+        options: How to evaluate.
+        test: A recording of the first one's set-up that is predicted, not fitted.
+        simulation: Of a single recording.
+        given: A model to start from.
+
+    Raises:
+        InputError: The input cannot be used.
+    """
+    if len(recordings) == 1:
+        return evaluate(recordings[0], cells[0], options, test, simulation, given)
+    if simulation is not None:
+        found = f"beside {len(recordings)} recordings"
+        raise InputError("--simulation", "", found, "one recording: a simulation is compared with one measurement")
+    noted = look_at_all("diagnose", recordings, cells, test, given)
+    if isinstance(noted, Refusal):
+        return noted
+    # what evaluates several recordings is slow to load, and most commands are given one
+    from calibration_core.outcomes.together.diagnose import diagnose_together
+    from calibration_core.outcomes.together.evaluate import covered
+
+    prepared = prepared_from(recordings, cells, options, test, given)
+    result = diagnose_together(prepared)
+    result = dataclasses.replace(result, anomalies=(*result.anomalies, *noted))
+    covers = covered(prepared, result.identification.model)
+    return Diagnosed(prepared.merged.cell, prepared.merged.readings, result, covers=covers)
+
+
+def evaluate(
+    readings: Readings,
+    cell: Cell,
+    options: Options,
+    test: Readings | None = None,
+    simulation: Readings | None = None,
+    given: GivenModel | None = None,
+) -> Diagnosed | Refusal:
+    """Look at the input, then diagnose, with measurements to propose; arguments as for `diagnosis.diagnose`.
+
+    Raises:
+        InputError: The input cannot be used.
+    """
+    wrong = look(readings, test, cell)
+    if blocked(wrong):
+        return Refusal.of("diagnose", cell, readings, wrong, given)
+    readings = with_unit_note(readings, cell)
+    found = diagnose(readings, cell, options, test, simulation, offers_for(readings, cell), given)
+    return Diagnosed(cell, readings, dataclasses.replace(found, anomalies=(*found.anomalies, *as_anomalies(wrong))))

@@ -1,0 +1,214 @@
+"""`calibration identify`: joint stiffness, and where the recording allows, frames, geometry and points."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from calibration_core.cell import Cell
+from calibration_core.commands.shared.common import report_line, report_progress
+from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.commands.shared.several import look_at_all, prepared_from, read_recordings
+from calibration_core.diagnosis.bias import with_bias
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.errors import InputError, quoted
+from calibration_core.identification.identify import identify
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.identification.stiffness.outlier_rejection import Key
+from calibration_core.model.identified.calibrated import ValidRange
+from calibration_core.model.identified.given import GivenModel, read_given
+from calibration_core.model.identified.model_file import model_text
+from calibration_core.model.identified.valid_range import range_of
+from calibration_core.observations.observe import observe
+from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_unit_note
+from calibration_core.report.results.diagnosis import identified_dict
+from calibration_core.report.results.traffic_light import light_of
+from calibration_core.report.summary import summary
+from calibration_core.report.writing.identification_files import identification_files
+from calibration_core.report.writing.output import Content, write_files
+from calibration_core.timeseries import Note, Readings
+
+if TYPE_CHECKING:
+    from calibration_core.outcomes.together.prepare import Prepared
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Identified:
+    """An identification, with what a search for missing physics says.
+
+    Attributes:
+        cell: The cell.
+        readings: The recording.
+        identification: What was identified.
+        searched: The search; None where it could not work on the recording.
+        covers: What the recordings covered; None: what the readings show.
+    """
+
+    cell: Cell
+    readings: Readings
+    identification: Identification
+    searched: Diagnosis | None
+    covers: ValidRange | None = None
+
+    @functools.cached_property
+    def content(self) -> dict[str, Any]:
+        """The content of result.json."""
+        return identified_dict(self.identification, self.searched, self.cell)
+
+    @property
+    def summary(self) -> str:
+        """The traffic light and what came out."""
+        return f"{light_of(self.content).line}\n{summary(self.identification)}"
+
+    @property
+    def covered(self) -> ValidRange:
+        """What the recording covered."""
+        return self.covers or range_of(self.readings, self.cell, self.identification.model)
+
+    @property
+    def model_text(self) -> str:
+        """The identified model as its file."""
+        found = self.identification
+        return model_text(found.model, self.cell, found.estimate, self.covered)
+
+    def files(self, *, report: bool) -> dict[str, Content]:
+        """Return all files: file name -> content."""
+        found, cell = self.identification, self.cell
+        model = {"model.yaml": self.model_text.encode()}
+        return identification_files(found, cell, model, report=report, searched=self.searched)
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Identify, write result, tables, model and report, and return a summary.
+
+    Raises:
+        InputError: The input cannot be used, or the output cannot be written.
+    """
+    report_progress(arguments, 0.0, "reading the recording")
+    cells, recordings = read_recordings(arguments)
+    cell = cells[0]
+    test = None if arguments.test is None else observe(arguments.test, cell)
+    given = None if arguments.model is None else read_given(arguments.model, cell)
+    options = Options(
+        method=arguments.method,
+        weights=arguments.weights,
+        deflections=arguments.deflections,
+        robust=not arguments.no_robust,
+        readmit=frozenset(_reading(text, cell, len(recordings)) for text in arguments.readmit),
+    )
+    report_progress(arguments, 1 / 3, "identifying, and looking for missing physics")
+    answer = evaluate_all(recordings, cells, options, test, given)
+    report_progress(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
+    write_files(arguments.out, answer.files(report=arguments.report))
+    return f"{answer.summary}\n{report_line(arguments)}"
+
+
+def evaluate_all(
+    recordings: Sequence[Readings],
+    cells: Sequence[Cell],
+    options: Options,
+    test: Readings | None = None,
+    given: GivenModel | None = None,
+) -> Identified | Refusal:
+    """Do what `evaluate` does with one recording, or with several of one robot together.
+
+    Args:
+        recordings: One or more.
+        cells: One for each.
+        options: How to evaluate.
+        test: A recording of the first one's set-up that is predicted, not fitted.
+        given: A model to start from.
+
+    Raises:
+        InputError: The input cannot be used.
+    """
+    if len(recordings) == 1:
+        return evaluate(recordings[0], cells[0], options, test, given)
+    # what evaluates several recordings is slow to load, and most commands are given one
+    from calibration_core.outcomes.together.evaluate import covered, identify_together
+
+    noted = look_at_all("identify", recordings, cells, test, given)
+    if isinstance(noted, Refusal):
+        return noted
+    prepared = prepared_from(recordings, cells, options, test, given)
+    merged = prepared.merged
+    found, searched = _searched_together(identify_together(prepared), prepared)
+    found = dataclasses.replace(found, anomalies=(*found.anomalies, *noted))
+    if searched is not None:
+        searched = dataclasses.replace(searched, anomalies=(*searched.anomalies, *noted))
+    return Identified(merged.cell, merged.readings, found, searched, covered(prepared, found.model))
+
+
+def _searched_together(found: Identification, prepared: Prepared) -> tuple[Identification, Diagnosis | None]:
+    """Do what `_searched` does, with several recordings."""
+    from calibration_core.outcomes.together.diagnose import diagnose_together
+
+    asked = prepared.options
+    usual = Options(robust=asked.robust, readmit=asked.readmit, start=asked.start)
+    try:
+        searched = diagnose_together(dataclasses.replace(prepared, options=usual, test=None))
+    except InputError as error:
+        note = Note("search", "missing physics", f"could not be looked for: {error}")
+        return dataclasses.replace(found, notes=(*found.notes, note)), None
+    together = searched.identification.together  # recordings are compared less what was found in all of them
+    found = dataclasses.replace(with_bias(found, searched), anomalies=searched.anomalies, together=together)
+    return found, searched
+
+
+def evaluate(
+    readings: Readings,
+    cell: Cell,
+    options: Options,
+    test: Readings | None = None,
+    given: GivenModel | None = None,
+) -> Identified | Refusal:
+    """Look at the input, identify, and look for missing physics; arguments as for `identification.identify`.
+
+    Raises:
+        InputError: The input cannot be used.
+    """
+    wrong = look(readings, test, cell)
+    if blocked(wrong):
+        return Refusal.of("identify", cell, readings, wrong, given)
+    readings = with_unit_note(readings, cell)
+    found = identify(readings, cell, options, test, given)
+    found, searched = _searched(found, readings, cell, options, given)
+    noted = as_anomalies(wrong)
+    found = dataclasses.replace(found, anomalies=(*found.anomalies, *noted))
+    if searched is not None:
+        searched = dataclasses.replace(searched, anomalies=(*searched.anomalies, *noted))
+    return Identified(cell, readings, found, searched)
+
+
+def _searched(
+    found: Identification, readings: Readings, cell: Cell, options: Options, given: GivenModel | None
+) -> tuple[Identification, Diagnosis | None]:
+    """Look for missing physics; the identification gets its bias, and its anomalies are those of the search.
+
+    Where the search cannot work on a recording of which the standard's model says something, a note tells why.
+    """
+    try:
+        searched = diagnose(readings, cell, Options(robust=options.robust, readmit=options.readmit), given=given)
+    except InputError as error:
+        note = Note("search", "missing physics", f"could not be looked for: {error}")
+        return dataclasses.replace(found, notes=(*found.notes, note)), None
+    return dataclasses.replace(with_bias(found, searched), anomalies=searched.anomalies), searched
+
+
+def _reading(text: str, cell: Cell, recordings: int) -> Key:
+    parts = text.split(":", 2)
+    try:
+        key = int(parts[0]), int(parts[1]), parts[2]
+    except (ValueError, IndexError):
+        raise InputError("--readmit", "", quoted(text), "CONFIGURATION:STEP:POINT, for example 3:1:mp1") from None
+    _, mark, number = key[2].rpartition("@")
+    if recordings > 1 and not (mark and number in map(str, range(1, recordings + 1))):
+        raise InputError("--readmit", "", quoted(text), "CONFIGURATION:STEP:POINT@NUMBER, for example 1003:1:mp1@2")
+    if recordings == 1 and key[2] not in cell.points:
+        raise InputError("--readmit", "", quoted(text), f"a point of the cell: {', '.join(cell.points)}")
+    return key

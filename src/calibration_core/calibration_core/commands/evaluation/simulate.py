@@ -1,0 +1,130 @@
+"""`calibration simulate`: a recording as the cell's model predicts it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration_core.cell import Cell, load_cell
+from calibration_core.commands.planning.plan import PLAN, plan_files
+from calibration_core.commands.shared.common import report_line, report_progress
+from calibration_core.errors import OutputError
+from calibration_core.model.identified.given import read_given
+from calibration_core.outcomes.inputs import digest_of, refuse_lengths
+from calibration_core.outcomes.simulation import BAG, TABLE, Simulated, for_streams, simulate
+from calibration_core.planning.plans.plan_file import read_plan
+from calibration_core.recording.bags.writer import write_bag
+from calibration_core.recording.tables.table import write_table
+from calibration_core.report.results.command import command_result, input_record
+from calibration_core.report.results.result import result_json
+from calibration_core.report.rounding import counted, spread
+from calibration_core.report.writing.output import RESULT, Content, write_files
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Simulate a plan, write bag, table and report, and return a summary.
+
+    Raises:
+        InputError: The input cannot be used, or the output cannot be written.
+        EquilibriumError: A load is beyond what the joints can carry.
+    """
+    report_progress(arguments, 0.0, "simulating the measurement")
+    cell = load_cell(arguments.cell)
+    refuse_lengths(cell)
+    given = None if arguments.model is None else read_given(arguments.model, cell)
+    plan = None if arguments.plan is None else read_plan(arguments.plan, cell)
+    inputs = {} if arguments.plan is None else {"plan": digest_of(arguments.plan)}
+    simulated = simulate(cell, plan, given, arguments.seed, inputs)
+    _require_own(arguments.out)
+    report_progress(arguments, 0.5, "drawing the report" if arguments.report else "writing the results")
+    write_files(arguments.out, files_of(simulated, cell, report=arguments.report))
+    where = f"recording: {arguments.out / BAG} and {arguments.out / TABLE}"
+    return f"{simulation_summary(simulated)}\n{where}\n{report_line(arguments)}"
+
+
+def files_of(simulated: Simulated, cell: Cell, *, report: bool) -> dict[str, Content]:
+    """Return all files of a simulation: name -> content."""
+    result = result_json(simulation_result(simulated, cell))
+    bag_cell = for_streams(cell)
+    files: dict[str, Content] = {
+        RESULT: result,
+        BAG: lambda path: write_bag(path, simulated.recording, bag_cell),
+        TABLE: lambda path: write_table(path, simulated.readings),
+        **(plan_files(simulated.plan, cell) if simulated.made else {}),
+    }
+    if not report:
+        return files
+    from calibration_core.report.documents.simulation import simulation_document
+    from calibration_core.report.view3d.space import space_view
+    from calibration_core.report.writing.rendering import rendered
+
+    return {**files, **rendered(simulation_document(simulated, cell, result), space_view(simulated.space, cell))}
+
+
+def _require_own(directory: Path) -> None:
+    """Refuse to replace a recording that is not known to be simulated.
+
+    Raises:
+        OutputError: A recording stands in the directory without a result of this command beside it.
+    """
+    there = [name for name in (BAG, TABLE) if (directory / name).exists()]
+    if not there:
+        return
+    try:
+        content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        content = None
+    if not isinstance(content, dict) or content.get("command") != "simulate":
+        expected = "a directory without recordings, or one that this command has written"
+        raise OutputError(directory, there[0], "a recording that was not simulated here", expected)
+
+
+def simulation_result(simulated: Simulated, cell: Cell) -> dict[str, Any]:
+    """Return the content of result.json."""
+    readings, plan = simulated.readings, simulated.plan
+    return command_result(
+        "simulate",
+        cell,
+        {
+            "file": BAG,
+            "configurations": len(plan.primary),
+            "steps": sum(len(configuration.steps) for configuration in plan.primary),
+            "points": list(readings.points),
+            "loaded": simulated.loaded,
+            "readings": len(readings),
+            "table": TABLE,
+        },
+        model={
+            "joints": list(simulated.parameters.joints),
+            "compliance": simulated.parameters.compliance,
+            "identified": "model" in simulated.inputs,
+            "effects": [
+                {"effect": effect.effect, "location": dict(effect.location), "variant": effect.variant}
+                for effect in simulated.parameters.effects
+            ],
+        },
+        noise_seed=simulated.seed,
+        plan=PLAN if simulated.made else None,
+        deflection={"largest": float(np.max(simulated.deflections)), "point": readings.points[0], "unit": "m"},
+        messages=dict(simulated.recording.provenance.messages),
+        input=input_record(cell, None, simulated.inputs),
+    )
+
+
+def simulation_summary(simulated: Simulated) -> str:
+    """Return what came out, in a few lines."""
+    steps = sum(len(configuration.steps) for configuration in simulated.plan.primary)
+    noise = "without noise" if simulated.seed is None else f"with instrument noise, seed {simulated.seed}"
+    model = "identified model" if "model" in simulated.inputs else "the cell file's model"
+    if simulated.parameters.effects:
+        model += f" with {counted(len(simulated.parameters.effects), 'effect')}"
+    largest = spread(1e3 * float(np.max(simulated.deflections)))
+    return (
+        f"{counted(len(simulated.plan.primary), 'configuration')}, {counted(steps, 'step')}, "
+        f"{counted(len(simulated.readings), 'reading')} simulated by {model}, {noise}\n"
+        f"largest deflection of {simulated.readings.points[0]}: {largest} mm"
+    )

@@ -1,0 +1,131 @@
+"""`calibration describe`: what a result says, in words."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from calibration_core.errors import InputError, quoted
+from calibration_core.files.regular import read_regular
+from calibration_core.report.results.result import SCHEMA
+from calibration_core.report.writing.output import RESULT
+
+MOST = 1 << 28  # bytes of a result.json
+VERDICTS = {
+    "consistent": "The model explains the recording to its noise.",
+    "missing_physics": "The model leaves out physics, which was found; what remains is noise.",
+    "partly_explained": "The model leaves out physics; a part of what remains is not explained.",
+    "unexplained": "A significant part of the recording is not explained, and no cause is defensible.",
+}
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Return the description of a result; nothing is written.
+
+    Raises:
+        InputError: There is no result.json, or it is none of this program's.
+    """
+    path = arguments.result / RESULT if arguments.result.is_dir() else arguments.result
+    return "\n".join(describe(read_result(path)))
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Read a result.json.
+
+    Raises:
+        InputError: It cannot be read or is no result.
+    """
+    expected = f"result.json of schema {SCHEMA}"
+    try:
+        content = json.loads(read_regular(path, MOST, "result.json"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, "", str(error).splitlines()[0], expected) from None
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA or not isinstance(content.get("command"), str):
+        raise InputError(
+            path, "schema", quoted(content.get("schema") if isinstance(content, dict) else content), expected
+        )
+    return content
+
+
+def describe(result: Mapping[str, Any]) -> list[str]:
+    """Return a result in words, a line each; what it does not have is passed over."""
+    lines = [f"{result['command']}: {result.get('robot', '')}".rstrip(": ")]
+    recording = result.get("recording")
+    if isinstance(recording, Mapping):
+        kind = "with loads" if recording.get("loaded") else "without loads"
+        points = recording.get("points")
+        names = ", ".join(map(str, points)) if isinstance(points, list) else "unknown"
+        lines.append(
+            f"Recording {recording.get('file')}: {recording.get('configurations')} configurations, "
+            f"{recording.get('steps')} steps, points {names}, {kind}."
+        )
+    lines += _recordings(result)
+    if "usable" in result:
+        lines += [f"Usable: {result['usable']}. {result.get('reason', '')}".rstrip()]
+        lines += [f"Next step: {result['next_step']}"] if result.get("next_step") else []
+    verdict = result.get("verdict")
+    if isinstance(verdict, str) and verdict in VERDICTS and result["command"] in {"identify", "diagnose"}:
+        lines.append(f"Verdict: {verdict}. {VERDICTS[verdict]}")
+    lines += [_joint(joint) for joint in _records(result, "stiffness")]
+    lines += _fit(result.get("fit"))
+    lines += [_named("Finding", one, "effect", "explanation") for one in _records(result, "findings")]
+    lines += [_named("Anomaly", one, "kind", "text") for one in _records(result, "anomalies")]
+    proposals = _records(result, "next_measurements")
+    if proposals:
+        why = proposals[0].get("why") or "see the report"
+        lines.append(f"Proposed next measurements: {len(proposals)}; the first: {why}")
+    return lines
+
+
+def _recordings(result: Mapping[str, Any]) -> list[str]:
+    """Return a line for each of several recordings, and one that says whether they agree."""
+    lines = [
+        f"Recording {one.get('number')}: {one.get('file')}: {one.get('configurations')} configurations, numbered from "
+        f"{one.get('numbered_from')}, {one.get('readings')} readings, measured in {one.get('cell')}."
+        for one in _records(result, "recordings")
+    ]
+    agreement = result.get("agreement")
+    if isinstance(agreement, Mapping):
+        places = dict.fromkeys(str(one.get("location")) for one in _records(agreement, "differences"))
+        lines.append(f"The recordings differ at {', '.join(places)}." if places else "The recordings agree.")
+    return lines
+
+
+def _named(title: str, of: Mapping[str, Any], name: str, text: str) -> str:
+    return f"{title}: {of.get(name)} at {_place(of)}. {of.get(text) or ''}".rstrip()
+
+
+def _records(of: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+    value = of.get(key)
+    return [one for one in value if isinstance(one, Mapping)] if isinstance(value, list) else []
+
+
+def _joint(joint: Mapping[str, Any]) -> str:
+    value, std, unit = joint.get("value"), joint.get("std"), str(joint.get("unit", "")).replace("*", "·")
+    if not isinstance(value, int | float) or not joint.get("identifiable", True):
+        return f"Stiffness of {joint.get('joint')}: not identifiable. {joint.get('reason') or ''}".rstrip()
+    spread = f" ± {1.96 * std:.3g} (95 %)" if isinstance(std, int | float) else ""
+    return f"Stiffness of {joint.get('joint')}: {value:.4g}{spread} {unit}"
+
+
+def _fit(fit: Any) -> list[str]:
+    if not isinstance(fit, Mapping):
+        return []
+    known = {key: value for key, value in fit.items() if isinstance(value, int | float)}
+    names = {
+        "rms_after": "residual",
+        "held_out_rms_after": "on configurations left out",
+        "noise": "noise",
+    }
+    shown = [f"{text} {1e6 * known[key]:.1f} µm" for key, text in names.items() if key in known]
+    return ["Fit per coordinate: " + ", ".join(shown) + "."] if shown else []
+
+
+def _place(of: Mapping[str, Any]) -> str:
+    location = of.get("location")
+    if not isinstance(location, Mapping) or not location:
+        return "the whole recording"
+    return ", ".join(f"{key} {value}" if value != key else str(key) for key, value in location.items())

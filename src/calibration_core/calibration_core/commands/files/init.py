@@ -1,0 +1,174 @@
+"""`calibration init`: a commented cell file for a robot that one has the URDF, a bag or the name of."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from calibration_core.cell import load_cell
+from calibration_core.cell.library import library_robot
+from calibration_core.cell.schema import cell_schema_text
+from calibration_core.cell.serial_chain import SerialChain, serial_chain
+from calibration_core.commands.files.cell_text import SCHEMA_NAME, URDF_NAME, Answers, cell_text, guessed
+from calibration_core.commands.files.init_arguments import numbers, point
+from calibration_core.errors import InputError, OutputError, RecordingError, shown_path
+from calibration_core.model.robot import chain_of
+from calibration_core.outcomes.inputs import digest_of
+from calibration_core.recording.bags.bag import read_contents
+from calibration_core.recording.bags.files import bag_files
+from calibration_core.report.results.provenance import software
+from calibration_core.report.results.result import SCHEMA
+from calibration_core.report.writing.output import RESULT, write_files
+
+CELL_NAME = "cell.yaml"
+TOPIC = "/robot_description"
+BAGS = (".mcap", ".db3")
+Value = TypeVar("Value")
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Find the robot, ask what is not stated where somebody is there to answer, write the cell file, and say what next.
+
+    Raises:
+        InputError: The robot is not to be found or cannot be used, the rated load is not known, or a cell file stands
+            there already.
+    """
+    target: Path = arguments.out / CELL_NAME
+    if target.exists():
+        raise OutputError(target, "", "a cell file of before", "another --out: what was edited is not overwritten")
+    with tempfile.TemporaryDirectory(prefix="calibration-init-") as folder:
+        urdf = Path(folder) / URDF_NAME
+        origin, answers = _robot(arguments, urdf)
+        chain = serial_chain(_named(urdf, origin), arguments.base_link, arguments.flange)
+        asked = _asked(arguments, answers or _stated(arguments, origin, chain))
+        text, joints = _tested(Path(folder), asked, chain)
+        files = {
+            CELL_NAME: text.encode(),
+            URDF_NAME: urdf.read_bytes(),
+            SCHEMA_NAME: cell_schema_text().encode(),
+        }
+        result = {
+            "schema": SCHEMA,
+            "command": "init",
+            "robot": asked.robot,
+            "cell": str(target),
+            "joints": list(joints),
+            "rated_load": asked.rated_load,
+            "guessed": list(guessed(asked)),
+            "sha256": [{"role": "urdf", "file": n, "sha256": d} for n, d in digest_of(urdf).items()],
+            "software": software(),
+        }
+    content = (json.dumps(result, indent=2, ensure_ascii=False) + "\n").encode()
+    write_files(arguments.out, {**files, RESULT: content})
+    lines = [f"Robot: {asked.robot}, {len(joints)} joints, {asked.rated_load:g} kg", f"Source: {asked.source}"]
+    if guessed(asked):
+        lines.append("Usual values, to be measured: " + ", ".join(guessed(asked)))
+    return "\n".join([*lines, f"cell file: {target}", f"next: calibration check {target}"])
+
+
+def _robot(arguments: argparse.Namespace, urdf: Path) -> tuple[str, Answers | None]:
+    """Write the robot's URDF to a place; return where it comes from, and what the library knows of it."""
+    robot = Path(arguments.robot)
+    if robot.suffix.lower() in {".urdf", ".xacro", ".xml"}:
+        try:
+            urdf.write_bytes(robot.read_bytes())
+        except OSError as error:
+            raise InputError(robot, "", error.strerror or str(error), "a URDF") from None
+        if robot.suffix.lower() == ".xacro":
+            serial_chain(robot)  # says what to do
+        return str(robot), None
+    if robot.is_dir() or robot.suffix.lower() in BAGS:
+        contents = read_contents(bag_files(robot), {}, text_topic=TOPIC)
+        if not contents.text:
+            found = f"no message on {TOPIC}"
+            raise RecordingError(robot, "", found, "a bag that holds the robot's URDF there; or give the URDF itself")
+        urdf.write_text(contents.text, encoding="utf-8")
+        return f"{TOPIC} of {shown_path(robot)}", None
+    known = library_robot(arguments.robot)
+    urdf.write_bytes(known.urdf.read_bytes())
+    name = f"{known.maker} {known.name}"
+    load = arguments.rated_load or known.rated_load
+    stated = _options(arguments)
+    return known.source, Answers(arguments.name or f"cell of the {known.name}", name, known.source, load, **stated)
+
+
+def _named(urdf: Path, origin: str) -> Path:
+    """Let errors about the URDF name the file that was given, where there is one."""
+    given = Path(origin)
+    return given if given.suffix.lower() in {".urdf", ".xml"} and given.exists() else urdf
+
+
+def _stated(arguments: argparse.Namespace, origin: str, chain: SerialChain) -> Answers:
+    load = arguments.rated_load
+    if load is None:
+        load = _question(arguments, "Rated load of the robot in kg", None, float)
+    if load is None:
+        raise InputError(origin, "rated load", "nothing (a URDF does not state it)", "--rated-load KG")
+    name = arguments.name or f"cell of {chain.name}"
+    return Answers(name, chain.name, origin, load, **_options(arguments))
+
+
+def _options(arguments: argparse.Namespace) -> dict[str, Any]:
+    return {
+        "tracker": arguments.tracker,
+        "sensor": arguments.sensor,
+        "wrench_point": arguments.wrench_point,
+        "points": dict(arguments.point) if arguments.point else None,
+        "tracker_sigma": arguments.tracker_sigma,
+        "force_sigma": arguments.force_sigma,
+        "torque_sigma": arguments.torque_sigma,
+    }
+
+
+def _asked(arguments: argparse.Namespace, answers: Answers) -> Answers:
+    """Ask for what is not known, where somebody is there to answer; an empty line leaves the usual value."""
+    questions = {
+        "tracker": "Tracker in the base frame: x y z in m, roll pitch yaw in rad",
+        "sensor": "Force/torque sensor in the flange frame: x y z in m, roll pitch yaw in rad",
+        "wrench_point": "Point where the load pulls, in the flange frame: x y z in m",
+    }
+    values = {name: getattr(answers, name) for name in Answers.__dataclass_fields__}
+    for name, question in questions.items():
+        if values[name] is None:
+            values[name] = _question(arguments, question, None, lambda text: numbers(text.split()))
+    if values["points"] is None:
+        asked = _question(arguments, "Targets in the flange frame: NAME=x,y,z NAME=x,y,z ... in m", None, _points)
+        values["points"] = asked
+    return Answers(**values)
+
+
+def _question(
+    arguments: argparse.Namespace, text: str, default: Value | None, convert: Callable[[str], Value]
+) -> Value | None:
+    if arguments.no_questions or not (sys.stdin and sys.stdin.isatty() and sys.stderr and sys.stderr.isatty()):
+        return default
+    while True:
+        print(f"{text} (empty: {'not known' if default is None else default}): ", end="", file=sys.stderr, flush=True)
+        answer = sys.stdin.readline().strip()
+        if not answer:
+            return default
+        try:
+            return convert(answer)
+        except (ValueError, argparse.ArgumentTypeError) as error:
+            print(f"  {error}", file=sys.stderr)
+
+
+def _points(text: str) -> dict[str, tuple[float, ...]]:
+    return dict(point(word) for word in text.split())
+
+
+def _tested(folder: Path, answers: Answers, chain: SerialChain) -> tuple[str, tuple[str, ...]]:
+    """Return the text of a cell file that can be read, with the joints' names."""
+    path = folder / CELL_NAME
+    path.write_text(cell_text(answers, chain, 1.0), encoding="utf-8")
+    reach = chain_of(load_cell(path)).reach
+    text = cell_text(answers, chain, reach)
+    path.write_text(text, encoding="utf-8")
+    cell = load_cell(path)
+    chain_of(cell)
+    return text, cell.robot.joints

@@ -1,0 +1,1 @@
+"""`calibration fleet`: every recording of a plant, and what they say together."""

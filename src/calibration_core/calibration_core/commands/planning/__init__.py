@@ -1,0 +1,1 @@
+"""`calibration plan`: what is to be measured, with which loads, and what may be expected of it."""

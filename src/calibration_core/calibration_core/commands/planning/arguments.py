@@ -1,0 +1,115 @@
+"""The arguments of `calibration plan`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from calibration_core.commands.shared.population_arguments import population_arguments
+
+
+def seed(text: str) -> int:
+    """Return the seed of a search or of noise.
+
+    Raises:
+        ValueError: It is no integer.
+        argparse.ArgumentTypeError: It is negative.
+    """
+    number = int(text)
+    if number < 0:
+        msg = f"{number} is negative"
+        raise argparse.ArgumentTypeError(msg)
+    return number
+
+
+def plan_arguments(parser: argparse.ArgumentParser) -> None:
+    """State the arguments of `plan`."""
+    parser.add_argument(
+        "--configurations",
+        type=int,
+        default=18,
+        metavar="N",
+        help="configurations to measure (default 18, at least 12)",
+    )
+    parser.add_argument(
+        "--spares",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help="spare configurations as a share of those to measure (default 0.5, as the standard asks for)",
+    )
+    parser.add_argument("--seed", type=seed, default=0, help="seed of the search (default 0)")
+    parser.add_argument(
+        "--criterion",
+        choices=("D", "A", "worst", "condition", "observability", "trace"),
+        default="D",
+        help="what makes a choice good: determinant, mean or worst variance, or one of CWA 17384, 5.4 (default D)",
+    )
+    parser.add_argument(
+        "--for",
+        dest="purpose",
+        choices=("stiffness", "geometry", "verify"),
+        default="stiffness",
+        help="what is to be found: joint stiffnesses (default); frames and geometry, without loads; or, with 5 to 8 "
+        "poses, whether the calibration of --model still holds",
+    )
+    parser.add_argument("--tolerance", type=float, metavar="M", help="--for verify: error that may not be exceeded, m")
+    parser.add_argument(
+        "--risk", type=float, default=0.05, help="--for verify: probability of either wrong answer (default 0.05)"
+    )
+    parser.add_argument(
+        "--phases",
+        action="store_true",
+        help="plan also what finds base frame, geometry, wrist centre and points before (CWA 17384, 7.1 to 7.5)",
+    )
+    parser.add_argument(
+        "--load-levels",
+        type=float,
+        nargs="+",
+        metavar="SHARE",
+        help="load steps as shares of the full pull, the first 0 (default 0 0.25 0.5 0.75 1 0.75 0.5 0.25 0)",
+    )
+    parser.add_argument(
+        "--protocol",
+        metavar="NAME",
+        help="load steps by name: loading, unloading, small-steps, reversed or references (see the report of a plan)",
+    )
+    parser.add_argument(
+        "--load-share",
+        type=float,
+        default=1.0,
+        metavar="SHARE",
+        help="full pull as a share of the rated load (default 1)",
+    )
+    parser.add_argument("--largest-force", type=float, metavar="N", help="range of the force/torque sensor, force")
+    parser.add_argument("--largest-torque", type=float, metavar="NM", help="range of the force/torque sensor, torque")
+    parser.add_argument(
+        "--box",
+        type=float,
+        nargs=6,
+        metavar=("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
+        help="operating space of the measurement points in the base frame, m (default: all that can be reached)",
+    )
+    parser.add_argument(
+        "--cube",
+        type=float,
+        nargs="?",
+        const=0.0,
+        metavar="SIDE",
+        help="the operating space is a cube of ISO 9283, of this side in m (without SIDE: the largest that fits)",
+    )
+    parser.add_argument(
+        "--task",
+        type=Path,
+        metavar="FILE.csv",
+        help="the operating space is that of a task: columns x, y, z (m), or q1 ... (rad), or theta_1 ... (degrees)",
+    )
+    population_arguments(parser)
+    parser.add_argument(
+        "--accuracy",
+        type=float,
+        default=0.01,
+        metavar="SHARE",
+        help="--population: wanted standard deviation of every stiffness, of its value (default 0.01)",
+    )
+    parser.add_argument("--model", type=Path, metavar="MODEL.yaml", help="an identified model instead of the cell's")

@@ -1,0 +1,1 @@
+"""What several commands share: files of a result, the look at the input, arguments."""

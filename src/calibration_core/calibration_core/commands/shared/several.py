@@ -1,0 +1,76 @@
+"""Several recordings of one robot as the input of a command."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from calibration_core.cell import Cell
+from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.identification.result.estimate import Anomaly
+from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.model.identified.given import GivenModel
+from calibration_core.observations.observe import observe
+from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_unit_note
+from calibration_core.outcomes.together.members import cells_of, members_of
+from calibration_core.timeseries import Readings
+
+if TYPE_CHECKING:
+    from calibration_core.outcomes.together.prepare import Prepared
+
+
+def read_recordings(arguments: argparse.Namespace) -> tuple[tuple[Cell, ...], tuple[Readings, ...]]:
+    """Return the cells, one for each recording, and the recordings that a command names.
+
+    Raises:
+        InputError: One cannot be read, or there are neither one nor as many cell files as recordings.
+    """
+    paths = arguments.recordings
+    cells = cells_of(arguments.cells, len(paths), arguments.command)
+    return cells, tuple(observe(path, cell) for path, cell in zip(paths, cells, strict=True))
+
+
+def look_at_all(
+    command: str,
+    recordings: Sequence[Readings],
+    cells: Sequence[Cell],
+    test: Readings | None,
+    given: GivenModel | None,
+) -> Refusal | tuple[Anomaly, ...]:
+    """Return the refusal of the first recording that cannot be used, or else what is wrong with any of them.
+
+    Args:
+        command: The one that asks.
+        recordings: Two or more.
+        cells: One for each.
+        test: What the first is tested on.
+        given: A model to start from.
+    """
+    noted: tuple[Anomaly, ...] = ()
+    for k, (readings, cell) in enumerate(zip(recordings, cells, strict=True)):
+        wrong = look(readings, test if k == 0 else None, cell)
+        if blocked(wrong):
+            return Refusal.of(command, cell, readings, wrong, given)
+        noted += as_anomalies(wrong)
+    return noted
+
+
+def prepared_from(
+    recordings: Sequence[Readings],
+    cells: Sequence[Cell],
+    options: Options,
+    test: Readings | None,
+    given: GivenModel | None,
+) -> Prepared:
+    """Evaluate every recording by itself and put all together, the first named one first; arguments as for `prepare`.
+
+    Raises:
+        InputError: The robots differ, or a recording cannot be evaluated by itself.
+    """
+    from calibration_core.outcomes.together.prepare import prepare  # slow to load, and not needed for one recording
+
+    noted = [with_unit_note(readings, cell) for readings, cell in zip(recordings, cells, strict=True)]
+    members = members_of(noted, cells)
+    place = {id(member.readings): k for k, member in enumerate(members)}
+    return prepare(members, [place[id(readings)] for readings in noted], options, test, given)

@@ -1,0 +1,66 @@
+"""Table 2 with the bias of what the standard's model leaves out.
+
+A joint stiffness of the standard's model takes up part of whatever physics is missing beside the joints.  The extended
+model says by how much: the compliance c of the standard is off by b = c - c_e, with the uncertainty u of c_e.  The
+standard's value stays as it is, and its 95 % interval becomes c +- (|b| + 1.96 u).
+Source: GUM (JCGM 100:2008), F.2.4.5: a known bias that is not corrected is added to the expanded uncertainty.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.identification.result.estimate import Identification, JointStiffness
+from calibration_core.identification.result.stiffness_interval import TWO_SIDED, joint_stiffness
+
+
+def with_bias(found: Identification, searched: Diagnosis) -> Identification:
+    """Return the identification with intervals that include the bias, and the extended model's stiffness beside.
+
+    Nothing changes where the search knows no covariance of the compliances, at joints that the recording does not
+    determine or that are declared rigid, and for positions at rest of which nothing is left out: there the search
+    refits every stated stiffness, and not only those that the recording tells.
+
+    Args:
+        found: What the standard's model says of a recording.
+        searched: What the search for missing physics says of the same one.
+    """
+    covariance = searched.compliance_covariance
+    holds = found.kind == "absolute" and searched.verdict == "consistent"
+    if covariance is None or len(found.stiffness) != len(covariance) or holds:
+        return found
+    variances = np.clip(np.diag(covariance), 0.0, None)
+    left_out = bool(searched.findings)
+    rows = (
+        _widened(joint, float(value), float(np.sqrt(variance)), beside=left_out)
+        for joint, value, variance in zip(found.stiffness, searched.compliance, variances, strict=True)
+    )
+    return dataclasses.replace(found, stiffness=tuple(rows))
+
+
+def _widened(joint: JointStiffness, compliance: float, std: float, *, beside: bool) -> JointStiffness:
+    if not (math.isfinite(joint.compliance_std) and math.isfinite(std) and std > 0 and joint.compliance_std > 0):
+        return joint
+    own = joint_stiffness(
+        joint.joint, compliance, std, identifiable=joint.identifiable, reason=joint.reason, unit=joint.unit
+    )
+    half = abs(joint.compliance - compliance) + TWO_SIDED * max(std, joint.compliance_std)
+    wide = joint_stiffness(
+        joint.joint,
+        joint.compliance,
+        half / TWO_SIDED,
+        identifiable=joint.identifiable,
+        reason=joint.reason,
+        unit=joint.unit,
+    )
+    if not beside:
+        return wide
+    return dataclasses.replace(wide, interval=_union(wide.interval, own.interval), extended=own)
+
+
+def _union(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    return min(one[0], other[0]), max(one[1], other[1])

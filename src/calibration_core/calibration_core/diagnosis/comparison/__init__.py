@@ -1,0 +1,1 @@
+"""A recording beside a simulation of the same measurement."""

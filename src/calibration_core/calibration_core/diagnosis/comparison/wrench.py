@@ -1,0 +1,139 @@
+"""How the wrenches of two recordings of one measurement are related: sign, unit, axes, reference point."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from calibration_core.diagnosis.comparison.result import Difference, Side
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+
+SAME = 0.08  # of the recorded force: below, two wrenches are the same
+CLOSE = 0.01  # the same: of two ways this close the simpler one is taken
+TORQUE = 0.2  # the same for the torque
+UNITS = {1.0: "", 1e3: "a factor of 1000 (kN for N)", 9.80665: "a factor of 9.81 (kilograms for N)"}
+SMALL = 1e-6  # N: no load
+REMOTE = 0.02  # m: a reference point that is farther away is another one
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Way:
+    """One way from the simulated to the recorded wrench: recorded = factor * axes @ simulated."""
+
+    factor: float
+    axes: Float3D
+    name: str
+    changes: int
+
+
+def wrench_differences(recorded: Float2D, simulated: Float2D, axes: Float3D, side: Side) -> tuple[Difference, ...]:
+    """Say in which way the wrenches are not the same.
+
+    Args:
+        recorded: (m, 6) N and N*m, as recorded.
+        simulated: (m, 6), of the corresponding readings.
+        axes: (m, 3, 3) columns are the sensor's axes in the base frame.
+        side: Which of the two bends as the cell file's model does not.
+    """
+    force, other = recorded[:, :3], simulated[:, :3]
+    size, model = (float(np.sqrt(np.mean(f**2))) for f in (force, other))
+    if size < SMALL or model < SMALL:
+        if size < SMALL and model < SMALL:
+            return ()
+        which: Side = "recording" if size < SMALL else "simulation"
+        text = f"The {which} holds no load, the other does."
+        return (Difference("loads", {"sensor": "force_torque"}, which, max(size, model), "N", text, True),)
+    ways = sorted(_ways(axes), key=lambda way: way.changes)
+    misfits = [float(np.sqrt(np.mean((force - _forward(way, other)) ** 2))) / size for way in ways]
+    most = min(SAME, 2 * min(misfits) + CLOSE)
+    best = next((k for k in range(len(ways)) if misfits[k] <= most), None)
+    if best is None:
+        text = (
+            f"The loads differ: recorded forces of {size:.0f} N rms, simulated ones of {model:.0f} N, and no sign, "
+            f"unit or axes make them equal (best {100 * min(misfits):.0f} % off)."
+        )
+        return (Difference("loads", {"sensor": "force_torque"}, "either", min(misfits), "1", text, True),)
+    return (*_named(ways[best], side), *_reference(recorded, simulated, ways[best], side))
+
+
+def _ways(axes: Float3D) -> Iterator[_Way]:
+    m = len(axes)
+    same = np.broadcast_to(np.eye(3), (m, 3, 3))
+    turns = [("", same, 0), ("in base axes", axes.transpose(0, 2, 1), 1), ("in sensor axes", axes, 1)]
+    for factor in UNITS:
+        for power in (1, -1) if factor != 1.0 else (1,):
+            for sign in (1, -1):
+                for name, turn, changes in turns:
+                    count = changes + (sign < 0) + (factor != 1.0)
+                    yield _Way(sign * factor**power, turn, name, count)
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if order != (0, 1, 2) or len(set(signs)) > 1:
+                listed = ", ".join(f"{'-' if s < 0 else ''}{'xyz'[k]}" for k, s in zip(order, signs, strict=True))
+                yield _Way(1.0, np.broadcast_to(matrix, (m, 3, 3)), f"x, y, z of the recording are {listed}", 3)
+
+
+def _forward(way: _Way, vectors: Float2D) -> Float2D:
+    return np.asarray(way.factor * np.einsum("mij,mj->mi", way.axes, vectors))
+
+
+def _named(way: _Way, side: Side) -> Iterator[Difference]:
+    where = {"sensor": "force_torque"}
+    if way.factor < 0:
+        text = "The wrench has the opposite sign: one side records what the robot applies to the environment."
+        yield Difference("wrench_sign", where, side, 1.0, "1", text, True)
+    size = abs(way.factor)
+    if size != 1.0:
+        words = next(text for factor, text in UNITS.items() if max(size, 1 / size) == factor)
+        text = f"The forces differ by {words}; the {'simulation' if size > 1 else 'recording'} has the smaller numbers."
+        yield Difference("wrench_unit", where, side, size, "1", text, True)
+    if way.name:
+        text = (
+            f"The wrench is recorded in other axes: the simulation's are {way.name[3:]}, the recording's are not."
+            if way.name.startswith("in ")
+            else f"The wrench is recorded in other axes: {way.name} of the simulation."
+        )
+        yield Difference("wrench_axes", where, side, 1.0, "1", text, True)
+
+
+def _reference(recorded: Float2D, simulated: Float2D, way: _Way, side: Side) -> Iterator[Difference]:
+    """Yield what makes the torques differ once the forces agree: the point to which they are reduced, or the unit."""
+    force, torque = recorded[:, :3], recorded[:, 3:]
+    rest = torque - _forward(way, simulated[:, 3:])
+    size = float(np.sqrt(np.mean(force**2)))
+    scale = max(float(np.sqrt(np.mean(torque**2))), REMOTE * size)
+    if float(np.sqrt(np.mean(rest**2))) < TORQUE * scale:
+        return
+    where = {"sensor": "force_torque"}
+    for factor in (1e3, 1e-3):
+        if float(np.sqrt(np.mean((torque - factor * _forward(way, simulated[:, 3:])) ** 2))) < TORQUE * scale:
+            text = "The torques differ by a factor of 1000 (N·mm for N·m), the forces do not."
+            yield Difference("wrench_unit", where, side, factor, "1", text, True)
+            return
+    arm = _arm(force, rest)
+    left = float(np.sqrt(np.mean((rest - np.cross(arm, force)) ** 2)))
+    if left < TORQUE * scale and np.linalg.norm(arm) > REMOTE:
+        vector = ", ".join(f"{1e3 * x:.0f}" for x in arm)
+        text = (
+            f"The wrench is reduced to another point, {1e3 * np.linalg.norm(arm):.0f} mm away ({vector} mm in the axes "
+            "of the wrench)."
+        )
+        yield Difference("wrench_reference", where, side, float(np.linalg.norm(arm)), "m", text, True)
+        return
+    text = "The forces agree, the torques do not, and neither unit nor reference point explains it."
+    yield Difference("loads", where, side, left, "N*m", text, True)
+
+
+def _arm(force: Float2D, torque: Float2D) -> Float1D:
+    """Return the (3,) m with torque = arm x force, by least squares."""
+    x, y, z = force.T
+    zero = np.zeros_like(x)
+    rows = np.stack([
+        np.stack([zero, z, -y], axis=-1), np.stack([-z, zero, x], axis=-1), np.stack([y, -x, zero], axis=-1)
+    ], axis=1)  # fmt: skip
+    return np.asarray(np.linalg.lstsq(rows.reshape(-1, 3), torque.reshape(-1), rcond=1e-9)[0])

@@ -1,0 +1,1 @@
+"""What is wrong with the data and no physics: noise, moved targets, outliers, what remains."""

@@ -1,0 +1,202 @@
+"""What is wrong with the data, before any physics: no model of the robot's elasticity is needed for it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from calibration_core.diagnosis.data_checks.change_points import Step, target_step, tracker_step
+from calibration_core.diagnosis.data_checks.noise import Scatter, left_over
+from calibration_core.diagnosis.data_checks.tool_shape import Shape, own_variances, shape_of
+from calibration_core.identification.result.estimate import Anomaly
+from calibration_core.identification.statistics.distributions import f_tail
+from calibration_core.identification.stiffness.loaded import PreparedLoaded
+from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Bool1D, Readings
+
+LOOSE = 4.0  # times the variance of the other points
+SWINGING = 4.0  # times the variance that the other configurations have
+CERTAIN = 1e-6
+UNDERSTATED = 1.1  # times the claim
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Checked:
+    """What was found, and what physics may be searched in.
+
+    Attributes:
+        anomalies: What was found.
+        sound: (m,) readings that physics may use.
+    """
+
+    anomalies: tuple[Anomaly, ...]
+    sound: Bool1D
+
+
+def check_each(prepared: PreparedLoaded, state_of: Callable[[LoadedProblem], State]) -> Checked:
+    """Look at every recording by itself: each has points, a tracker and a quiet of its own.
+
+    Args:
+        prepared: The null model's fit, of one recording or of several.
+        state_of: Returns the null model's state of the readings of a problem.
+    """
+    readings = prepared.problem.readings
+    found: list[Anomaly] = []
+    sound = np.ones(len(readings), dtype=bool)
+    for rows in readings.each():
+        part = prepared.select(rows)
+        checked = check_loaded(part, state_of(part.problem))
+        found += checked.anomalies
+        sound[rows] = checked.sound
+    return Checked(tuple(found), sound)
+
+
+def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
+    """Look for targets and a tracker that moved, loose targets and restless configurations.
+
+    Args:
+        prepared: The null model's fit.
+        state: Its state, all readings.
+    """
+    readings = prepared.problem.readings
+    sound = np.ones(len(readings), dtype=bool)
+    if prepared.frames is None:
+        return Checked((), sound)
+    residual = prepared.problem.linearise(prepared.fit.compliance).residual
+    axes = np.moveaxis(state.at.flange, -1, 0)
+    found: list[Anomaly] = []
+    shape = shape_of(residual, readings, axes)
+    point = None
+    if shape.points >= 2:
+        step = target_step(shape)
+        if step is not None:
+            found.append(_target_moved(step, shape, readings))
+            point = int(shape.which[step.point])
+            moved = np.isin(readings.configuration, _minority(step, shape))
+            sound &= ~(moved & (readings.point == point))
+    others = np.ones(len(readings), dtype=bool) if point is None else readings.point != point
+    bumped = tracker_step(residual[others], state.point.T[others], axes[others], readings.select(others))
+    if bumped is not None:
+        found.append(_tracker_moved(bumped, shape))
+    loose = _loose_target(prepared, state, shape) if shape.points >= 3 else None
+    if loose is not None:
+        found.append(loose[0])
+        sound &= readings.point != loose[1]
+    restless = _unsettled(prepared, state, loose)
+    if restless is not None:
+        found.append(restless[0])
+        sound &= ~np.isin(readings.configuration, restless[1])
+    return Checked(tuple(found), sound)
+
+
+def noise_understated(seen: Scatter, claimed: float) -> tuple[Anomaly, ...]:
+    """Say whether readings scatter more than the instrument claims (standard deviation `claimed`, m)."""
+    certain = seen.freedom > 0 and f_tail(seen.total**2, seen.freedom, 10**6) < CERTAIN
+    if not certain or seen.total < UNDERSTATED:
+        return ()
+    text = (
+        f"claimed {1e6 * claimed:.1f} µm per coordinate, seen {1e6 * claimed * seen.total:.1f} µm from step to step: "
+        "the noise is larger than claimed, and what is seen is used."
+    )
+    return (Anomaly("noise_understated", {"tracker": "tracker"}, None, claimed * seen.total, "m", text),)
+
+
+def outlier_readings(excluded: Bool1D, size: float, readings: Readings) -> tuple[Anomaly, ...]:
+    """Name the gross errors that the extended model sets aside; `size` is the largest, m."""
+    count = int(excluded.sum())
+    if count == 0:
+        return ()
+    keys = [
+        f"{readings.configuration[i]}/{readings.step[i]}/{readings.points[readings.point[i]]}"
+        for i in np.flatnonzero(excluded)[:12]
+    ]
+    numbers = readings.configuration[excluded]
+    more = f" and {count - 12} more" if count > 12 else ""
+    text = (
+        f"{count} readings do not fit the others of their configuration (configuration/step/point {', '.join(keys)}"
+        f"{more}), by up to {1e3 * size:.2f} mm; they are not used."
+    )
+    where = {"tracker": "tracker"}
+    return (Anomaly("outlier_readings", where, (int(numbers.min()), int(numbers.max())), size, "m", text),)
+
+
+def _target_moved(step: Step, shape: Shape, readings: Readings) -> Anomaly:
+    name = readings.points[shape.which[step.point]]
+    first, last = int(shape.numbers[step.first]), int(shape.numbers[-1])
+    vector = ", ".join(f"{1e3 * x:+.2f}" for x in step.shift)
+    text = (
+        f"from configuration {first} on, {name} stands {1e3 * step.size:.2f} mm from where it stood before against the "
+        f"other points ({vector} mm, flange axes)."
+    )
+    return Anomaly("target_moved", {"point": name}, (first, last), step.size, "m", text)
+
+
+def _tracker_moved(step: Step, shape: Shape) -> Anomaly:
+    first, last = int(shape.numbers[step.first]), int(shape.numbers[-1])
+    text = (
+        f"from configuration {first} on, all points stand {1e3 * step.size:.2f} mm from where they stood before: the "
+        "tracker, or the robot's base, was moved. Offsets are free, so the load steps stay usable."
+    )
+    return Anomaly("tracker_moved", {"tracker": "tracker"}, (first, last), step.size, "m", text)
+
+
+def _minority(step: Step, shape: Shape) -> np.ndarray:
+    before, after = shape.numbers[: step.first], shape.numbers[step.first :]
+    return np.asarray(before if len(before) < len(after) else after)
+
+
+def _loose_target(prepared: PreparedLoaded, state: State, shape: Shape) -> tuple[Anomaly, int] | None:
+    """See whether one point scatters against the others from step to step."""
+    groups = left_over(prepared.problem, state, prepared.rejection.used)
+    contrasts = [g.rest - (g.rest.sum(axis=1, keepdims=True) - g.rest) / (shape.points - 1) for g in groups]
+    if not contrasts:
+        return None
+    usual = np.median([(c**2).mean(axis=(0, 2)) for c in contrasts], axis=0)  # single wild readings do not count
+    variances = own_variances(usual)
+    freedom = 3 * sum(len(c) for c in contrasts)
+    worst = int(np.argmax(variances))
+    others = float(np.median(np.delete(np.clip(variances, 0.0, None), worst)))
+    floor = float(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3) * 0.25
+    ratio = float(variances[worst]) / max(others, floor)
+    if ratio < LOOSE or f_tail(ratio / 2, freedom, freedom) > CERTAIN:
+        return None
+    size = float(np.sqrt(variances[worst]))
+    kinds = np.unique(prepared.problem.readings.point)
+    point = int(kinds[worst])
+    name = prepared.problem.readings.points[point]
+    text = (
+        f"{name} scatters by {1e6 * size:.0f} µm per coordinate against the other points from step to step, they by "
+        f"{1e6 * np.sqrt(max(others, floor)):.0f} µm: it sits loose. Its readings are not used for physics."
+    )
+    return Anomaly("loose_target", {"point": name}, None, size, "m", text), point
+
+
+def _unsettled(
+    prepared: PreparedLoaded, state: State, loose: tuple[Anomaly, int] | None
+) -> tuple[Anomaly, np.ndarray] | None:
+    """See configurations in which all points move together from step to step, beyond what the others show."""
+    steady = np.ones(state.m, dtype=bool) if loose is None else prepared.problem.readings.point != loose[1]
+    groups = left_over(prepared.problem, state, prepared.rejection.used & steady)
+    if len(groups) < 4:
+        return None
+    common = [np.median(g.rest, axis=1) for g in groups]  # one wild reading of three points does not count
+    power = np.array([float((rest**2).mean()) for rest in common])
+    freedom = np.array([3 * len(g.rest) for g in groups])
+    quiet = float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)]))
+    ratio = power / quiet
+    chance = np.array([f_tail(r, f, float(freedom.sum()) / 2) for r, f in zip(ratio, freedom, strict=True)])
+    restless = (ratio > SWINGING) & (chance * len(groups) < CERTAIN)
+    if not restless.any():
+        return None
+    numbers = np.array([g.number for g in groups])[restless]
+    size = float(np.sqrt(power[restless].mean()))
+    text = (
+        f"in configurations {', '.join(map(str, numbers))} all points move together from step to step by "
+        f"{1e6 * size:.0f} µm per coordinate, not with the load: the arm, or what carries it, had not come to rest. "
+        "These configurations are not used for physics."
+    )
+    span = (int(numbers.min()), int(numbers.max()))
+    return Anomaly("unsettled", {"robot": "robot"}, span, size, "m", text), numbers

@@ -1,0 +1,269 @@
+"""How noisy the readings are, seen where no smooth physics can hide it.
+
+Within one configuration every effect of the robot follows the load; what jumps from step to step does not.  Residuals
+are therefore freed of an offset, of the level of the load (to third order) and of the branch of loading; what is left
+is noise, with or without a right model.  It has two parts: one of every reading's own, in range and across the line of
+sight, and one that all points of a step share (air, vibration, the tracker's own motion), to which the shape of the
+points is blind and which may outlast a step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.identification.statistics.offsets import Rows
+from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.model.effects.state import State
+from calibration_core.observations.covariance import sight_axes
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
+
+SHARE = 0.8  # of the steps of a configuration that smooth functions may take up
+TRUSTED = 30  # degrees of freedom from which on the scatter sets the noise
+CONVINCING = 3.0  # nats by which a shared part must be more likely than none
+LEAST, MOST = 0.2, 20.0  # bounds of the factor on the claim
+SHARED = (0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.5, 4.0, 8.0)  # shared over own variance
+MEMORY = (0.0, 0.3, 0.6, 0.8)  # of the shared part from one step to the next
+
+
+@dataclasses.dataclass(frozen=True)
+class Scatter:
+    """Noise in units of the claimed standard deviations.
+
+    Attributes:
+        own: Of every reading: in range and twice across the line of sight (three times the same without a tracker).
+        shared: Common to the points of a step, over `own`.
+        memory: Correlation of the shared part from one step to the next.
+        freedom: Degrees of freedom on which this rests; 0 where steps are too few to tell.
+    """
+
+    own: tuple[float, float, float]
+    shared: float
+    memory: float
+    freedom: int
+
+    @property
+    def total(self) -> float:
+        """Standard deviation of one coordinate of one reading over the claimed one (root mean square)."""
+        return float(np.sqrt(np.mean(np.square(self.own)) * (1 + self.shared**2)))
+
+    def scaled(self, factor: float) -> Scatter:
+        """Return the same with another size."""
+        first, second, third = (float(np.clip(factor * value, LEAST, MOST)) for value in self.own)
+        return dataclasses.replace(self, own=(first, second, third))
+
+
+def claimed(factor: float = 1.0) -> Scatter:
+    """Return the claim times a factor, where nothing can be seen."""
+    return Scatter((factor, factor, factor), 0.0, 0.0, 0)
+
+
+def directions(readings: Readings, tracker: Float2D | None) -> Float3D:
+    """Return (m, 3, 3) rows: line of sight and two across it, base axes; the base axes without a tracker."""
+    if tracker is None:
+        return np.tile(np.eye(3), (len(readings), 1, 1))
+    seen_from = 0.0 if readings.viewpoint is None else readings.viewpoint
+    return np.asarray(sight_axes(readings.position - seen_from) @ tracker[:3, :3].T)
+
+
+def scatter(rows: Rows, residual: Float2D, readings: Readings, axes: Float3D) -> Scatter:
+    """See the noise in residuals of any model that is right up to smooth functions of the load.
+
+    Args:
+        rows: Grouping and claimed noise of the m readings.
+        residual: (m, 3) m.
+        readings: The same readings.
+        axes: (m, 3, 3) directions in which the tracker errs independently.
+    """
+    sigma = np.sqrt(np.einsum("mia,mab,mib->mi", axes, rows.noise, axes))
+    seen = np.einsum("mia,ma->mi", axes, residual) / sigma
+    known = np.einsum("mia,mak->mik", axes, rows.shared) / sigma[:, :, None]
+    groups = [g for n in np.unique(rows.configuration) if (g := _group(seen, known, rows, readings, n)) is not None]
+    freedom = sum(3 * group.points * group.left for group in groups)
+    if freedom < TRUSTED:
+        return claimed()
+    if all(group.points == 1 for group in groups):
+        alone = claimed(float(np.sqrt(np.clip(_alone(groups), LEAST**2, MOST**2))))
+        return dataclasses.replace(alone, freedom=freedom)
+    within = np.sum([group.within for group in groups], axis=0) / sum((g.points - 1) * g.left for g in groups)
+    if np.allclose(axes, np.eye(3)):
+        within = np.full(3, within.mean())
+    within = np.array([within[0], *[within[1:].mean()] * 2])
+    own = np.sqrt(np.clip(within, LEAST**2, MOST**2))
+    shared, memory = _shared(groups, own)
+    first, second, third = (float(value) for value in own)
+    return Scatter((first, second, third), shared, memory, freedom)
+
+
+def with_noise(rows: Rows, readings: Readings, seen: Scatter, axes: Float3D) -> Rows:
+    """Return the rows with the noise that was seen; readings of a configuration share what they have in common."""
+    sigma = np.sqrt(np.einsum("mia,mab,mib->mi", axes, rows.noise, axes)) * np.array(seen.own)
+    noise = np.einsum("mi,mia,mib->mab", sigma**2, axes, axes)
+    if seen.shared == 0:
+        return dataclasses.replace(rows, noise=noise)
+    step = _ranks(readings)
+    steps = int(step.max()) + 1
+    m, width = len(readings), rows.shared.shape[2]
+    load = _ranks_of(rows.load, rows.configuration)
+    own_load = np.zeros((m, 3, int(load.max()) + 1, width))
+    own_load[np.arange(m), :, load] = rows.shared
+    root = np.linalg.cholesky(seen.memory ** np.abs(np.subtract.outer(np.arange(steps), np.arange(steps))))
+    size = np.sqrt(np.einsum("mii->m", noise) / 3) * seen.shared
+    common = np.einsum("m,mk,ab->makb", size, root[step], np.eye(3))
+    shared = np.concatenate([own_load.reshape(m, 3, -1), common.reshape(m, 3, -1)], axis=2)
+    return dataclasses.replace(rows, noise=noise, load=rows.configuration, shared=shared)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Group:
+    """One configuration without smooth functions of its load.
+
+    Attributes:
+        mean: (l, 3) means over the points.
+        basis: (s, l) directions that are left of the steps.
+        within: (3,) sum of squares about those means.
+        known: (3,) variance that the wrench's noise gives every point.
+        points: Number of points.
+    """
+
+    mean: Float2D
+    basis: Float2D
+    within: Float1D
+    known: Float1D
+    points: int
+
+    @property
+    def left(self) -> int:
+        """Number of directions left."""
+        return self.basis.shape[1]
+
+
+def _group(seen: Float2D, known: Float3D, rows: Rows, readings: Readings, number: int) -> _Group | None:
+    inside = np.flatnonzero(rows.configuration == number)
+    recording = readings.recording
+    point = readings.point if recording is None else readings.point[recording == recording[inside[0]]]
+    steps, kinds = np.unique(readings.step[inside]), np.unique(point)
+    index = np.full((len(steps), len(kinds)), -1)
+    index[np.searchsorted(steps, readings.step[inside]), np.searchsorted(kinds, readings.point[inside])] = inside
+    index = index[(index >= 0).all(axis=1)]
+    if len(index) < 3:
+        return None
+    smooth = _smooth(_load(readings, index[:, 0]))
+    complement = np.linalg.svd(smooth, full_matrices=True)[0][:, smooth.shape[1] :]
+    rest = np.einsum("sl,spi->lpi", complement, seen[index])
+    mean = rest.mean(axis=1)
+    within = ((rest - mean[:, None]) ** 2).sum(axis=(0, 1))
+    return _Group(mean, complement, within, (known[inside] ** 2).sum(axis=2).mean(axis=0), len(kinds))
+
+
+def _alone(groups: list[_Group]) -> float:
+    """Return the variance of one coordinate from configurations with one point."""
+    squares = sum(float((group.mean**2).sum()) for group in groups)
+    known = float(np.mean([group.known.mean() for group in groups]))
+    return squares / sum(3 * group.left for group in groups) - known
+
+
+def _shared(groups: list[_Group], own: Float1D) -> tuple[float, float]:
+    """Return size (over own) and memory of the shared part by maximum likelihood; zeros if it convinces too little."""
+    best, result, alone = -np.inf, (0.0, 0.0), -np.inf
+    for memory in MEMORY:
+        values = sum((_log_likelihoods(group, own, memory) for group in groups), np.zeros(len(SHARED)))
+        alone = float(values[0]) if memory == 0 else alone
+        most = int(np.argmax(values))
+        if values[most] > best:
+            best, result = float(values[most]), (float(np.sqrt(SHARED[most])), memory)
+    return result if best > alone + CONVINCING else (0.0, 0.0)
+
+
+def _log_likelihoods(group: _Group, own: Float1D, memory: float) -> Float1D:
+    """Return the log likelihood of a group for every size in `SHARED`; one eigenbasis serves all sizes."""
+    steps = len(group.basis)
+    chain = memory ** np.abs(np.subtract.outer(np.arange(steps), np.arange(steps)))
+    values, vectors = np.linalg.eigh(group.basis.T @ chain @ group.basis)
+    white = 1 / group.points + group.known / own**2
+    variance = np.array(SHARED)[:, None, None] * values[:, None] + white  # (sizes, l, 3)
+    return np.asarray(-0.5 * ((vectors.T @ (group.mean / own)) ** 2 / variance + np.log(variance)).sum(axis=(1, 2)))
+
+
+def _ranks(readings: Readings) -> Int1D:
+    return _ranks_of(readings.step, readings.configuration)
+
+
+def _ranks_of(values: Int1D, configuration: Int1D) -> Int1D:
+    """Number the distinct values within every configuration, from 0."""
+    result = np.empty(len(values), dtype=np.int64)
+    for number in np.unique(configuration):
+        inside = configuration == number
+        result[inside] = np.unique(values[inside], return_inverse=True)[1]
+    return result
+
+
+def _load(readings: Readings, index: Int1D) -> Float1D:
+    """Return the signed level of the load at every step, (s,), the largest being one."""
+    if readings.wrench is None:
+        return np.zeros(len(index))
+    wrench = readings.wrench[index]
+    largest = wrench[int(np.argmax(np.linalg.norm(wrench[:, :3], axis=1)))]
+    return np.asarray(wrench @ largest / max(float(largest @ largest), 1e-30))
+
+
+def _smooth(level: Float1D) -> Float2D:
+    """Return an orthonormal basis of what physics may do along the steps: level, branch, and their products.
+
+    The first step belongs to the branch that it begins, so that loading alone shows no branch.
+    """
+    steps = len(level)
+    branch = np.sign(np.round(np.diff(level), 2))
+    branch = np.concatenate([branch[:1], branch])
+    shapes = [np.ones(steps), level, level**2, branch, branch * level, level**3]
+    basis: list[Float1D] = []
+    most = max(2, int(SHARE * steps))
+    for shape in shapes:
+        rest = shape - sum((b * (b @ shape) for b in basis), np.zeros(steps))
+        length = float(np.linalg.norm(rest))
+        if length > 0.05 * max(float(np.linalg.norm(shape)), 1e-12) and len(basis) < most:
+            basis.append(rest / length)
+    return np.stack(basis, axis=1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LeftOver:
+    """One configuration's residuals, free of smooth functions of the load.
+
+    Attributes:
+        number: Of the configuration.
+        rest: (l, p, 3) m, flange axes, independent combinations of steps.
+    """
+
+    number: int
+    rest: Float3D
+
+
+def left_over(problem: LoadedProblem, state: State, used: Bool1D) -> list[LeftOver]:
+    """Return what jumps from step to step under the state's compliances.
+
+    Args:
+        problem: All readings.
+        state: Their state.
+        used: (m,) readings to look at; steps at which not all of their points are left do not count.
+    """
+    readings = problem.readings.select(used)
+    residual = problem.linearise(state.compliance).residual[used]
+    axes = np.moveaxis(state.at.flange, -1, 0)[used]
+    local = np.einsum("mia,ma->mi", axes, residual)
+    kinds = np.unique(readings.point)
+    found = []
+    for number in np.unique(readings.configuration):
+        inside = np.flatnonzero(readings.configuration == number)
+        steps = np.unique(readings.step[inside])
+        index = np.full((len(steps), len(kinds)), -1)
+        index[np.searchsorted(steps, readings.step[inside]), np.searchsorted(kinds, readings.point[inside])] = inside
+        index = index[(index >= 0).all(axis=1)]
+        if len(index) < 3:
+            continue
+        smooth = _smooth(_load(readings, index[:, 0]))
+        complement = np.linalg.svd(smooth, full_matrices=True)[0][:, smooth.shape[1] :]
+        if complement.shape[1]:
+            found.append(LeftOver(int(number), np.einsum("sl,spi->lpi", complement, local[index])))
+    return found

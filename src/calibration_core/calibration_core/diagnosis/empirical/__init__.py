@@ -1,0 +1,1 @@
+"""Empirical laws for what no physics of the catalogue explains."""

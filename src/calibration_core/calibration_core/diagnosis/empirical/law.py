@@ -1,0 +1,394 @@
+"""An empirical law for a rest that no physics explains: few terms of a dictionary, under the same gate as physics.
+
+The rest is what the null model, the accepted effects and the structured discrepancy leave.  A term is judged by its
+Bayes factor with the variance of the rest unknown (g-prior of unit information); the threshold is what the best of all
+terms reaches in 1 % of recordings whose rest has the same size in every configuration, but no common law: the rest of
+whole configurations with random signs.  And the law must predict configurations left out, the search for its terms
+repeated without them.
+Source: Zellner 1986, Liang et al. 2008 (g-prior); Cameron, Gelbach and Miller 2008 (wild cluster bootstrap).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from calibration_core.diagnosis.empirical.dictionary import EVEN, DictionaryTerm, dictionary
+from calibration_core.diagnosis.evidence.confounding import MEMORY
+from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
+from calibration_core.identification.statistics.offsets import whitened
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
+
+MOST = 3  # terms
+SAMPLES = 500
+FALSE_ALARM = 0.01
+LEAST = 6.0  # nats: the threshold is never lower
+FEWEST = 5  # configurations, below which nothing is searched
+FOLDS = 20  # groups of whole configurations, at most, that are left out in turn
+LEAST_GAIN = 0.05  # of the squared error on configurations left out
+FREE = 1e-9  # prior precision of what has none, columns being of length one
+ALIASED = 1e-4  # of a column's square: less of it is left beside the model
+EQUIVALENT = 5.0  # nats of the best, to be called indistinguishable
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LawTerm:
+    """An accepted term.
+
+    Attributes:
+        term: Entry of the dictionary.
+        coefficient: (k,) shares of the joint's deflection at its largest torque.
+        std: (k,).
+        log_bayes_factor: Beside the others, nats.
+        shift: (m, 3) m, what it moves.
+        rivals: Terms at other joints within five nats: (term, log Bayes factor), best first.
+    """
+
+    term: DictionaryTerm
+    coefficient: Float1D
+    std: Float1D
+    log_bayes_factor: float
+    shift: Float2D
+    rivals: tuple[tuple[DictionaryTerm, float], ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Law:
+    """A sparse law.
+
+    Attributes:
+        terms: Strongest first.
+        explained: Share of the rest's excess over the noise that it explains.
+        held_out_gain: Share by which the squared error on configurations left out falls, the search repeated.
+        threshold: nats, of the first term.
+    """
+
+    terms: tuple[LawTerm, ...]
+    explained: float
+    held_out_gain: float
+    threshold: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rival:
+    """The term that describes best what accepted candidates stand for.
+
+    Attributes:
+        term: Entry of the dictionary.
+        log_bayes_factor: Of the term in place of the candidates, nats.
+        own: Of the candidates by the same measure, nats.
+    """
+
+    term: DictionaryTerm
+    log_bayes_factor: float
+    own: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Rest:
+    """The recording as the search sees it, r whitened rows in c configurations.
+
+    Attributes:
+        extended: The extended model.
+        value: (r,) measured - null model.
+        known: (r, p) columns that the law stands beside: null model, accepted effects, structured discrepancy.
+        precision: (p,) prior precision of their coefficients.
+        functions: (r, w) functions within a configuration.
+        place: (r,) index of the configuration, 0 ... c-1.
+        terms: The t terms.
+        within: (t,) the function of each.
+        factors: (t, c, 2) their factors; the second is zero where a term has one.
+        count: (t,) number of functions of the angles.
+    """
+
+    extended: ExtendedLoadedModel
+    value: Float1D
+    known: Float2D
+    precision: Float1D
+    functions: Float2D
+    place: Int1D
+    terms: tuple[DictionaryTerm, ...]
+    within: Int1D
+    factors: Float3D
+    count: Int1D
+
+    def columns(self, chosen: Sequence[int]) -> Float2D:
+        """Return the (r, k) columns of terms."""
+        parts = [self.functions[:, [self.within[t]]] * self.factors[t][self.place][:, : self.count[t]] for t in chosen]
+        return np.column_stack([np.zeros((len(self.value), 0)), *parts])
+
+    def model(self, chosen: Sequence[int]) -> tuple[Float2D, Float1D]:
+        """Return (r, p + k) columns of length one of what is known and of chosen terms, and their precisions."""
+        more = self.columns(chosen)
+        columns = np.column_stack([self.known, more])
+        length = np.linalg.norm(columns, axis=0)
+        length = np.where(length > 0, length, 1.0)
+        precision = np.concatenate([self.precision / length[: len(self.precision)] ** 2, np.zeros(more.shape[1])])
+        return columns / length, precision + FREE
+
+
+def empirical_law(extended: ExtendedLoadedModel) -> Law | None:
+    """Search the rest of an extended model for a sparse law; None where none passes.
+
+    Args:
+        extended: The extended model, whose rest is significant.
+    """
+    rest = _rest(extended)
+    if rest is None:
+        return None
+    everywhere = np.ones(len(rest.value), dtype=bool)
+    accepted: tuple[int, ...] = ()
+    limits: list[float] = []
+    while len(accepted) < MOST:
+        scores, limit = _scores(rest, accepted, everywhere, bootstrap=True)
+        best = int(np.argmax(scores))
+        if scores[best] <= max(limit, LEAST):
+            break
+        limits.append(max(limit, LEAST))
+        accepted = _refined(rest, (*accepted, best))
+    while accepted:
+        gain = _held_out_gain(rest, len(accepted))
+        if gain is not None:
+            return _law(rest, accepted, gain, limits[0])
+        accepted = accepted[:-1]
+    return None
+
+
+def rival(extended: ExtendedLoadedModel, candidates: Sequence[int]) -> Rival | None:
+    """Search for the term that does best in place of accepted candidates; None where nothing can be searched.
+
+    What a candidate's own joint follows by load, direction or time alone is no rival: physics of the catalogue says
+    such things too, and the term may be its image.  But memory is no image of what the size of the load says at once.
+
+    Args:
+        extended: The extended model.
+        candidates: Indices of those that the term replaces; all others stay in the model.
+    """
+    others = tuple(index for index in extended.accepted if index not in candidates)
+    rest = _rest(dataclasses.replace(extended, accepted=others))
+    if rest is None:
+        return None
+    everywhere = np.ones(len(rest.value), dtype=bool)
+    scores, _ = _scores(rest, (), everywhere)
+    design, joints = extended.design, extended.state.chain.joints
+    own = set().union(*(_named(design.candidates[index].location.values()) for index in candidates))
+    never_images = EVEN if all(design.candidates[index].effect in MEMORY for index in candidates) else frozenset()
+    image = [
+        len(term.names) == 1 and joints[term.joint] in own and term.words not in never_images for term in rest.terms
+    ]
+    best = int(np.argmax(np.where(image, -np.inf, scores)))
+    columns = np.column_stack([design.columns[:, design.blocks[index]] for index in candidates])
+    return Rival(rest.terms[best], float(scores[best]), _score_of(rest, columns))
+
+
+def _named(places: Iterable[str | tuple[str, ...]]) -> set[str]:
+    """Return the names in the values of a location."""
+    return {name for place in places for name in ((place,) if isinstance(place, str) else place)}
+
+
+def _score_of(rest: _Rest, columns: Float2D) -> float:
+    """Return the log Bayes factor of any whitened columns, (r, k), by the measure of the terms."""
+    model, inverse, left = _left(rest, (), np.ones(len(rest.value), dtype=bool))
+    model_left = model.T @ left
+    columns = columns / np.linalg.norm(columns, axis=0)
+    cross = columns.T @ model
+    projected = columns.T @ columns - cross @ inverse @ cross.T
+    right = columns.T @ left - cross @ inverse @ model_left
+    gain = float(right @ np.linalg.pinv(projected, rcond=ALIASED, hermitian=True) @ right)
+    total = float(left @ left - model_left @ inverse @ model_left)
+    share = np.clip(np.array([gain / total]), 0.0, 1.0 - 1e-12)
+    return float(_log_bayes_factor(share, columns.shape[1], max(len(left) - model.shape[1], 1))[0])
+
+
+def _log_bayes_factor(share: Float2D | Float1D, count: Int1D | int, freedom: int) -> Float2D:
+    """Return log Bayes factors, by the g-prior of unit information, of what explains a share of the rest."""
+    return np.asarray(0.5 * ((freedom - count) * np.log1p(freedom) - freedom * np.log1p(freedom * (1.0 - share))))
+
+
+def _rest(extended: ExtendedLoadedModel) -> _Rest | None:
+    design, state = extended.design, extended.state
+    withins, terms = dictionary(state)
+    if not terms or len(np.unique(design.configuration)) < FEWEST:
+        return None
+    raw = np.stack([within.column(state) for within in withins], axis=-1)
+    functions, _ = whitened(extended.rows, raw[extended.used])
+    numbers, place = np.unique(design.configuration, return_inverse=True)
+    accepted = [design.columns[:, design.own(i)] for i in extended.accepted]
+    known = np.column_stack([design.null, *accepted, design.columns[:, design.discrepancy]])
+    factors = np.zeros((len(terms), len(numbers), 2))
+    for t, term in enumerate(terms):
+        factors[t, :, : term.factors.shape[1]] = term.factors[numbers]
+    return _Rest(
+        extended=extended,
+        value=design.residual,
+        known=known,
+        precision=np.where(np.arange(known.shape[1]) < design.n, 0.0, 1.0),
+        functions=functions,
+        place=place,
+        terms=terms,
+        within=np.array([term.within for term in terms]),
+        factors=factors,
+        count=np.array([term.factors.shape[1] for term in terms]),
+    )
+
+
+def _scores(rest: _Rest, accepted: tuple[int, ...], used: Bool1D, *, bootstrap: bool = False) -> tuple[Float1D, float]:
+    """Return log Bayes factors (t,) beside the accepted terms, and the threshold of their maximum.
+
+    Args:
+        rest: The recording.
+        accepted: Terms in the law.
+        used: (r,) rows that may be fitted.
+        bootstrap: Whether to find the threshold; it is zero otherwise.
+    """
+    model, inverse, left = _left(rest, accepted, used)
+    functions, place = rest.functions[used], rest.place[used]
+    count = rest.factors.shape[1]
+    signs = np.ones((count, 1))
+    if bootstrap:
+        random = np.random.default_rng(0).choice((-1.0, 1.0), (count, SAMPLES))
+        signs = np.concatenate([signs, random], axis=1)
+    parts = [(model[place == c], functions[place == c], left[place == c]) for c in range(count)]
+    by_model = np.stack([g.T @ m for m, g, _ in parts])  # (c, w, p)
+    square = np.stack([(g**2).sum(axis=0) for _, g, _ in parts])  # (c, w)
+    by_left = np.stack([g.T @ r for _, g, r in parts])  # (c, w)
+    model_left = np.stack([m.T @ r for m, _, r in parts]).T @ signs  # (p, s)
+    cross = np.empty((len(rest.terms), 2, model.shape[1]))
+    block = np.empty((len(rest.terms), 2, 2))
+    right = np.empty((len(rest.terms), 2, signs.shape[1]))
+    for within in np.unique(rest.within):
+        some = np.flatnonzero(rest.within == within)
+        factors = rest.factors[some].transpose(0, 2, 1)  # (t, 2, c)
+        cross[some] = factors @ by_model[:, within]
+        block[some] = (factors * square[:, within]) @ factors.transpose(0, 2, 1)
+        right[some] = factors @ (by_left[:, [within]] * signs)
+    taken = cross @ inverse
+    projected = block - taken @ cross.transpose(0, 2, 1)
+    right -= taken @ model_left
+    usable, half = _roots(block, projected, rest.count)
+    gain = ((half @ right) ** 2).sum(axis=1)
+    total = float(left @ left) - (model_left * (inverse @ model_left)).sum(axis=0)
+    freedom = max(len(left) - model.shape[1], 1)
+    share = np.clip(gain / total, 0.0, 1.0 - 1e-12)
+    scores = _log_bayes_factor(share, rest.count[:, None], freedom)
+    scores[~usable] = -np.inf
+    places = {rest.terms[t].words + str(rest.terms[t].joint) for t in accepted}
+    scores[[term.words + str(term.joint) in places for term in rest.terms]] = -np.inf
+    limit = float(np.quantile(scores[:, 1:].max(axis=0), 1 - FALSE_ALARM)) if bootstrap else 0.0
+    return scores[:, 0], limit
+
+
+def _left(rest: _Rest, accepted: tuple[int, ...], used: Bool1D) -> tuple[Float2D, Float2D, Float1D]:
+    """Return the model with accepted terms, (r, p), its inverse normal matrix, (p, p), and what it leaves, (r,).
+
+    Args:
+        rest: The recording.
+        accepted: Terms in the law.
+        used: (m,) rows that are fitted, r of them.
+    """
+    model, precision = rest.model(accepted)
+    model, value = model[used], rest.value[used]
+    inverse = np.asarray(np.linalg.inv(model.T @ model + np.diag(precision)), dtype=np.float64)
+    return model, inverse, value - model @ (inverse @ (model.T @ value))
+
+
+def _roots(block: Float3D, projected: Float3D, count: Int1D) -> tuple[Bool1D, Float3D]:
+    """Return which terms the model leaves something of, (t,), and L^-1 of their projected blocks L L', (t, 2, 2)."""
+    result = np.zeros_like(projected)
+    first, second = projected[:, 0, 0], projected[:, 1, 1]
+    one = first > ALIASED * block[:, 0, 0]
+    safe = np.where(one, first, 1.0)
+    result[:, 0, 0] = 1 / np.sqrt(safe)
+    remaining = second - projected[:, 0, 1] ** 2 / safe
+    two = one & (remaining > ALIASED * block[:, 1, 1]) & (count == 2)
+    root = np.sqrt(np.where(two, remaining, 1.0))
+    result[:, 1, 1] = np.where(two, 1 / root, 0.0)
+    result[:, 1, 0] = np.where(two, -projected[:, 0, 1] / (safe * root), 0.0)
+    return one & (two | (count == 1)), result
+
+
+def _refined(rest: _Rest, accepted: tuple[int, ...]) -> tuple[int, ...]:
+    """Let every term but the last be replaced by a better one, given the others."""
+    everywhere = np.ones(len(rest.value), dtype=bool)
+    for position in range(len(accepted) - 1):
+        others = accepted[:position] + accepted[position + 1 :]
+        best = int(np.argmax(_scores(rest, others, everywhere)[0]))
+        accepted = (*accepted[:position], best, *accepted[position + 1 :])
+    return accepted
+
+
+def _held_out_gain(rest: _Rest, size: int) -> float | None:
+    """Return the share of the squared error saved where the law is searched without what it predicts; None: too little.
+
+    Args:
+        rest: The recording.
+        size: Number of terms.
+    """
+    folds = rest.place % min(FOLDS, rest.factors.shape[1])
+    before, after = [], []
+    for fold in np.unique(folds):
+        used = folds != fold
+        accepted: tuple[int, ...] = ()
+        before.append(_predicted(rest, accepted, used))
+        for _ in range(size):
+            accepted = (*accepted, int(np.argmax(_scores(rest, accepted, used)[0])))
+        after.append(_predicted(rest, accepted, used))
+    saved = np.array(before) - np.array(after)
+    gain = float(saved.sum() / np.sum(before))
+    return gain if gain > LEAST_GAIN and saved.sum() > saved.max() else None
+
+
+def _predicted(rest: _Rest, accepted: tuple[int, ...], used: Bool1D) -> float:
+    """Return the sum of squares of the prediction error of the rows not used."""
+    model, precision = rest.model(accepted)
+    fitted = model[used]
+    value = np.linalg.solve(fitted.T @ fitted + np.diag(precision), fitted.T @ rest.value[used])
+    error = rest.value[~used] - model[~used] @ value
+    return float(error @ error)
+
+
+def _law(rest: _Rest, accepted: tuple[int, ...], gain: float, limit: float) -> Law:
+    everywhere = np.ones(len(rest.value), dtype=bool)
+    state = rest.extended.state
+    withins, _ = dictionary(state)
+    model, precision = rest.model(accepted)
+    inverse = np.linalg.inv(model.T @ model + np.diag(precision))
+    solution = inverse @ (model.T @ rest.value)
+    left = rest.value - model @ solution
+    freedom = max(len(left) - model.shape[1], 1)
+    alone, prior = rest.model(())
+    before = rest.value - alone @ np.linalg.solve(alone.T @ alone + np.diag(prior), alone.T @ rest.value)
+    length = np.linalg.norm(rest.columns(accepted), axis=0)
+    start = rest.known.shape[1]
+    value = solution[start:] / length
+    std = np.sqrt(np.diag(inverse)[start:] * float(left @ left) / freedom) / length
+    terms, at = [], 0
+    for position, index in enumerate(accepted):
+        term = rest.terms[index]
+        k = term.factors.shape[1]
+        others = accepted[:position] + accepted[position + 1 :]
+        scores, _ = _scores(rest, others, everywhere)
+        moved = state.since_step_zero(term.columns(state, withins) @ value[at : at + k])
+        terms.append(
+            LawTerm(
+                term, value[at : at + k], std[at : at + k], float(scores[index]), moved, _rivals(rest, scores, index)
+            )
+        )
+        at += k
+    excess = float(before @ before) - len(before)
+    explained = float((before @ before - left @ left) / max(excess, 1e-12))
+    return Law(tuple(terms), min(explained, 1.0), gain, limit)
+
+
+def _rivals(rest: _Rest, scores: Float1D, chosen: int) -> tuple[tuple[DictionaryTerm, float], ...]:
+    """Return the best term of every other joint that comes within five nats."""
+    found: dict[int, tuple[DictionaryTerm, float]] = {}
+    for index in np.argsort(-scores, kind="stable"):
+        term = rest.terms[index]
+        if scores[index] < scores[chosen] - EQUIVALENT:
+            break
+        if term.joint != rest.terms[chosen].joint and term.joint not in found:
+            found[term.joint] = (term, float(scores[index]))
+    return tuple(found.values())

@@ -1,0 +1,1 @@
+"""Bayes factors of the hypotheses about loaded steps, their selection, and the model extended by them."""

@@ -1,0 +1,45 @@
+"""Which hypotheses are forms of one cause: the same family at the same joint, or at neighbouring parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from calibration_core.model.effects.candidate import Candidate, link_name
+
+TOOL = 1 << 20  # beyond the last joint
+MEMORY = frozenset({"hysteresis", "creep"})
+
+
+def are_confounded(first: Candidate, second: Candidate, joints: Sequence[str]) -> bool:
+    """Say whether two candidates could be one cause under two laws.
+
+    Joint laws: the same joint, both with memory or both without.  Structure: the same or neighbouring parts.  Load
+    chain and point chain: always.
+
+    Args:
+        first: A candidate.
+        second: Another.
+        joints: Names of the robot's joints, from the base on.
+    """
+    if first.family != second.family:
+        return False
+    if first.family in {"load chain", "point chain"}:
+        return True
+    if first.family == "joint law" and (first.effect in MEMORY) != (second.effect in MEMORY):
+        return False
+    reach = 0 if first.family == "joint law" else 1
+    return any(abs(i - j) <= reach for i in parts(first.location, joints) for j in parts(second.location, joints))
+
+
+def parts(location: Mapping[str, str | tuple[str, ...]], joints: Sequence[str]) -> tuple[int, ...]:
+    """Return the numbers of the joints, from 1, between which a place lies; the base is before the first joint."""
+    if "base" in location:
+        return (0, 1)
+    if "tool" in location:
+        return (TOOL,)
+    if "link" in location:
+        links = [link_name(index) for index in range(len(joints))]
+        number = 1 + links.index(str(location["link"]))
+        return (number, number + 1)
+    names = location.get("joints", location.get("joint", ()))
+    return tuple(1 + joints.index(name) for name in ((names,) if isinstance(names, str) else names))

@@ -1,0 +1,226 @@
+"""The extended model: compliances and findings fitted together, at their own operating point."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.evidence.bayes_factors import estimates, gram_cache, law_share, marginal_model
+from calibration_core.diagnosis.evidence.design import Design, build_design
+from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
+from calibration_core.diagnosis.evidence.selection import LoadedSelection
+from calibration_core.identification.geometry.frames import FrameFit
+from calibration_core.identification.statistics.offsets import Rows, without_offsets
+from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.model.effects.applied import applied
+from calibration_core.model.effects.candidate import Candidate, Parameter
+from calibration_core.model.effects.possible import nearest
+from calibration_core.model.effects.recorded_state import recorded_state
+from calibration_core.model.effects.state import State
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Float1D, Float2D, Int1D
+
+ROUNDS = 4
+CONVERGED = 1e-5  # of the largest compliance
+WIDE = 4.0  # times the usual size: what an effect that was found may move by chance
+LEAST_STEP, MOST_STEP = 0.2, 3.0  # step control: factors on a compliance per round
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ExtendedLoadedModel:
+    """The extended model at its own compliances.
+
+    Attributes:
+        problem: All readings.
+        used: Indices of the readings used.
+        state: Null model at the final compliances, all readings.
+        rows: Grouping and noise as seen, of the readings used.
+        design: Whitened there.
+        accepted: Candidates in the model.
+        base_compliance: (n,) rad/(N*m), about which the design is linear.
+        compliance: (n,) rad/(N*m), fitted.
+        value: (p,) parameters of the accepted candidates.
+        std: (p,) their standard deviations.
+        covariance: (n + p, n + p) of compliances and parameters.
+        shift: (m, 3) m, what the accepted candidates move, all readings.
+        raw: (m, 3) m, measured - extended model fitted by least squares, what the candidates leave to chance taken out,
+            offsets not removed, all readings.
+        residual: (k, 3) m, the same without offsets, of the readings used.
+    """
+
+    problem: LoadedProblem
+    used: Int1D
+    state: State
+    rows: Rows
+    design: Design
+    accepted: tuple[int, ...]
+    base_compliance: Float1D
+    compliance: Float1D
+    value: Float1D
+    std: Float1D
+    covariance: Float2D
+    shift: Float2D
+    raw: Float2D
+    residual: Float2D
+
+    @property
+    def compliance_covariance(self) -> Float2D:
+        """(n, n) (rad/(N*m))^2."""
+        n = len(self.compliance)
+        return self.covariance[:n, :n]
+
+    @property
+    def compliance_std(self) -> Float1D:
+        """(n,) rad/(N*m)."""
+        return np.asarray(np.sqrt(np.clip(np.diag(self.compliance_covariance), 0.0, None)))
+
+    def parameters_of(self, candidate: int) -> slice:
+        """Return where in `value` an accepted candidate's parameters are."""
+        start = 0
+        for index in self.accepted:
+            k = len(self.design.candidates[index].parameters)
+            if index == candidate:
+                return slice(start, start + k)
+            start += k
+        raise KeyError(candidate)
+
+
+def loaded_state(problem: LoadedProblem, cell: Cell, compliance: Float1D) -> State:
+    """Return the null model's state at the given compliances, for the readings of the problem."""
+    parameters = problem.parameters.replace(compliance=compliance)
+    return recorded_state(problem.readings, cell, problem.chain, parameters, problem.load, problem.rest(compliance))
+
+
+def design_at(
+    problem: LoadedProblem,
+    cell: Cell,
+    compliance: Float1D,
+    rows: Rows,
+    used: Int1D,
+    hypotheses: tuple[Candidate, ...],
+    frames: FrameFit | None,
+) -> tuple[State, Design]:
+    """Return state (all readings) and whitened model (those used) at the given compliances, (n,) rad/(N*m)."""
+    state = loaded_state(problem, cell, compliance)
+    linear = problem.linearise(compliance)
+    extra = structured_discrepancy(state, frames)
+    return state, build_design(state, rows, linear.residual, linear.columns, hypotheses, extra, used)
+
+
+def extend(
+    problem: LoadedProblem,
+    cell: Cell,
+    start: Float1D,
+    rows: Rows,
+    used: Int1D,
+    hypotheses: tuple[Candidate, ...],
+    frames: FrameFit | None,
+    selection: LoadedSelection,
+) -> ExtendedLoadedModel:
+    """Refit the compliances together with what was accepted, re-linearising until they stand still.
+
+    Args:
+        problem: All readings.
+        cell: The cell file.
+        start: (n,) compliances to start from, rad/(N*m).
+        rows: Grouping and noise as seen, of the readings used.
+        used: Indices of the readings used.
+        hypotheses: The catalogue.
+        frames: Refitted frames; None for displacement recordings.
+        selection: What was accepted.
+    """
+    compliance = start
+    accepted = selection.accepted
+    chosen = tuple(hypotheses[index] for index in accepted)
+    n = len(compliance)
+    value = np.zeros(n)
+    for round_number in range(ROUNDS):
+        _, design = design_at(problem, cell, compliance, rows, used, chosen, frames)
+        value = _allowed(
+            compliance, chosen, *estimates(marginal_model(gram_cache(design), tuple(range(len(chosen))), 0.0))
+        )
+        change = np.clip(compliance + value[:n], LEAST_STEP * compliance, MOST_STEP * compliance) - compliance
+        if np.abs(change).max() < CONVERGED * np.abs(compliance).max():
+            break
+        if round_number < ROUNDS - 1:
+            compliance = compliance + change
+    linear = problem.linearise(compliance)
+    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, frames)
+    shift = np.zeros_like(linear.residual)
+    at = n
+    for candidate in chosen:
+        k = len(candidate.parameters)
+        shift = shift + candidate.columns(state) @ value[at : at + k]
+        at += k
+    raw = linear.residual - shift - np.einsum("mij,j->mi", linear.columns, value[:n])
+    raw = raw - _by_chance(whole, accepted, value, state)
+    cache = gram_cache(whole)
+    final, covariance = estimates(marginal_model(cache, accepted, selection.level, law_share(cache, accepted)))
+    final = _allowed(compliance, chosen, final, covariance)
+    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    return ExtendedLoadedModel(
+        problem=problem,
+        used=used,
+        state=state,
+        rows=rows,
+        design=whole,
+        accepted=accepted,
+        base_compliance=compliance,
+        compliance=compliance + final[:n],
+        value=final[n:],
+        std=std[n:],
+        covariance=covariance,
+        shift=state.since_step_zero(shift),
+        raw=raw,
+        residual=without_offsets(linear.rows.select(used), raw[used]),
+    )
+
+
+def _by_chance(design: Design, accepted: tuple[int, ...], value: Float1D, state: State) -> Float2D:
+    """Return the (m, 3) m that accepted candidates have most probably moved by chance, all readings.
+
+    Args:
+        design: The whitened model.
+        accepted: Candidates in the model.
+        value: (n + p,) changes of the compliances, and parameters of the accepted candidates.
+        state: The null model's state there.
+    """
+    several = {design.candidates[index].chances: design.chances[index] for index in accepted}
+    chances = {function: columns for function, columns in several.items() if function is not None}
+    if not chances:
+        return np.zeros((state.m, 3))
+    blocks = [design.blocks[index] for index in accepted]
+    fitted = np.column_stack([design.null, *(design.columns[:, block] / design.prior[block] for block in blocks)])
+    left = design.residual - fitted @ value
+    columns = np.column_stack([WIDE * design.columns[:, block] for block in chances.values()])
+    columns = np.column_stack([columns, design.columns[:, design.discrepancy]])
+    size = np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ columns, columns.T @ left)
+    moved = WIDE * np.concatenate([function(state) for function in chances], axis=2)
+    return np.asarray(moved @ size[: moved.shape[2]])
+
+
+def _allowed(compliance: Float1D, chosen: Sequence[Candidate], change: Float1D, covariance: Float2D) -> Float1D:
+    """Return the nearest to an estimate that physics allows.
+
+    Args:
+        compliance: (n,) rad/(N*m), about which the estimate is linear.
+        chosen: The effects.
+        change: (n + p,) of the compliances, and parameters of the effects.
+        covariance: (n + p, n + p) of them.
+    """
+    begun = np.concatenate([compliance, np.zeros(len(change) - len(compliance))])
+    joints = [[Parameter("compliance", "rad/(N*m)", 1.0, positive=True)] for _ in compliance]
+    several = [*joints, *(candidate.parameters for candidate in chosen)]
+    return nearest(several, begun + change, covariance).value - begun
+
+
+def extended_model(parameters: ModelParameters, extended: ExtendedLoadedModel) -> ModelParameters:
+    """Return the identified model with the compliances and effects of the extended one."""
+    effects = tuple(
+        applied(extended.design.candidates[index], extended.value[extended.parameters_of(index)], extended.state)
+        for index in extended.accepted
+    )
+    return parameters.replace(compliance=extended.compliance, effects=effects)

@@ -1,0 +1,1 @@
+"""From what was accepted to findings in words."""

@@ -1,0 +1,143 @@
+"""From accepted candidates to findings in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
+from calibration_core.diagnosis.result.evidence_words import evidence_words
+from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, Location
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.model.effects import catalogue
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.words import effect_sentence, listed_location
+from calibration_core.timeseries import Float2D, Readings
+
+if TYPE_CHECKING:
+    from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
+
+LISTED = 5
+DETERMINED = 2.0  # standard deviations from zero, at which a compliance counts as known
+
+
+def findings_of(
+    extended: ExtendedLoadedModel, selection: LoadedSelection, identification: Identification, readings: Readings
+) -> tuple[Finding, ...]:
+    """Return the findings, largest effect on the measured points first."""
+    design = extended.design
+    starts, start = {}, 0
+    for index in selection.accepted:
+        starts[index] = start
+        start += len(design.candidates[index].parameters)
+    changes = _stiffness_changes(extended, identification)
+    found = []
+    for choice in selection.choices:
+        candidate = design.candidates[choice.candidate]
+        shift = np.zeros((extended.state.m, 3))
+        for index in (choice.candidate, *choice.refinements):
+            k = len(design.candidates[index].parameters)
+            shift = (
+                shift
+                + design.candidates[index].columns(extended.state) @ extended.value[starts[index] : starts[index] + k]
+            )
+        magnitude = _size(extended.state.since_step_zero(shift))
+        at = starts[choice.candidate]
+        parameters = tuple(
+            FoundParameter(p.name, float(p.sign * extended.value[at + k]), float(extended.std[at + k]), p.unit)
+            for k, p in enumerate(candidate.parameters)
+        )
+        alternatives = tuple(_alternative(design.candidates[i], score, readings) for i, score in choice.equivalents)
+        location = _location(candidate.location, readings)
+        open_place = len(alternatives) > LISTED
+        found.append(
+            Finding(
+                effect=candidate.effect,
+                family=candidate.family,
+                location={} if open_place else location,
+                variant=candidate.variant,
+                parameters=parameters,
+                log_bayes_factor=choice.log_bayes_factor,
+                held_out_gain=_gain(extended, selection, choice),
+                magnitude=magnitude,
+                cannot_be_told_from=alternatives[:LISTED],
+                stiffness_change=changes,
+                explanation=_explanation(candidate, location, choice, magnitude, changes, alternatives),
+                separate_by=_separate(candidate, choice, design.candidates),
+                refinements=tuple(describe(design.candidates[i], readings) for i in choice.refinements),
+            )
+        )
+    return tuple(sorted(found, key=lambda finding: -finding.magnitude))
+
+
+def _alternative(candidate: Candidate, score: float, readings: Readings) -> Alternative:
+    return Alternative(candidate.effect, candidate.family, _location(candidate.location, readings), score)
+
+
+def _location(location: Location, readings: Readings) -> Location:
+    """Replace the index of a point by its name."""
+    return {
+        key: readings.points[int(value[1:])]
+        if key == "point" and isinstance(value, str) and value[:1] == "#"
+        else value
+        for key, value in location.items()
+    }
+
+
+def _gain(extended: ExtendedLoadedModel, selection: LoadedSelection, choice: Choice) -> float:
+    from calibration_core.diagnosis.evidence.residual import held_out_error
+
+    mine = {choice.candidate, *choice.refinements}
+    others = tuple(index for index in selection.accepted if index not in mine)
+    without, whole = (held_out_error(extended.design, accepted) for accepted in (others, selection.accepted))
+    return float(1 - (whole / without) ** 2)
+
+
+def _stiffness_changes(extended: ExtendedLoadedModel, identification: Identification) -> dict[str, float]:
+    """Return joint -> relative change, of those joints whose stiffness the recording determines with the effects."""
+    changes = {}
+    values = zip(identification.stiffness, extended.compliance, extended.compliance_std, strict=True)
+    for joint, compliance, std in values:
+        if joint.compliance > 0 and compliance > DETERMINED * std:
+            changes[joint.joint] = float(joint.compliance / compliance - 1)
+    return changes
+
+
+def _size(shift: Float2D) -> float:
+    return float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
+
+
+def describe(candidate: Candidate, readings: Readings) -> str:
+    """Return a candidate in words: effect, place and variant."""
+    place = listed_location(_location(candidate.location, readings))
+    return f"{candidate.effect} ({place}; {candidate.variant})"
+
+
+def _explanation(
+    candidate: Candidate,
+    location: Location,
+    choice: Choice,
+    magnitude: float,
+    changes: dict[str, float],
+    alternatives: tuple[Alternative, ...],
+) -> str:
+    words = effect_sentence(candidate.effect, location)
+    text = (
+        f"{words[0].upper() + words[1:]}. This moves the measured points by {1e6 * magnitude:.0f} µm rms; "
+        f"{evidence_words(choice.log_bayes_factor)}."
+    )
+    moved = {joint: change for joint, change in changes.items() if abs(change) > 0.02}
+    if moved:
+        listed = ", ".join(f"{joint} {100 * change:+.0f} %" for joint, change in moved.items())
+        text += f" Leaving it out biases the stiffness of {listed}."
+    if alternatives:
+        names = "; ".join(effect_sentence(a.effect, a.location) for a in alternatives[:LISTED])
+        text += f" This recording cannot distinguish it from: {names}."
+    return text
+
+
+def _separate(candidate: Candidate, choice: Choice, candidates: tuple[Candidate, ...]) -> str:
+    names = dict.fromkeys([candidate.effect, *(candidates[i].effect for i, _ in choice.equivalents)])
+    reveal = {effect.name: effect.reveal for effect in catalogue()}
+    return "; ".join(f"{name.replace('_', ' ')}: {reveal[name]}" for name in names)

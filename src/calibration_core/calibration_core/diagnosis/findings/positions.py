@@ -1,0 +1,236 @@
+"""From accepted hypotheses to findings in words: one per effect and place, a family as one finding with its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from calibration_core.diagnosis.result.evidence_words import evidence_words
+from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
+from calibration_core.estimation.estimate import Estimate
+from calibration_core.estimation.hypotheses import ALL, WAVE, Hypothesis
+from calibration_core.estimation.refit import Extended
+from calibration_core.estimation.shifts import FAMILY
+from calibration_core.model.effects import catalogue
+from calibration_core.model.effects.absolute.transmission_error import order_of
+from calibration_core.model.effects.words import effect_sentence
+from calibration_core.timeseries import Float1D, Float2D
+
+LISTED = 5
+EQUIVALENT = 5.0  # nats
+ASKED = 8  # alternatives that are refitted together with everything else
+PLAUSIBLE = 6.0  # typical sizes
+SEVERAL = 6  # terms that are listed one by one
+LAW = "joint law"
+LOW = 8  # orders of waves that are a gear's, whatever else its joint does
+LAGGING, FROM_WHERE = frozenset({"hysteresis", "backlash"}), "approach_direction"
+
+
+def position_findings(found: Estimate) -> tuple[Finding, ...]:
+    """Return one finding per effect and place, largest effect on the measured points first."""
+    hypotheses = found.offered.hypotheses
+    physics = [i for i in found.selection.accepted if hypotheses[i].family != FAMILY]
+    lagging = {hypotheses[i].location.get("joint") for i in physics if hypotheses[i].effect in LAGGING} - {None}
+    places: dict[object, list[int]] = {}
+    for index in physics:
+        places.setdefault(_cause(hypotheses[index], lagging), []).append(index)
+    return by_size(_finding(found, members) for members in places.values())
+
+
+def _cause(one: Hypothesis, lagging: Collection[object]) -> object:
+    """Return what joins hypotheses to one finding: the place; laws of one joint are one cause.
+
+    A joint that lags under changing loads lags on the way to a posture, too: it stands elsewhere by the direction from
+    which it came, and posture by posture elsewhere, which waves of high order take up.
+    """
+    joint = one.location.get("joint")
+    way = one.effect == FROM_WHERE or (
+        one.effect == WAVE and one.variant.startswith("order ") and order_of(one.variant) > LOW
+    )
+    if joint is not None and (one.family == LAW or (way and joint in lagging)):
+        return LAW, joint
+    return one.place
+
+
+def _finding(found: Estimate, members: list[int]) -> Finding:
+    hypotheses, selection, extended = found.offered.hypotheses, found.selection, found.extended
+    members = sorted(members, key=lambda i: -selection.gain[selection.accepted.index(i)])
+    first = hypotheses[members[0]]
+    of_first = [i for i in members if hypotheses[i].place == first.place]
+    parts = sorted({part for i in members for part in found.members[i]})
+    reported = sorted({part for i in of_first for part in found.members[i]})
+    score = float(sum(selection.gain[selection.accepted.index(i)] for i in members))
+    gain = max(selection.proofs[selection.accepted.index(i)][0].share for i in members)
+    magnitude = float(np.sqrt(np.mean(np.sum(extended.own_shift(parts) ** 2, axis=1))))
+    as_well = [(hypotheses[i], nats) for i, nats in equivalents(found, members[0])] if len(members) == 1 else []
+    listed = tuple(Alternative(h.effect, h.family, dict(h.location), nats) for h, nats in as_well)
+    laws = [i for i in members if hypotheses[i].family == LAW]
+    waves = any(hypotheses[i].effect == WAVE for i in members)
+    settled = first.family != LAW or (len(laws) == 1 and not waves and not _other_law(found, laws[0]))
+    size = float(selection.sizes.size[selection.accepted.index(members[0])])
+    unit = extended.parts[reported[0]].candidate.parameters[0]
+    shared = FoundParameter("shared_size", size * unit.typical, 0.0, unit.unit)
+    return Finding(
+        effect=first.effect,
+        family=first.family,
+        location=dict(first.location),
+        variant="; ".join(hypotheses[i].variant for i in of_first),
+        parameters=_parameters(extended, reported, everywhere=first.everywhere),
+        log_bayes_factor=score,
+        held_out_gain=gain,
+        magnitude=magnitude,
+        cannot_be_told_from=listed,
+        stiffness_change={},
+        explanation=_explanation(found, first, reported, score, gain, magnitude, listed, settled=settled),
+        separate_by=_separate(first, listed),
+        refinements=tuple(f"{hypotheses[i].effect} ({hypotheses[i].variant})" for i in members if i not in of_first),
+        law_settled=settled,
+        shared_size=shared if len(first.members) > 1 else None,
+    )
+
+
+def _other_law(found: Estimate, index: int) -> bool:
+    """Say whether beside the accepted law another law of the same joint still asks to be let in."""
+    search, one = found.search, found.offered.hypotheses[index]
+    gain = search.scores(found.selection.accepted).nats
+    for i, k in search.place.items():
+        other = found.offered.hypotheses[i]
+        same = other.family == LAW and other.location.get("joint") == one.location.get("joint")
+        if same and i not in found.selection.accepted and gain[k] > search.limit:
+            return True
+    return False
+
+
+def equivalents(found: Estimate, index: int) -> tuple[tuple[int, float], ...]:
+    """Return other places that explain the data as well as an accepted hypothesis, everything refitted.
+
+    Returns:
+        Hypothesis and its log Bayes factor, nats; at most five, nearest first.
+    """
+    search, hypotheses = found.search, found.offered.hypotheses
+    others = tuple(i for i in found.selection.accepted if i != index)
+    scores = search.scores(others)
+    gain, size = scores.nats, scores.size * np.sqrt(scores.left)
+    one, own = hypotheses[index], gain[search.place[index]]
+    whole = search.sizes((*others, index)).value
+    best: dict[object, tuple[int, float]] = {}
+    asked = 0
+    for k in np.argsort(-gain, kind="stable"):
+        i = search.judged[int(k)]
+        other = hypotheses[i]
+        if gain[k] < own - 2 * EQUIVALENT or asked == ASKED:
+            break
+        if other.family == FAMILY or other.place == one.place or other.place in best or size[k] > PLAUSIBLE:
+            continue
+        asked += 1
+        behind = whole - search.sizes((*others, i)).value
+        if behind <= EQUIVALENT and not search.objection(search.trial(others, i)):
+            best[other.place] = i, float(own - behind)
+    nearest = sorted(best.values(), key=lambda pair: -pair[1])
+    return tuple(nearest[:LISTED])
+
+
+def _parameters(extended: Extended, parts: Sequence[int], *, everywhere: bool) -> tuple[FoundParameter, ...]:
+    """Return the parameters; of a few harmonics order, amplitude and phase, of many the rms per joint."""
+    several = len(parts) > 1
+    waves = [k for k in parts if extended.parts[k].candidate.effect == WAVE]
+    found: list[FoundParameter] = []
+    if len(waves) > SEVERAL:
+        by_joint: dict[str, list[int]] = {}
+        for k in waves:
+            by_joint.setdefault(str(extended.parts[k].candidate.location["joint"]), []).append(k)
+        names = {joint: f"rms_error {joint}" if everywhere else "rms_error" for joint in by_joint}
+        every = (_rms(extended, some, names[joint]) for joint, some in by_joint.items())
+        return tuple(sorted(every, key=lambda p: -p.value))
+    for number, k in enumerate(parts, start=1):
+        candidate = extended.parts[k].candidate
+        value, covariance = extended.values_of(k)
+        suffix = f" {candidate.location['joint']}" if everywhere else f"_{number}" if several else ""
+        if candidate.effect == WAVE:
+            found += _wave(order_of(candidate.variant), value, covariance, suffix)
+            continue
+        std = np.sqrt(np.diag(covariance))
+        found += [
+            FoundParameter(p.name + suffix, float(p.sign * v), float(s), p.unit)
+            for p, v, s in zip(candidate.parameters, value, std, strict=True)
+        ]
+    if everywhere:
+        found.sort(key=lambda p: -abs(p.value))
+    return tuple(found)
+
+
+def _rms(extended: Extended, waves: Sequence[int], name: str) -> FoundParameter:
+    """Return the root mean square over a revolution of a joint's error, all its orders together, rad."""
+    index = np.concatenate([np.arange(extended.block(k).start, extended.block(k).stop) for k in waves])
+    value = extended.value[index]
+    length = float(np.linalg.norm(value))
+    along = value / max(length, 1e-300)
+    wide = extended.flat + index
+    spread = float(np.sqrt(along @ extended.covariance[np.ix_(wide, wide)] @ along))
+    return FoundParameter(name, length / 2**0.5, spread / 2**0.5, "rad")
+
+
+def _wave(order: int, value: Float1D, covariance: Float2D, suffix: str) -> list[FoundParameter]:
+    """Return A and phi of s sin x + c cos x = A sin(x + phi), with standard deviations to first order."""
+    amplitude = float(np.hypot(*value))
+    along = value / max(amplitude, 1e-300)
+    across = np.array([-along[1], along[0]])
+    spread = float(np.sqrt(along @ covariance @ along))
+    turn = float(np.sqrt(across @ covariance @ across)) / max(amplitude, 1e-300)
+    return [
+        FoundParameter(f"harmonic{suffix}", float(order), 0.0, "1"),
+        FoundParameter(f"amplitude{suffix}", amplitude, spread, "rad"),
+        FoundParameter(f"phase{suffix}", float(np.arctan2(value[1], value[0])), turn, "rad"),
+    ]
+
+
+def _explanation(
+    found: Estimate,
+    first: Hypothesis,
+    parts: Sequence[int],
+    score: float,
+    gain: float,
+    magnitude: float,
+    alternatives: Sequence[Alternative],
+    *,
+    settled: bool,
+) -> str:
+    extended = found.extended
+    everywhere = first.location.get("joints") == ALL
+    words = effect_sentence(first.effect, first.location) + (", with one size that they share" if everywhere else "")
+    text = (
+        f"{words[0].upper() + words[1:]}. This moves the measured points by {1e6 * magnitude:.0f} µm rms beyond what "
+        f"frames and geometry take up, and saves {100 * gain:.0f} % of the squared error on blocks of configurations "
+        f"left out; {evidence_words(score)}."
+    )
+    if first.effect == WAVE and len(parts) <= SEVERAL:
+        terms = [(order_of(extended.parts[k].candidate.variant), extended.values_of(k)[0]) for k in parts]
+        listed = ", ".join(f"{k} per revolution: {1e3 * np.hypot(*value):.2f} mrad" for k, value in terms)
+        text += f" Terms: {listed}.{_resolution(found, first)}"
+    if found.offered.candidates[first.members[0]].relative(extended.model.state):
+        text += " Its size is relative: the robot's masses are guesses or not known."
+    if not settled:
+        text += (
+            " The joint and the kind of cause are settled, the form of its law is not: another law remains beside it."
+        )
+    if alternatives:
+        names = "; ".join(effect_sentence(a.effect, a.location) for a in alternatives)
+        text += f" This recording cannot distinguish it from: {names}."
+    return text
+
+
+def _resolution(found: Estimate, first: Hypothesis) -> str:
+    """Say how well the range of the joint's angles separates orders."""
+    state = found.extended.model.state
+    span = float(np.ptp(state.q[:, state.chain.joints.index(str(first.location["joint"]))]))
+    apart = 2 * np.pi / span
+    if apart < 1:
+        return ""
+    return f" The joint turned through {span:.1f} rad: orders closer than {apart:.0f} cannot be distinguished."
+
+
+def _separate(first: Hypothesis, alternatives: Sequence[Alternative]) -> str:
+    reveal = {effect.name: effect.reveal for effect in catalogue()}
+    names = dict.fromkeys([first.effect, *(a.effect for a in alternatives)])
+    return "; ".join(f"{name.replace('_', ' ')}: {reveal[name]}" for name in names)

@@ -1,0 +1,337 @@
+"""Diagnosis from positions, at rest and under load in one: what the model leaves out, found, named and proven."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.data_checks.adequacy import what_remains
+from calibration_core.diagnosis.data_checks.loaded_anomalies import (
+    Checked,
+    check_each,
+    noise_understated,
+    outlier_readings,
+)
+from calibration_core.diagnosis.data_checks.noise import Scatter
+from calibration_core.diagnosis.data_checks.shift_anomalies import shift_anomalies
+from calibration_core.diagnosis.evidence.extended import loaded_state
+from calibration_core.diagnosis.findings.geometry import geometry_findings
+from calibration_core.diagnosis.findings.positions import equivalents, position_findings
+from calibration_core.diagnosis.loaded import ALIASES
+from calibration_core.diagnosis.model_estimate import positions_compliance, positions_estimate
+from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.measurements import NONE_ASKED, Proposals
+from calibration_core.diagnosis.proposals.postures import Known, propose_postures
+from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, Verdict, by_size
+from calibration_core.diagnosis.tested import tested_on
+from calibration_core.estimation.blocks import posture_blocks, time_blocks
+from calibration_core.estimation.estimate import Estimate, estimate
+from calibration_core.estimation.hypotheses import is_axial
+from calibration_core.estimation.refit import Extended
+from calibration_core.estimation.rows import state_at
+from calibration_core.estimation.shifts import FAMILY
+from calibration_core.identification.absolute.evaluate import Evaluated, evaluate_absolute, identification_of
+from calibration_core.identification.checks.noise_audit import rigid_triangle
+from calibration_core.identification.geometry.problem import absolute_problem
+from calibration_core.identification.identify import is_loaded
+from calibration_core.identification.result.estimate import Anomaly, Identification, TestResult
+from calibration_core.identification.stiffness.loaded import (
+    MIN_CONFIGURATIONS,
+    Options,
+    identify_prepared,
+    loaded_configurations,
+    prepare_loaded,
+)
+from calibration_core.model.effects.applied import applied
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import AppliedEffect, ModelParameters
+from calibration_core.observations.covariance import position_covariance
+from calibration_core.timeseries import Bool1D, Float2D, Readings
+
+DWARFS = 10.0  # times what remains unexplained, that a geometry error beside it must move the points
+SLACK = 0.02  # of the largest force: less is none
+FEWEST = 12  # unloaded postures from which on they alone fix frames and geometry
+REPORTED = {"time": 10, "posture": 20}  # blocks left out in the figures that are reported
+
+
+def diagnose_still(
+    readings: Readings,
+    cell: Cell,
+    *,
+    test: Readings | None = None,
+    believed: ModelParameters | None = None,
+    offers: Sequence[Offer] | None = None,
+) -> Diagnosis:
+    """Say what the model of a recording at rest leaves out.
+
+    Args:
+        readings: The recording; rows in the order of time.
+        cell: The cell file.
+        test: A second recording, predicted but not fitted.
+        believed: Model to start from; None: what the cell file believes.
+        offers: Postures that could be measured next; None: nothing is proposed.
+
+    Raises:
+        InputError: As `identify_absolute`.
+    """
+    evaluated = evaluate_absolute(readings, cell, believed=believed)
+    found = estimate(readings, cell, evaluated)
+    readmitted = frozenset(
+        (int(readings.configuration[k]), int(readings.step[k]), readings.points[readings.point[k]])
+        for k in np.flatnonzero(found.extended.model.used & ~evaluated.used)
+    )
+    if readmitted:  # gross errors only under the null model
+        evaluated = evaluate_absolute(readings, cell, readmit=readmitted, believed=believed)
+    steps = found.parts(anomalies=True)
+    if steps:  # what identification says is said of readings freed of what moved
+        moved = found.extended.shift(found.extended.model.state, steps) @ found.extended.parameters.tracker[:3, :3]
+        freed = dataclasses.replace(readings, position=readings.position - moved)
+        evaluated = evaluate_absolute(freed, cell, believed=believed)
+        identification = identification_of(evaluated, freed, cell, test=test)
+    else:
+        identification = identification_of(evaluated, readings, cell, test=test)
+    return diagnosis_of(found, evaluated, identification, cell, test=test, offers=offers)
+
+
+def diagnosis_of(
+    found: Estimate,
+    evaluated: Evaluated,
+    identification: Identification,
+    cell: Cell,
+    *,
+    test: Readings | None = None,
+    offers: Sequence[Offer] | None = None,
+    anomalies: tuple[Anomaly, ...] = (),
+) -> Diagnosis:
+    """Say in values and words what an estimate holds.
+
+    Args:
+        found: The estimate.
+        evaluated: Frames and geometry of the null model.
+        identification: What `identify` says of the recording.
+        cell: The cell file.
+        test: A second recording, predicted but not fitted.
+        offers: What could be measured next; None: nothing is proposed.
+        anomalies: Found in the data before.
+    """
+    readings, extended, null = found.extended.model.readings, found.extended, found.null
+    noise = float(np.sqrt(np.einsum("mii->m", position_covariance(readings, cell)).mean() / 3))
+    findings = position_findings(found)
+    rest = what_remains(found, readings, noise)
+    findings = by_size((*findings, *_geometry(found, evaluated, rest)))
+    proposals = NONE_ASKED if offers is None else _proposals(found, readings, cell, offers)
+    kinds = {
+        "time": time_blocks(readings.configuration, REPORTED["time"]),
+        "posture": posture_blocks(readings.q, readings.configuration, REPORTED["posture"]),
+    }
+    left = {kind: (null.held_out(blocks), extended.held_out(blocks)) for kind, blocks in kinds.items()}
+    physics = found.parts(anomalies=False)
+    effects = _effects(extended, physics)
+    model = extended.parameters.replace(effects=_applied(extended, effects))
+    compliance, covariance = positions_compliance(extended)
+    return Diagnosis(
+        verdict=_verdict(bool(findings), rest),
+        findings=findings,
+        anomalies=(*identification.anomalies, *anomalies, *shift_anomalies(found, readings)),
+        rest=rest,
+        next_measurements=proposals.measurements,
+        next_text=proposals.text,
+        identification=identification,
+        stiffness=_stiffness(extended),
+        rms_before=_rms(null.left),
+        rms_after=_rms(extended.left),
+        held_out_before=_rms(left["time"][0]),
+        held_out_after=_rms(left["time"][1]),
+        noise=noise,
+        level=0.0,
+        located=found.selection.refused,
+        residual=extended.left,
+        residual_before=null.left,
+        shift=extended.shift(extended.model.state, physics),
+        compliance=compliance,
+        compliance_covariance=covariance,
+        blocks={kind: (_rms3(before), _rms3(after)) for kind, (before, after) in left.items()},
+        test=None if test is None else _tested(test, cell, evaluated, found, model),
+        model=model,
+        estimate=positions_estimate(extended, model, effects, cell),
+    )
+
+
+def _effects(extended: Extended, physics: Sequence[int]) -> tuple[int, ...]:
+    """Return the parts that a model file holds as effects: all but compliances, which stand in it by themselves."""
+    held = extended.parameters.compliance
+
+    def stands(k: int) -> bool:
+        nothing = not np.any(extended.value[extended.block(k)])
+        return is_axial(extended.parts[k].candidate) and (nothing or held[_joint(extended, k)] > 0)
+
+    return tuple(k for k in physics if not stands(k))
+
+
+def _applied(extended: Extended, effects: Sequence[int]) -> tuple[AppliedEffect, ...]:
+    """Return effects for a model file."""
+    beyond = [(k, extended.value[extended.block(k)] - extended.held[extended.block(k)]) for k in effects]
+    return tuple(applied(extended.parts[k].candidate, value, extended.model.state) for k, value in beyond)
+
+
+def _joint(extended: Extended, part: int) -> int:
+    return extended.parameters.joints.index(str(extended.parts[part].candidate.location["joint"]))
+
+
+def _geometry(found: Estimate, evaluated: Evaluated, rest: Rest) -> tuple[Finding, ...]:
+    """Return the joints whose geometry is far from where the cell file, or the given model, puts it.
+
+    Geometry is fitted to whatever else is missing, too: beside a significant residual only what dwarfs it is believed.
+    """
+    staged = evaluated.staged
+    gain = 1 - (staged.final.held_out_rms / staged.frames.held_out_rms) ** 2
+    least = DWARFS * rest.rms if rest.significant else 0.0
+    return tuple(one for one in geometry_findings(found.extended, evaluated.nominal, gain) if one.magnitude > least)
+
+
+def _proposals(found: Estimate, readings: Readings, cell: Cell, offers: Sequence[Offer]) -> Proposals:
+    hypotheses, accepted = found.offered.hypotheses, found.selection.accepted
+    physics = [i for i in accepted if hypotheses[i].family != FAMILY]
+    places = [hypotheses[i].place for i in physics]
+    single = [i for i in physics if places.count(hypotheses[i].place) == 1]
+    equal = {i: equivalents(found, i) for i in single}
+    sizes = dict(zip(accepted, map(float, found.selection.sizes.size), strict=True))
+    for index, rivals in equal.items():
+        scores = found.search.scores(tuple(i for i in accepted if i != index))
+        size = scores.size * np.sqrt(scores.left)
+        sizes |= {rival: float(size[found.search.place[rival]]) for rival, _ in rivals if rival not in sizes}
+    noise = max(float(np.sqrt(found.selection.sizes.variance)), 1.0)
+    return propose_postures(Known(found.field, sizes, accepted, equal, found.null.model, noise), readings, cell, offers)
+
+
+def _tested(
+    readings: Readings, cell: Cell, evaluated: Evaluated, found: Estimate, model: ModelParameters
+) -> TestResult:
+    """Predict a recording that was not fitted with frames, geometry and findings; steps are not carried over."""
+    extended, before = found.extended, evaluated.nominal
+    if is_loaded(readings):
+        return tested_on(readings, cell, evaluated.problem.chain, found.null.parameters.compliance, model)
+    problem = absolute_problem(readings, cell, evaluated.problem.chain, before, position_covariance(readings, cell))
+    state = state_at(problem, extended.parameters, readings, cell)
+    after = problem.residual(extended.parameters).T - extended.shift(state, found.parts(anomalies=False))
+    return TestResult.of(readings, after, problem.residual(before).T)
+
+
+def _stiffness(extended: Extended) -> dict[str, tuple[float, float]]:
+    """Return joint -> (stiffness, standard deviation) of compliances that were fitted, N*m/rad."""
+    found = {}
+    for k, part in enumerate(extended.parts):
+        if is_axial(part.candidate):
+            value, covariance = extended.values_of(k)
+            compliance, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
+            if compliance > 2 * std:
+                found[str(part.candidate.location["joint"])] = (1 / compliance, std / compliance**2)
+    if extended.model.problem.load is None:
+        return found
+    first = extended.flat - len(extended.model.fitted_compliances)
+    for k, one in enumerate(extended.model.fitted_compliances):
+        joint = str(one.location["joint"])
+        compliance = float(extended.parameters.compliance[extended.parameters.joints.index(joint)])
+        std = float(np.sqrt(extended.covariance[first + k, first + k]))
+        found[joint] = (1 / compliance, std / compliance**2) if compliance > 0 else (np.inf, np.inf)
+    return found
+
+
+def _verdict(found: bool, rest: Rest) -> Verdict:
+    if found:
+        return "partly_explained" if rest.significant else "missing_physics"
+    return "unexplained" if rest.significant else "consistent"
+
+
+def _rms(residual: Float2D) -> float:
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def _rms3(residual: Float2D) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+
+
+def diagnose_mixed(
+    readings: Readings,
+    cell: Cell,
+    options: Options,
+    test: Readings | None = None,
+    offers: Sequence[Offer] | None = None,
+) -> Diagnosis:
+    """Say what the model of a recording leaves out that holds postures at rest and loaded ones, any number of either.
+
+    Args:
+        readings: The recording; rows in the order of time.
+        cell: The cell file.
+        options: How the loaded steps are evaluated.
+        test: A second recording, predicted but not fitted.
+        offers: What could be measured next; None: nothing is proposed.
+
+    Raises:
+        InputError: As `identify_absolute`, and as `identify_loaded` where several configurations were loaded.
+    """
+    start = nominal_parameters(cell) if options.start is None else options.start
+    still = standing(readings)
+    if len(loaded_configurations(readings)) < MIN_CONFIGURATIONS:  # too few for a stiffness by themselves
+        evaluated = evaluate_absolute(readings.select(still), cell, believed=start)
+        identification = identification_of(evaluated, readings.select(still), cell)
+        used = np.ones(len(readings), dtype=bool)
+        used[still] = evaluated.used
+        found = estimate(readings, cell, evaluated, used)
+        return diagnosis_of(found, evaluated, identification, cell, test=test, offers=offers)
+    prepared = prepare_loaded(readings, cell, options)
+    loaded_test = test if test is not None and is_loaded(test) else None
+    identification = identify_prepared(prepared, cell, options, loaded_test)
+    checked = check_each(prepared, lambda problem: loaded_state(problem, cell, prepared.fit.compliance))
+    evaluated = evaluate_absolute(
+        readings.select(still), cell, believed=start.replace(compliance=prepared.fit.compliance)
+    )
+    used = checked.sound & prepared.rejection.used
+    used[still] &= evaluated.used  # gross errors that only the geometry shows
+    found = estimate(readings, cell, evaluated, used)
+    unsettled = (a for a in identification.anomalies if a.kind == "unsettled")
+    anomalies = (*checked.anomalies, *_of_readings(found, checked, identification.noise.claimed), *unsettled)
+    silent = dataclasses.replace(identification, anomalies=())
+    result = diagnosis_of(found, evaluated, silent, cell, test=test, offers=offers, anomalies=anomalies)
+    return dataclasses.replace(result, aliases=ALIASES)
+
+
+def _of_readings(found: Estimate, checked: Checked, claimed: float) -> tuple[Anomaly, ...]:
+    """Return what single readings show: noise beyond the claim (m), and gross errors under the extended model."""
+    readings, used = found.extended.model.readings, found.extended.model.used
+    aside = checked.sound & ~used
+    size = float(np.linalg.norm(found.extended.left, axis=1)[aside].max(initial=0.0))
+    triangle = rigid_triangle(readings.position, readings, used)
+    loose = any(anomaly.kind == "loose_target" for anomaly in checked.anomalies)
+    noise: tuple[Anomaly, ...] = ()
+    if triangle is not None and not loose:
+        own = triangle.seen / claimed
+        noise = noise_understated(Scatter((own, own, own), 0.0, 0.0, triangle.degrees_of_freedom), claimed)
+    return (*noise, *outlier_readings(aside, size, readings))
+
+
+def standing(readings: Readings) -> Bool1D:
+    """Return the rows of first steps at which next to nothing pulls, (m,); where these are few, of all first steps.
+
+    Of several recordings, each is judged by itself: each has frames of its own that they have to fix.
+    """
+    found = np.zeros(len(readings), dtype=bool)
+    for rows in readings.each():
+        found[rows] = _standing(readings.select(rows))
+    return found
+
+
+def _standing(readings: Readings) -> Bool1D:
+    first = np.zeros(len(readings), dtype=bool)
+    for number in np.unique(readings.configuration):
+        inside = readings.configuration == number
+        first |= inside & (readings.step == readings.step[inside].min())
+    if readings.wrench is None:
+        return first
+    force = np.linalg.norm(readings.wrench[:, :3], axis=1)
+    unloaded = first & (force < SLACK * force.max())
+    enough = len(np.unique(readings.configuration[unloaded])) >= FEWEST
+    return unloaded if enough else first

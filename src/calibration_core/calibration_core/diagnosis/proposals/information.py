@@ -1,0 +1,100 @@
+"""What a recording, and measurements that are only imagined yet, tell about a hypothesis.
+
+A hypothesis is a linear model y = X theta + noise of unit variance with a normal prior on theta; X holds the null
+model, the effects that are not in question, the structured discrepancy and the effect in question.  The prediction of a
+measurement not yet made is then normal, and so is the expected log Bayes factor between two hypotheses:
+
+    D(h, g) = (tr(S_g^-1 S_h) - d + (m_g - m_h)' S_g^-1 (m_g - m_h) + log det S_g - log det S_h) / 2,
+
+with mean m and covariance S of the predictions.  All parameters, those of the null model too, are refitted in it.
+Source: Box and Hill 1967; Atkinson and Fedorov 1975 (T-optimality).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+
+FREE = 1e-9  # prior precision of the null model's columns, these being of length one
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Predictions:
+    """Means (k, d) and covariances (k, d, d) of k measurements not yet made, noise included."""
+
+    mean: Float2D
+    covariance: Float3D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class HypothesisPosterior:
+    """Posterior of one hypothesis.
+
+    Attributes:
+        scale: (p,) by which columns are divided.
+        matrix: (p, p) posterior precision of the scaled parameters.
+        vector: (p,) its product with the mean.
+    """
+
+    scale: Float1D
+    matrix: Float2D
+    vector: Float1D
+
+    @staticmethod
+    def of(columns: Float2D, residual: Float1D, free: int) -> HypothesisPosterior:
+        """Learn from a recording.
+
+        Args:
+            columns: (r, p) whitened, the first `free` without a prior, the others per standard deviation of theirs.
+            residual: (r,).
+            free: How many have no prior.
+        """
+        length = np.linalg.norm(columns, axis=0)
+        scale = np.where(length > 0, length, 1.0)
+        prior = 1 / scale**2
+        prior[:free] = FREE
+        scaled = columns / scale
+        return HypothesisPosterior(scale, scaled.T @ scaled + np.diag(prior), scaled.T @ residual)
+
+    @property
+    def mean(self) -> Float1D:
+        """(p,) in the units of the columns."""
+        return np.asarray(np.linalg.solve(self.matrix, self.vector) / self.scale)
+
+    @property
+    def covariance(self) -> Float2D:
+        """(p, p) in the units of the columns."""
+        return np.asarray(np.linalg.inv(self.matrix) / np.outer(self.scale, self.scale))
+
+    def after(self, columns: Float2D, values: Float1D) -> HypothesisPosterior:
+        """Return what is known after a measurement with these columns, (d, p), and values, (d,)."""
+        scaled = columns / self.scale
+        return HypothesisPosterior(self.scale, self.matrix + scaled.T @ scaled, self.vector + scaled.T @ values)
+
+    def predict(self, columns: Float3D) -> Predictions:
+        """Predict k measurements with columns (k, d, p)."""
+        spread = columns @ self.covariance @ columns.transpose(0, 2, 1)
+        return Predictions(columns @ self.mean, spread + np.eye(columns.shape[1]))
+
+    def variances_after(self, columns: Float3D, chosen: list[int]) -> Float2D:
+        """Return (k, c) the variances of the chosen parameters after each of k measurements with columns (k, d, p)."""
+        covariance = self.covariance
+        response = columns @ covariance[:, chosen]  # (k, d, c)
+        whole = columns @ covariance @ columns.transpose(0, 2, 1) + np.eye(columns.shape[1])
+        gained = np.einsum("kdc,kdc->kc", response, np.linalg.solve(whole, response))
+        return np.asarray(np.diag(covariance)[chosen] - gained)
+
+
+def expected_log_bayes_factor(truth: Predictions, other: Predictions) -> Float1D:
+    """Return (k,) nats by which each measurement is expected to favour the truth over the other hypothesis."""
+    d = truth.mean.shape[1]
+    inverse = np.linalg.inv(other.covariance)
+    apart = other.mean - truth.mean
+    _, log_other = np.linalg.slogdet(other.covariance)
+    _, log_truth = np.linalg.slogdet(truth.covariance)
+    trace = np.einsum("kij,kji->k", inverse, truth.covariance)
+    distance = np.einsum("ki,kij,kj->k", apart, inverse, apart)
+    return np.asarray(0.5 * (trace - d + distance + log_other - log_truth))

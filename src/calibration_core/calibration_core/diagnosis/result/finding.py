@@ -1,0 +1,197 @@
+"""What a diagnosis says (contract, section 5)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from typing import Literal
+
+from calibration_core.diagnosis.comparison.result import Comparison
+from calibration_core.diagnosis.location import Located
+from calibration_core.identification.result.estimate import Anomaly, Identification, TestResult
+from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Float1D, Float2D
+
+Location = Mapping[str, str | tuple[str, ...]]
+EMPIRICAL = "empirical"  # family of a law that fits and is no physics
+Verdict = Literal["consistent", "missing_physics", "partly_explained", "unexplained"]
+
+
+@dataclasses.dataclass(frozen=True)
+class FoundParameter:
+    """One parameter of a finding: name, value, standard deviation and unit."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Alternative:
+    """Another hypothesis that the recording cannot tell from the finding.
+
+    Attributes:
+        effect: Its name.
+        family: Its family.
+        location: Where.
+        log_bayes_factor: nats, beside that of the finding.
+    """
+
+    effect: str
+    family: str
+    location: Location
+    log_bayes_factor: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One effect that is missing in the model.
+
+    Attributes:
+        effect: Name of the contract, section 6.
+        family: Family.
+        location: Where; a joint or link is left open (empty) where too many come into question.
+        variant: Form of the law, as in the catalogue.
+        parameters: With 95 % = 1.96 std intervals.
+        log_bayes_factor: Against the model without it, nats.
+        held_out_gain: Share by which the squared error on configurations left out falls.
+        magnitude: Root mean square of the shift that it causes at the measured points, m.
+        cannot_be_told_from: At most five, nearest first.
+        stiffness_change: Joint -> relative change of its stiffness once the effect is in the model.
+        explanation: For a person: what, where, how sure, how much.
+        separate_by: The measurement that would decide, or confirm it.
+        refinements: Further terms of the same cause (other law, neighbour), by effect name and location.
+        law_settled: Whether the form of the law is settled; where not, joint and kind are.
+        shared_size: Standard deviation that the parameters of a family share; None where there is none.
+    """
+
+    effect: str
+    family: str
+    location: Location
+    variant: str
+    parameters: tuple[FoundParameter, ...]
+    log_bayes_factor: float
+    held_out_gain: float
+    magnitude: float
+    cannot_be_told_from: tuple[Alternative, ...]
+    stiffness_change: Mapping[str, float]
+    explanation: str
+    separate_by: str
+    refinements: tuple[str, ...] = ()
+    law_settled: bool = True
+    shared_size: FoundParameter | None = None
+
+
+def by_size(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings in the order of the contract: largest effect on the measured points first."""
+    return tuple(sorted(findings, key=lambda finding: -finding.magnitude))
+
+
+@dataclasses.dataclass(frozen=True)
+class Rest:
+    """What remains after the findings.
+
+    Attributes:
+        rms: Excess over the noise, per coordinate, m.
+        significant: Whether noise does not explain it.
+        where: Words and numbers on where and when it is largest.
+        text: One sentence.
+    """
+
+    rms: float
+    significant: bool
+    where: Mapping[str, object]
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class ProposedMeasurement:
+    """A proposed next measurement.
+
+    Attributes:
+        q: Joint angles, rad.
+        wrench: Base axes at the wrench point, N and N*m.
+        why: What it would decide, and by how much.
+        steps: The wrenches of its load steps, the first unloaded.
+        gain: What it is expected to bring.
+        gain_at_random: What a configuration taken at random is expected to bring (median).
+        gain_unit: `nats` of log Bayes factor, or `%` of a value's standard deviation.
+    """
+
+    q: tuple[float, ...]
+    wrench: tuple[float, ...]
+    why: str
+    steps: tuple[tuple[float, ...], ...] = ()
+    gain: float = 0.0
+    gain_at_random: float = 0.0
+    gain_unit: str = ""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The complete answer of `calibration diagnose`.
+
+    Attributes:
+        verdict: As in the contract.
+        findings: Largest effect on the measured point first; empirical laws among them are no physics.
+        anomalies: Found before any physics.
+        rest: What remains.
+        next_measurements: What would separate what is confounded now.
+        identification: The null model: what `identify` says of the recording.
+        stiffness: Joint -> (value, std) in the extended model, N*m/rad.
+        rms_before, rms_after: Per coordinate over all readings, m; before is the refitted null model.
+        held_out_before, held_out_after: The same on configurations left out.
+        noise: Standard deviation of one coordinate, as used, m.
+        level: Signal-to-noise ratio of the small effects allowed for.
+        located: Sentences of the model-free location.
+        residual: (m, 3) m, what the extended model leaves.
+        shift: (m, 3) m, what the findings explain.
+        compliance: (n,) rad/(N*m) of the extended model.
+        blocks: Kind of block left out (`time`, `posture`) -> 3-d rms before and after, m; absolute recordings only.
+        test: Result on a recording that was not fitted, if one was given.
+        model: The extended model, as it is written to a file; None where there is none.
+        estimate: Everything accepted in `model`, with its joint covariance.
+        aliases: What this kind of recording can never tell apart, in sentences.
+        further_figures: More figures of the fit for result.json, by name.
+        comparison: With a simulation of the same measurement, if one was given.
+        residual_before: (m, 3) m, what the null model leaves, without offsets where these are free.
+        where: The location without a hypothesis, in numbers.
+        next_text: What no further measurement of this kind can decide, or why none is proposed.
+        compliance_covariance: (n, n) of `compliance`, (rad/(N*m))^2; None where it was not fitted.
+    """
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    anomalies: tuple[Anomaly, ...]
+    rest: Rest
+    next_measurements: tuple[ProposedMeasurement, ...]
+    identification: Identification
+    stiffness: Mapping[str, tuple[float, float]]
+    rms_before: float
+    rms_after: float
+    held_out_before: float
+    held_out_after: float
+    noise: float
+    level: float
+    located: tuple[str, ...]
+    residual: Float2D
+    shift: Float2D
+    compliance: Float1D
+    blocks: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    test: TestResult | None = None
+    model: ModelParameters | None = None
+    aliases: tuple[str, ...] = ()
+    further_figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    comparison: Comparison | None = None
+    residual_before: Float2D | None = None
+    where: Located | None = None
+    next_text: str = ""
+    compliance_covariance: Float2D | None = None
+    estimate: GaussianEstimate = dataclasses.field(default_factory=GaussianEstimate.nothing)
+
+    @property
+    def physics(self) -> tuple[Finding, ...]:
+        """Findings that are effects of the catalogue, not empirical laws."""
+        return tuple(finding for finding in self.findings if finding.family != EMPIRICAL)

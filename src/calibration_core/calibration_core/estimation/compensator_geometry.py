@@ -1,0 +1,85 @@
+"""The triangle of a gravity compensator, fitted where one may be.
+
+The catalogue offers a few shapes.  By what the true one differs is a wave over the joint's angle, which a transmission
+error of the same joint would explain, and several orders together imitate the whole spring.  The shape is therefore
+fitted without such waves and offered as one more hypothesis, which is judged as all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from calibration_core.estimation.field import Accepted, Field
+from calibration_core.estimation.hypotheses import WAVE
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.state import State
+from calibration_core.model.effects.structure.gravity_compensator import Triangle, carriers, pull, spring, triangle_of
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+
+SPRING = "gravity_compensator"
+REACH = 30.0  # degrees about the offered anchor
+LEAST, MOST = 0.05, 0.9  # of flatness and preload
+SCALE = (5.0, 0.1, 0.1)  # of anchor, flatness and preload
+STARTS = 3  # shapes of the catalogue from which the best one is sought
+STEPS = 20  # at most, from each
+
+
+def fit_compensator_geometry(
+    field: Field, accepted: Accepted, state: State, weigh: Callable[[Float3D], Float2D]
+) -> tuple[Candidate, ...]:
+    """Return springs of fitted shape, one for every joint at which a spring or waves were accepted.
+
+    Args:
+        field: Rows and hypotheses.
+        accepted: What was accepted.
+        state: All readings' state.
+        weigh: Turns movements (m, 3, k) of all readings into the search's whitened columns (r, k).
+    """
+    hypotheses = field.offered.hypotheses
+    found = []
+    for joint in carriers(state):
+        name = state.chain.joints[joint]
+        near = [
+            i
+            for i in accepted
+            if hypotheses[i].effect in {SPRING, WAVE} and hypotheses[i].location.get("joint") == name
+        ]
+        if near and any(c.effect == SPRING and c.location["joint"] == name for c in field.offered.candidates):
+            others = tuple(i for i in accepted if i not in near)
+            found.append(_shape(field, others, state, joint, weigh))
+    return tuple(found)
+
+
+def _shape(field: Field, others: Accepted, state: State, joint: int, weigh: Callable[[Float3D], Float2D]) -> Candidate:
+    basis, residual = _without(field, others)
+
+    def left(x: Float1D) -> Float1D:
+        column = weigh(pull(state, joint, Triangle(*x))[:, :, :1])[:, 0]
+        column = column - basis @ (basis.T @ column)
+        return np.asarray(residual - column * (column @ residual) / max(float(column @ column), 1e-300))
+
+    name = state.chain.joints[joint]
+    offered = [
+        triangle_of(c.variant) for c in field.offered.candidates if c.effect == SPRING and c.location["joint"] == name
+    ]
+    starts = [np.array([shape.anchor, shape.flatness, shape.preload]) for shape in offered if shape is not None]
+    starts.sort(key=lambda x: float(np.sum(left(x) ** 2)))
+    from scipy.optimize import least_squares  # slow to load, and loaded recordings do not need it
+
+    fits = [least_squares(left, x, bounds=_around(x), x_scale=SCALE, max_nfev=STEPS) for x in starts[:STARTS]]
+    return spring(state, joint, Triangle(*map(float, min(fits, key=lambda fit: float(fit.cost)).x)))
+
+
+def _without(field: Field, others: Accepted) -> tuple[Float2D, Float1D]:
+    """Return a basis of the null model and other hypotheses, (r, b), and the residual beside them, (r,)."""
+    index = np.concatenate([np.arange(field.flat_count), *(field.flat_count + block for block in field.blocks(others))])
+    wide = field.wide[:, index]
+    u, s, _ = np.linalg.svd(wide / np.maximum(np.linalg.norm(wide, axis=0), 1e-300), full_matrices=False)
+    basis = u[:, s > 1e-6 * s[0]]
+    return basis, field.residual - basis @ (basis.T @ field.residual)
+
+
+def _around(start: Float1D) -> tuple[list[float], list[float]]:
+    return [float(start[0]) - REACH, LEAST, LEAST], [float(start[0]) + REACH, MOST, MOST]

@@ -1,0 +1,122 @@
+"""What a hypothesis must pass besides likelihood and blocks left out.
+
+Compliances are positive.  Sag under the robot's own weight resembles what geometry and gears do to a posture: it is
+believed only if gravity turned by 90 degrees explains far less.  Noise that lasts resembles a drift.  A step must
+matter.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.estimation.field import Trial
+from calibration_core.estimation.hypotheses import SAG, physics, typical_sizes
+from calibration_core.estimation.noise.whitening import Whitening
+from calibration_core.estimation.rows import NullModel, weighted
+from calibration_core.estimation.shifts import FAMILY, MOVED
+from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
+from calibration_core.model.effects.possible import forbidden, nearest, out_of_reach
+from calibration_core.timeseries import Float2D, Int1D
+
+COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
+DRIFT = "tracker_drift"
+SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness and turned levers
+LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
+CONVINCING = 6.0  # nats
+LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
+STEP_SHARE = 0.1  # of the squared residual on blocks left out, that a step must explain
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Controls:
+    """The controls of one recording.
+
+    Attributes:
+        turned: Joint -> (r, 2) whitened columns of sag with gravity turned, per typical size.
+    """
+
+    turned: dict[str, Float2D]
+
+    def __call__(self, trial: Trial) -> str:
+        """Return why a hypothesis is refused beside the accepted ones; empty if it is not."""
+        one = trial.hypothesis
+        if one.family == FAMILY:
+            return _small(trial)
+        if trial.movement < SECOND_ORDER * trial.movement_of_others:
+            return "it is no larger than what second order leaves of larger effects"
+        if one.effect == DRIFT:
+            return _lasting(trial)
+        return self._turned(trial) if one.effect == SAG else ""
+
+    def _turned(self, trial: Trial) -> str:
+        joints = [str(trial.field.offered.candidates[k].location["joint"]) for k in trial.hypothesis.members]
+        known = dataclasses.replace(trial.sizes, size=trial.sizes.size[:-1])
+        model = trial.field.left_out(trial.accepted, known)
+        for axis in range(2):  # the first half of the columns is of gravity turned about one axis, the other about two
+            halves = (np.split(self.turned[joint], 2, axis=1)[axis] for joint in joints)
+            columns = np.concatenate(list(halves), axis=1)
+            columns = np.pad(columns, ((0, len(trial.field.residual) - len(columns)), (0, 0)))
+            ridge = np.full(columns.shape[1], trial.sizes.variance / float(trial.sizes.size[-1]) ** 2)
+            other = trial.field.in_blocks(model.beside(columns, ridge))
+            for before, true, false in zip(trial.before, trial.after, other, strict=True):
+                kept = (before - false).sum() / max((before - true).sum(), 1e-12)
+                if kept > COLLAPSED:
+                    return f"{100 * kept:.0f} % of its gain remains with gravity turned by 90 degrees"
+        return ""
+
+
+def controls(model: NullModel, rows: Int1D, whitening: Whitening) -> Controls:
+    """Return the controls of some readings of a recording."""
+    if model.fitted_compliances:  # sag is part of the null model, no hypothesis
+        return Controls({})
+    state, part = model.state, model.problem.select(rows)
+    typicals = {str(c.location["joint"]): c.parameters[0].typical for c in physics(state, sag=True) if c.effect == SAG}
+    joints = ((name, state.chain.joints.index(name)) for name in typicals)
+    moved = {name: turned_columns(state, joint)[rows] * typicals[name] for name, joint in joints}
+    return Controls({name: whitening(weighted(part, model.parameters, one)) for name, one in moved.items()})
+
+
+def _small(trial: Trial) -> str:
+    mean, _ = trial.posterior(trial.hypothesis.members)
+    share = min(one.share for one in trial.proofs)
+    enough = share > STEP_SHARE and float(np.linalg.norm(MOVED * mean[:3])) > LEAST_STEP
+    return "" if enough else "the step is too small to matter"
+
+
+def _lasting(trial: Trial) -> str:
+    if min(one.nats for one in trial.proofs) > LASTING * CONVINCING:
+        return ""
+    return f"it does not convince where {LASTING:g} configurations in a row may share their noise"
+
+
+def impossible(trial: Trial) -> str:
+    """Return what physics forbids of a hypothesis beside the accepted ones; empty if nothing.
+
+    Compliances are not negative, neither its own nor, because of it, those of the others: what is left of the gain at
+    the nearest values that physics allows for all of them together?
+    """
+    candidates = trial.field.offered.candidates
+    own = [k for k in trial.hypothesis.members if any(np.isfinite(p.reach) for p in candidates[k].parameters)]
+    for k in own:
+        sizes = typical_sizes(candidates[k])
+        value, spread = trial.posterior([k])
+        if out_of_reach(candidates[k].parameters, value * sizes, spread * np.outer(sizes, sizes)):
+            return "its law would lie where another form of it is offered"
+    nats = _beyond(trial) - _beyond(trial, alone=True)
+    return f"a compliance would be negative (by {nats:.0f} nats)" if forbidden(nats, trial.gain) else ""
+
+
+def _beyond(trial: Trial, *, alone: bool = False) -> float:
+    """Return by how many nats all hypotheses together, or the accepted ones alone, are beyond what physics allows."""
+    offered = trial.field.offered
+    chosen = trial.accepted if alone else (*trial.accepted, trial.index)
+    members = sorted({k for i in chosen for k in offered.hypotheses[i].members})
+    bound = [k for k in members if any(p.positive for p in offered.candidates[k].parameters)]
+    if not bound:
+        return 0.0
+    mean, covariance = trial.posterior(bound, alone=alone)
+    sizes = np.concatenate([typical_sizes(offered.candidates[k]) for k in bound])
+    several = [offered.candidates[k].parameters for k in bound]
+    return nearest(several, mean * sizes, covariance * np.outer(sizes, sizes)).nats

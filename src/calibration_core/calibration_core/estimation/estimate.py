@@ -1,0 +1,248 @@
+"""The core: a recording goes in, the null model, what was found beside it, and one estimate of everything come out."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.estimation.blocks import STAYS, Blocks, posture_blocks, time_blocks
+from calibration_core.estimation.compensator_geometry import fit_compensator_geometry
+from calibration_core.estimation.controls import controls
+from calibration_core.estimation.field import Accepted, Field
+from calibration_core.estimation.hypotheses import SAG, Hypothesis, Offered, is_axial, offer, physics
+from calibration_core.estimation.noise.strata import fit_whitening, strata_of
+from calibration_core.estimation.noise.usual import usual_errors
+from calibration_core.estimation.noise.whitening import Whitening, whiten
+from calibration_core.estimation.outliers import settled
+from calibration_core.estimation.refit import Extended, Part, refit
+from calibration_core.estimation.rows import NullModel, sample, state_at, weighted
+from calibration_core.estimation.search import Search, Selection
+from calibration_core.estimation.shifts import FAMILY, position_of, shifts, spacing
+from calibration_core.identification.absolute.evaluate import Evaluated
+from calibration_core.identification.geometry.problem import absolute_problem
+from calibration_core.identification.geometry.terms import ElasticityTerm
+from calibration_core.identification.stiffness.loaded import loaded_configurations
+from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
+from calibration_core.model.effects.candidate import Candidate, Parameter
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import stacked
+from calibration_core.model.effects.state import State
+from calibration_core.model.robot import chain_of
+from calibration_core.observations.covariance import position_covariance
+from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
+
+SEARCH_BLOCKS = {"time": 15, "posture": 15}
+COVARIANCE_BLOCKS = 40
+LEFT_OUT = 3  # configurations under load from which on they are left out like others
+MORE = 0.02  # share of readings whose use must change before the search is made again
+EXCITED = 1e-3  # of the claimed noise: what a compliance of typical size must move to be fitted
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Estimate:
+    """Everything about one recording.
+
+    Attributes:
+        null: The null model, refitted.
+        extended: The same with everything accepted.
+        search: Rows, hypotheses and all that was asked of them.
+        selection: What was accepted there.
+        members: Hypothesis accepted -> indices of its parts in `extended`.
+    """
+
+    null: Extended
+    extended: Extended
+    search: Search
+    selection: Selection
+    members: dict[int, tuple[int, ...]]
+
+    @property
+    def field(self) -> Field:
+        """Rows and hypotheses."""
+        return self.search.field
+
+    @property
+    def offered(self) -> Offered:
+        """The hypotheses."""
+        return self.field.offered
+
+    def parts(self, *, anomalies: bool) -> tuple[int, ...]:
+        """Return the parts of the extended model that are physics, or those that are not."""
+        return tuple(k for k, part in enumerate(self.extended.parts) if (part.candidate.family == FAMILY) is anomalies)
+
+
+def estimate(readings: Readings, cell: Cell, evaluated: Evaluated, sound: Bool1D | None = None) -> Estimate:
+    """Search a recording for what its null model leaves out, and estimate everything together.
+
+    Args:
+        readings: The recording, in the order of time.
+        cell: The cell file.
+        evaluated: Frames and identifiable geometry, and which readings of the postures at rest are used.
+        sound: (m,) readings that may be used; None: those that the evaluation used (it saw the same readings).
+    """
+    model = null_model(readings, cell, evaluated, evaluated.used if sound is None else sound)
+    found = _searched(model)
+    used = settled(found.extended)
+    if not np.array_equal(used, model.used):
+        again = np.mean(used != model.used) > MORE
+        model = dataclasses.replace(model, used=used)
+        found = _searched(model) if again else _again(found, model)
+    return found
+
+
+def null_model(readings: Readings, cell: Cell, evaluated: Evaluated, used: Bool1D) -> NullModel:
+    """Return the null model of all readings: frames, geometry, and compliances where they are stated or loads act."""
+    final = evaluated.staged.final.fit
+    terms = tuple(term for term in final.terms if not isinstance(term, ElasticityTerm))
+    nominal = evaluated.nominal
+    parameters = final.parameters.replace(compliance=nominal.compliance)
+    problem = absolute_problem(readings, cell, chain_of(cell), nominal, position_covariance(readings, cell))
+    model = NullModel(
+        readings, cell, problem, parameters, terms, (), state_at(problem, parameters, readings, cell), used
+    )
+    if not (np.any(nominal.compliance) or problem.load is not None):
+        return model
+    rows = np.flatnonzero(used)
+    chain = model.state.chain
+    offered = [axial(j, name, model.state) for j, name in enumerate(chain.joints) if not chain.rigid[j]]
+    felt = [np.abs(model.moves(c, rows) * c.parameters[0].typical).max(initial=0.0) > EXCITED for c in offered]
+    return dataclasses.replace(model, fitted_compliances=tuple(c for c, yes in zip(offered, felt, strict=True) if yes))
+
+
+def axial(joint: int, name: str, state: State) -> Candidate:
+    """Return the compliance of a joint about its own axis, under load and weight (CWA 17384, 6.2)."""
+    slides = state.chain.prismatic[joint]
+    size = typical("prismatic_elasticity" if slides else SAG, state.rated_load)
+    parameter = Parameter("compliance", "m/N" if slides else "rad/(N*m)", size, positive=True)
+
+    def columns(state: State) -> Float3D:
+        return stacked(state.joint_column(joint, state.torque[joint]))
+
+    return Candidate(SAG, "absolute", {"joint": name}, AXIAL, (parameter,), columns)
+
+
+def _searched(model: NullModel) -> Estimate:
+    """Search, and once more about the solution where the robot sags enough to change what everything else does."""
+    found = _search(model)
+    sagging = found.extended.model
+    if model.fitted_compliances or not np.any(sagging.parameters.compliance):
+        return found
+    return _search(sagging)
+
+
+def _search(model: NullModel) -> Estimate:
+    readings = model.readings
+    covariance_blocks = time_blocks(readings.configuration, COVARIANCE_BLOCKS)
+    everything = np.arange(len(readings))
+    null = refit(_rigid(model), whiten(strata_of(model, everything), 0.0, 2.0), (), covariance_blocks)
+    if model.fitted_compliances or not np.any(model.parameters.compliance):
+        model = null.model
+    catalogue = physics(null.model.state, sag=not model.fitted_compliances)
+    field, whitening = _field(model, offer((*catalogue, *shifts(readings))), None)
+    control = controls(model, sample_rows(model), whitening)
+    search = Search(field, control)
+    selection = search.run()
+    more = _sharper(model, search.field, selection.accepted, whitening)
+    steps = [i for i in selection.accepted if field.offered.hypotheses[i].family == FAMILY]
+    if steps or more:  # where exactly, between the change points tried first; which shape exactly
+        reach = spacing(readings)
+        near = {position_of(field.offered.hypotheses[i].variant) for i in steps}
+        fine = np.unique(
+            np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(k - reach, k + reach + 1) for k in near)])
+        )
+        helped = {c.location["joint"] for c in more}
+        physical = [field.offered.hypotheses[i] for i in selection.accepted if i not in steps]
+        field, _ = _field(model, offer((*more, *catalogue, *shifts(readings, fine))), whitening)
+        begin = [_find(field.offered, one) for one in physical if one.location.get("joint") not in helped]
+        search = Search(field, control)
+        selection = search.run(tuple(begin))
+    whole = whiten(strata_of(model, everything), whitening.shared, whitening.offset)
+    if whole.parts:
+        null = refit(_rigid(model), whole, (), covariance_blocks)
+    parts, members = _parts(field, selection)
+    extended = refit(model, whole, parts, covariance_blocks)
+    return Estimate(null, extended, search, selection, members)
+
+
+def _rigid(model: NullModel) -> NullModel:
+    """Return the null model itself, where compliances are in question."""
+    if model.fitted_compliances or not np.any(model.parameters.compliance):
+        return model
+    return model.at(model.parameters.replace(compliance=np.zeros_like(model.parameters.compliance)))
+
+
+def _find(offered: Offered, one: Hypothesis) -> int:
+    """Return the index of the same hypothesis among others."""
+    return next(i for i, h in enumerate(offered.hypotheses) if (h.place, h.variant) == (one.place, one.variant))
+
+
+def _sharper(model: NullModel, field: Field, accepted: Accepted, whitening: Whitening) -> tuple[Candidate, ...]:
+    rows = sample_rows(model)
+    part = model.problem.select(rows)
+
+    def weigh(movement: Float3D) -> Float2D:
+        white = whitening(weighted(part, model.parameters, movement[rows]))
+        return np.pad(white, ((0, len(field.residual) - len(white)), (0, 0)))  # priors have rows of their own
+
+    return fit_compensator_geometry(field, accepted, model.state, weigh)
+
+
+def _again(found: Estimate, model: NullModel) -> Estimate:
+    """Fit the same once more to other readings."""
+    blocks = time_blocks(model.readings.configuration, COVARIANCE_BLOCKS)
+    at = dataclasses.replace(found.extended.model, used=model.used)
+    whitening = found.extended.whitening
+    null = refit(dataclasses.replace(found.null.model, used=model.used), whitening, (), blocks)
+    extended = refit(at, whitening, found.extended.parts, blocks)
+    return dataclasses.replace(found, null=null, extended=extended)
+
+
+def sample_rows(model: NullModel) -> np.ndarray:
+    """Return the readings that are searched."""
+    return sample(model.readings.configuration, np.flatnonzero(model.used))
+
+
+def partitions_of(model: NullModel, rows: np.ndarray, counts: dict[str, int]) -> tuple[Blocks, ...]:
+    """Return blocks of some readings in time and in posture.
+
+    A few configurations under load tell the compliances alone, which the others cannot predict: they stay.
+    """
+    configuration, q = model.readings.configuration[rows], model.readings.q[rows]
+    found = time_blocks(configuration, counts["time"]), posture_blocks(q, configuration, counts["posture"])
+    loaded = loaded_configurations(model.readings)
+    if len(loaded) >= LEFT_OUT or not model.fitted_compliances:
+        return found
+    stay = np.isin(configuration, loaded)
+    return tuple(dataclasses.replace(one, label=np.where(stay, STAYS, one.label)) for one in found)
+
+
+def _field(model: NullModel, offered: Offered, whitening: Whitening | None) -> tuple[Field, Whitening]:
+    rows = sample_rows(model)
+    flat, residual = model.flat(rows)
+    columns = offered.columns(model, rows)
+    if not model.fitted_compliances:  # compliances that were found already are still in question
+        for candidate, block in zip(offered.candidates, offered.blocks, strict=True):
+            if is_axial(candidate):
+                held = model.parameters.compliance[model.parameters.joints.index(str(candidate.location["joint"]))]
+                residual = residual + columns[:, block.start] * (held / candidate.parameters[0].typical)
+    if whitening is None:
+        whitening = fit_whitening(strata_of(model, rows), residual, flat, columns, offered)
+    usual = weighted(model.problem.select(rows), model.parameters, usual_errors(model.state)[rows])
+    wide = whitening(np.column_stack([residual, flat, usual, columns]))
+    f, u = flat.shape[1], flat.shape[1] + usual.shape[1]
+    partitions = partitions_of(model, rows, SEARCH_BLOCKS)
+    field = Field.of(wide[:, 0], wide[:, 1 : 1 + f], wide[:, 1 + f : 1 + u], wide[:, 1 + u :], offered, partitions)
+    return field, whitening
+
+
+def _parts(field: Field, selection: Selection) -> tuple[tuple[Part, ...], dict[int, tuple[int, ...]]]:
+    """Return every candidate once, with the size of all hypotheses that hold it, and where each hypothesis's are."""
+    variance: dict[int, float] = {}
+    for index, size in zip(selection.accepted, selection.sizes.size, strict=True):
+        for member in field.offered.hypotheses[index].members:
+            variance[member] = variance.get(member, 0.0) + float(size) ** 2
+    order = list(variance)
+    parts = tuple(Part(field.offered.candidates[k], float(np.sqrt(variance[k]))) for k in order)
+    return parts, {i: tuple(order.index(k) for k in field.offered.hypotheses[i].members) for i in selection.accepted}

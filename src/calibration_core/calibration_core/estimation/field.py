@@ -1,0 +1,193 @@
+"""Rows, hypotheses and the sums that a search needs; one hypothesis tried beside others."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from calibration_core.estimation.blocks import Blocks
+from calibration_core.estimation.hypotheses import Hypothesis, Offered
+from calibration_core.estimation.leave_out import LeftOut, Proof, block_squares, proof
+from calibration_core.estimation.likelihood import Gram, Sizes
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
+
+LEAST_REST = 0.02  # share of a column that frames and geometry must leave
+MOSTLY = 0.5  # share of a hypothesis's columns of which so much is left
+LEAST_MOVED = 1e-4  # squared movement per typical size over all rows, in units of the noise
+Accepted = tuple[int, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Field:
+    """All rows and hypotheses of one search.
+
+    Attributes:
+        residual: (r,) whitened.
+        wide: (r, f + p) whitened columns: of the null model, of length one, then of all candidates, per typical size.
+        flat_scale: (f,) lengths by which the null model's columns were divided.
+        offered: What they are.
+        partitions: Of the readings, into blocks.
+        gram: Condensed, flat columns projected out.
+        clear: (p,) whether frames and geometry leave enough of a column.
+    """
+
+    residual: Float1D
+    wide: Float2D
+    flat_scale: Float1D
+    offered: Offered
+    partitions: tuple[Blocks, ...]
+    gram: Gram
+    clear: Bool1D
+
+    @staticmethod
+    def of(
+        residual: Float1D,
+        flat: Float2D,
+        usual: Float2D,
+        columns: Float2D,
+        offered: Offered,
+        partitions: tuple[Blocks, ...],
+    ) -> Field:
+        """Condense the rows.
+
+        Args:
+            residual: (r,) whitened.
+            flat: (r, f) whitened columns of the null model.
+            usual: (r, u) whitened columns of what is always a little wrong, per standard deviation: refitted likewise,
+                each with a row of its own that holds it to its size.
+            columns: (r, p) whitened columns of all candidates, per typical size.
+            offered: What they are.
+            partitions: Of the readings, into blocks; the rows of priors are in none.
+        """
+        u = usual.shape[1]
+        residual = np.concatenate([residual, np.zeros(u)])
+        flat = np.block([[flat, usual], [np.zeros((u, flat.shape[1])), np.eye(u)]])
+        columns = np.concatenate([columns, np.zeros((u, columns.shape[1]))])
+        length = np.linalg.norm(flat, axis=0)
+        scale = np.where(length > 0, length, 1.0)
+        flat = flat / scale
+        u, s, _ = np.linalg.svd(flat, full_matrices=False)
+        basis = u[:, s > 1e-7 * s[0]]
+        in_flat = basis.T @ columns
+        whole = np.einsum("ij,ij->j", columns, columns)
+        matrix = columns.T @ columns - in_flat.T @ in_flat
+        seen = basis.T @ residual
+        gram = Gram(
+            matrix, columns.T @ residual - in_flat.T @ seen, float(residual @ residual - seen @ seen),
+            len(residual) - basis.shape[1],
+        )  # fmt: skip
+        clear = (whole > LEAST_MOVED) & (np.diag(matrix) > LEAST_REST**2 * whole)
+        matrix[~clear] = matrix[:, ~clear] = gram.vector[~clear] = 0.0
+        return Field(residual, np.concatenate([flat, columns], axis=1), scale, offered, partitions, gram, clear)
+
+    @property
+    def flat_count(self) -> int:
+        """Number of the null model's columns."""
+        return len(self.flat_scale)
+
+    @property
+    def judged(self) -> tuple[int, ...]:
+        """Hypotheses of most of which the recording shows more than frames and geometry take up.
+
+        What they take up of a hypothesis, as the turn of a tool about the last joint's axis, is theirs.
+        """
+        seen = (self.clear[hypothesis.columns] for hypothesis in self.offered.hypotheses)
+        return tuple(i for i, clear in enumerate(seen) if clear.mean() > MOSTLY)
+
+    def blocks(self, accepted: Accepted) -> list[Int1D]:
+        """Return the columns of hypotheses."""
+        return [self.offered.hypotheses[i].columns for i in accepted]
+
+    def columns(self, accepted: Accepted) -> Float2D:
+        """Return the whitened columns of hypotheses, (r, k)."""
+        return self.wide[:, self.flat_count + np.concatenate([np.zeros(0, dtype=np.int64), *self.blocks(accepted)])]
+
+    def left_out(self, accepted: Accepted, sizes: Sizes) -> LeftOut:
+        """Return the null model with hypotheses of some sizes, every block left out."""
+        t = np.repeat(sizes.size, [len(block) for block in self.blocks(accepted)])
+        columns = np.concatenate([self.wide[:, : self.flat_count], self.columns(accepted)], axis=1)
+        ridge = np.concatenate([np.zeros(self.flat_count), sizes.variance / t**2])
+        return LeftOut(columns, self.residual, self.partitions, ridge)
+
+    def in_blocks(self, errors: Sequence[Float1D]) -> list[Float1D]:
+        """Return per partition the squares of blocks left out, (b,)."""
+        return [block_squares(error, one) for error, one in zip(errors, self.partitions, strict=True)]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trial:
+    """A hypothesis beside accepted ones.
+
+    Attributes:
+        field: Rows and hypotheses.
+        accepted: The ones before it.
+        index: The hypothesis.
+        sizes: Of all of them, its own last.
+        gain: Of the hypothesis beside the others, nats.
+        before, after: Squares of blocks left out, per partition, (b,).
+    """
+
+    field: Field
+    accepted: Accepted
+    index: int
+    sizes: Sizes
+    gain: float
+    before: list[Float1D]
+    after: list[Float1D]
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The hypothesis."""
+        return self.field.offered.hypotheses[self.index]
+
+    @property
+    def proofs(self) -> tuple[Proof, ...]:
+        """What blocks left out say, per partition."""
+        pairs = zip(self.before, self.after, strict=True)
+        return tuple(proof(one, other, self.sizes.variance) for one, other in pairs)
+
+    @property
+    def proven(self) -> bool:
+        """Whether it holds in every partition."""
+        return all(one.holds for one in self.proofs)
+
+    @property
+    def movement(self) -> float:
+        """Root of the squared movement that the hypothesis makes, beyond the null model, in units of the noise."""
+        return self._moved[0]
+
+    @property
+    def movement_of_others(self) -> float:
+        """The same of what was accepted before."""
+        return self._moved[1]
+
+    @functools.cached_property
+    def _moved(self) -> tuple[float, float]:
+        gram, blocks = self.field.gram, self.field.blocks((*self.accepted, self.index))
+        index = np.concatenate(blocks)
+        prior = np.repeat(self.sizes.size, [len(block) for block in blocks])
+        matrix = gram.matrix[np.ix_(index, index)]
+        mean = np.linalg.solve(matrix + self.sizes.variance * np.diag(1 / prior**2), gram.vector[index])
+        parts = (slice(len(index) - len(blocks[-1]), None), slice(0, len(index) - len(blocks[-1])))
+        own, others = (float(np.sqrt(np.abs(mean[p] @ matrix[p, p] @ mean[p]))) for p in parts)
+        return own, others
+
+    def posterior(self, members: Sequence[int], *, alone: bool = False) -> tuple[Float1D, Float2D]:
+        """Return mean (k,) and covariance (k, k) of the parameters of some candidates, typical sizes.
+
+        Args:
+            members: Candidates, each in one hypothesis at least; what several hypotheses say of one is added up.
+            alone: Without the hypothesis, the accepted ones alone.
+        """
+        blocks = self.field.blocks(self.accepted if alone else (*self.accepted, self.index))
+        index = np.concatenate(blocks)
+        prior = np.repeat(self.sizes.size[: len(blocks)], [len(block) for block in blocks])
+        matrix = self.field.gram.matrix[np.ix_(index, index)] + self.sizes.variance * np.diag(1 / prior**2)
+        asked = np.concatenate([np.arange(s.start, s.stop) for s in (self.field.offered.blocks[k] for k in members)])
+        adds = (asked[:, None] == index).astype(np.float64)
+        solved = cho_solve(cho_factor(matrix), np.column_stack([self.field.gram.vector[index], adds.T]))
+        return adds @ solved[:, 0], self.sizes.variance * (adds @ solved[:, 1:])

@@ -1,0 +1,165 @@
+"""What one more block of columns gains beside what is accepted, at the size that suits it best.
+
+With g = A_k' V^-1 A_k = U diag(l) U', w = A_k' V^-1 y and Q = y' V^-1 y a block of size t takes
+q = sum((U'w)^2 t^2/(1 + t^2 l)) off Q.  V then shrinks by the same share, so that the gain is
+
+    -n/2 log(1 - q/Q) - 1/2 sum(log(1 + t^2 l)),
+
+maximised over t.  (At a fixed noise all large effects would look alike.)  Sizes beyond what the catalogue calls typical
+pay for it.
+
+A wide block, as all orders of all gears, keeps the eigenvectors of its own part of A'A (`likelihood.Gram.basis`): what
+is accepted changes g by as many ranks as it has columns, so that they serve beside everything (Woodbury).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from calibration_core.estimation.likelihood import LEAST, MOST, Gram, Sizes, basis_serves, price
+from calibration_core.timeseries import Float1D, Float2D, Int1D
+
+GRID = np.exp(np.linspace(np.log(LEAST), np.log(MOST), 36))
+SHOWN = 1e-7  # of the largest eigenvalue: directions below it are rounding errors
+BATCH = 100  # blocks at a time
+LEAST_LEFT = 1e-9  # share of the squared residual that a block may leave
+ROUNDING = 1e-12  # of one
+SQUARED, PRICE = GRID**2, price(GRID)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Seen:
+    """Columns and the residual as seen through V^-1, V holding the noise and what is accepted.
+
+    Attributes:
+        gram: The rows.
+        members: (a,) columns of what is accepted.
+        size: (a,) their sizes.
+        lower: (a, a) Cholesky factor of L, as in the module's first lines.
+        right: (a,) L^(-1/2) of what the residual shows of them.
+        variance: v.
+    """
+
+    gram: Gram
+    members: Int1D
+    size: Float1D
+    lower: Float2D
+    right: Float1D
+    variance: float
+
+    @property
+    def square(self) -> float:
+        """Y' V^-1 y."""
+        return float(self.gram.square - self.right @ self.right) / self.variance
+
+    def of(self, columns: Int1D) -> tuple[Float2D, Float1D]:
+        """Return what is accepted takes of some columns, (a, c), and A' V^-1 y of them, (c,).
+
+        A' V^-1 A is what they have in `gram` less the square of what is taken, over the variance.
+        """
+        if not len(self.members):
+            return np.zeros((0, len(columns))), self.gram.vector[columns] / self.variance
+        half = self.gram.matrix[np.ix_(self.members, columns)] * self.size[:, None]
+        taken = solve_triangular(self.lower, half, lower=True, overwrite_b=True, check_finite=False)
+        return taken, (self.gram.vector[columns] - self.right @ taken) / self.variance
+
+
+def beside(gram: Gram, blocks: Sequence[Int1D], sizes: Sizes) -> Seen:
+    """Return what is seen beside accepted blocks at their sizes."""
+    members = np.concatenate([np.zeros(0, dtype=np.int64), *blocks])
+    d = np.repeat(sizes.size, [len(block) for block in blocks])
+    inner = sizes.variance * np.eye(len(d)) + d[:, None] * gram.matrix[np.ix_(members, members)] * d
+    lower = cholesky(inner, lower=True) if len(d) else inner
+    right = solve_triangular(lower, d * gram.vector[members], lower=True) if len(d) else np.zeros(0)
+    return Seen(gram, members, d, lower, right, sizes.variance)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Gains:
+    """What every block does at its best size, (h, s) each.
+
+    Attributes:
+        nats: Gain.
+        size: The size, typical ones.
+        left: Share of the squared residual that is left.
+    """
+
+    nats: Float2D
+    size: Float2D
+    left: Float2D
+
+
+def gains(seen: Seen, blocks: Sequence[Int1D], drawn: Float2D | None = None) -> Gains:
+    """Return what every block gains at its best size.
+
+    Args:
+        seen: The columns beside what is accepted.
+        blocks: Columns of the h blocks.
+        drawn: (p, s) A' V^-1 y of other data, whose y' V^-1 y is the number of degrees of freedom; None: the data's.
+    """
+    asked = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *blocks]))
+    place = np.zeros(len(seen.gram.vector), dtype=np.int64)
+    place[asked] = np.arange(len(asked))
+    taken, own_vector = seen.of(asked)
+    freedom = seen.gram.freedom
+    vectors, square = (own_vector[:, None], seen.square) if drawn is None else (drawn[asked], float(freedom))
+    shape = len(blocks), vectors.shape[1]
+    nats, best, left = np.zeros(shape), np.zeros(shape), np.ones(shape)
+    count = np.array([len(block) for block in blocks])
+    kept = np.array([basis_serves(len(block), len(seen.members)) for block in blocks], dtype=bool)
+    for h in map(int, np.flatnonzero(kept)):
+        q, lost = _of_wide(seen, blocks[h], taken[:, place[blocks[h]]], vectors[place[blocks[h]]])
+        every = -0.5 * freedom * np.log(np.maximum(1.0 - q / square, LEAST_LEFT)) - lost[:, None]
+        top = every.argmax(axis=0)
+        nats[h], best[h] = every.max(axis=0), GRID[top]
+        left[h] = np.maximum(1.0 - q[top, np.arange(len(top))] / square, LEAST_LEFT)
+    for k in np.unique(count[~kept]):
+        chosen = np.flatnonzero((count == k) & ~kept)
+        index = np.stack([blocks[int(h)] for h in chosen])
+        among = seen.gram.matrix[index[:, :, None], index[:, None, :]]
+        index = place[index]
+        seen_by = taken[:, index].transpose(1, 0, 2)  # (c, a, k)
+        own, turn = np.linalg.eigh((among - seen_by.transpose(0, 2, 1) @ seen_by) / seen.variance)
+        shown = own > SHOWN * own[:, -1:]
+        own = np.where(shown, own, 0.0)
+        along = (turn.transpose(0, 2, 1) @ vectors[index]) ** 2 * shown[:, :, None]  # (c, k, s)
+        wide = 1.0 + SQUARED[:, None, None] * own  # (g, c, k)
+        lost = 0.5 * np.log(wide).sum(axis=2) + PRICE[:, None]
+        for part in range(0, len(chosen), BATCH):
+            some = slice(part, part + BATCH)
+            weight = (SQUARED[:, None, None] / wide[:, some]).transpose(1, 0, 2)  # (c, g, k)
+            remains = np.maximum(1.0 - weight @ along[some] / square, LEAST_LEFT)  # (c, g, s)
+            every = -0.5 * freedom * np.log(remains) - lost.T[some, :, None]
+            top = every.argmax(axis=1)
+            nats[chosen[some]] = np.take_along_axis(every, top[:, None], axis=1)[:, 0]
+            left[chosen[some]] = np.take_along_axis(remains, top[:, None], axis=1)[:, 0]
+            best[chosen[some]] = GRID[top]
+    return Gains(nats, best, left)
+
+
+def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tuple[Float2D, Float1D]:
+    """Return what a wide block takes off y' V^-1 y at every size, (g, s), and what it costs, (g,) nats.
+
+    Args:
+        seen: The columns beside what is accepted.
+        block: (k,) columns.
+        taken: (a, k) what is accepted takes of them.
+        vectors: (k, s) A' V^-1 y.
+    """
+    own, turn = seen.gram.basis(block)
+    shown = own > SHOWN * own[-1]
+    own, along = np.where(shown, own, 0.0) / seen.variance, (turn.T @ vectors) * shown[:, None]
+    by = (taken @ turn) * shown / np.sqrt(seen.variance)  # (a, k)
+    off, lost = np.empty((len(GRID), vectors.shape[1])), np.empty(len(GRID))
+    for g, squared in enumerate(SQUARED):
+        wide = 1.0 + squared * own
+        weighted = by / wide
+        lower = cholesky((1.0 + ROUNDING) * np.eye(len(by)) - squared * weighted @ by.T, lower=True)
+        through = solve_triangular(lower, weighted @ along, lower=True)
+        off[g] = squared * (along**2 / wide[:, None]).sum(axis=0) + squared**2 * (through**2).sum(axis=0)
+        lost[g] = 0.5 * np.log(wide).sum() + np.log(np.diag(lower)).sum() + PRICE[g]
+    return off, lost

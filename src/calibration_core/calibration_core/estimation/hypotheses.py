@@ -1,0 +1,180 @@
+"""What could be missing: every effect at every place, and every effect at all joints with one shared size."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from calibration_core.estimation.rows import NullModel
+from calibration_core.model.effects import catalogue
+from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
+from calibration_core.model.effects.absolute.transmission_error import order_of
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.recordings import in_each_recording
+from calibration_core.model.effects.state import State
+from calibration_core.model.effects.words import listed_location
+from calibration_core.timeseries import Float1D, Float2D, Int1D
+
+WAVE, SAG = "transmission_error", "joint_elasticity"
+SINGLE_ORDERS = 64  # of transmission errors, offered one by one
+BANDS = ((1, 4), (1, 8), (1, 16), (1, 32), (33, 64))  # orders of transmissions that share one size
+ALL = "all"
+FEWEST = 3  # joints that make a family
+BY_REGISTRATION = frozenset(
+    {"geometry_error", "joint_zero_offset", "measurement_point_offset", "tracker_frame_misalignment"}
+)
+
+
+def is_axial(candidate: Candidate) -> bool:
+    """Say whether a candidate is the compliance of a joint itself, not its product with masses that are not known."""
+    return candidate.effect == SAG and candidate.variant == AXIAL
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Candidates that share one size.
+
+    Attributes:
+        effect: Name of the contract, section 6.
+        family: Family of the contract, section 6.
+        location: Where; `{"joints": "all"}` for every joint.
+        variant: Form of the law.
+        members: Indices of its candidates.
+        columns: Indices of their columns.
+    """
+
+    effect: str
+    family: str
+    location: Mapping[str, str | tuple[str, ...]]
+    variant: str
+    members: tuple[int, ...]
+    columns: Int1D
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether it is about all joints."""
+        return self.location.get("joints") == ALL
+
+    @property
+    def words(self) -> str:
+        """Effect and place for people."""
+        return f"{self.effect} ({listed_location(self.location)})"
+
+    @property
+    def place(self) -> tuple[str, tuple[tuple[str, str | tuple[str, ...]], ...]]:
+        """Effect and location, whatever the variant."""
+        return self.effect, tuple(sorted(self.location.items()))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Offered:
+    """Candidates, the hypotheses made of them, and where their columns stand.
+
+    Attributes:
+        candidates: Each once.
+        blocks: Their columns.
+        hypotheses: Single ones and families.
+    """
+
+    candidates: tuple[Candidate, ...]
+    blocks: tuple[slice, ...]
+    hypotheses: tuple[Hypothesis, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of columns."""
+        return self.blocks[-1].stop if self.blocks else 0
+
+    def columns(self, model: NullModel, rows: Int1D) -> Float2D:
+        """Return all columns for some readings, per typical size, (3 r, p), in units of the claimed noise."""
+        result = np.empty((3 * len(rows), self.count))
+        for candidate, block in zip(self.candidates, self.blocks, strict=True):
+            result[:, block] = model.moves(candidate, rows) * typical_sizes(candidate)
+        return result
+
+
+def typical_sizes(candidate: Candidate) -> Float1D:
+    """Return the (k,) typical sizes of a candidate's parameters."""
+    return np.array([parameter.typical for parameter in candidate.parameters])
+
+
+def offer(candidates: Sequence[Candidate]) -> Offered:
+    """Return every candidate as a hypothesis of its own, and the families that they make."""
+    ends = list(itertools.accumulate((len(c.parameters) for c in candidates), initial=0))
+    blocks = tuple(slice(first, last) for first, last in itertools.pairwise(ends))
+    single = [_hypothesis(candidates, blocks, (i,), c.location, c.variant) for i, c in enumerate(candidates)]
+    return Offered(tuple(candidates), blocks, (*single, *_families(candidates, blocks)))
+
+
+def physics(state: State, *, sag: bool) -> tuple[Candidate, ...]:
+    """Return what the catalogue offers for a recording, frames and geometry apart, which are refitted anyway.
+
+    Args:
+        state: Of the recording.
+        sag: Whether compliances of joints are hypotheses; they are not where the null model refits them.
+    """
+    still = dataclasses.replace(
+        state,
+        force=np.zeros_like(state.force),
+        moment=np.zeros_like(state.moment),
+        load_torque=np.zeros_like(state.load_torque),
+    )
+    found: dict[object, Candidate] = {}
+    for effect in catalogue():
+        if effect.name in BY_REGISTRATION or (effect.name == SAG and not sag):
+            continue
+        offered: list[Candidate] = []
+        if effect.absolute:
+            offered += effect.candidates(still)
+        if effect.loaded and state.loaded:
+            offered += effect.candidates(state)
+        for candidate in offered:
+            if candidate.location.get("robot") == "all joints":
+                continue  # a family
+            if effect.name == WAVE and order_of(candidate.variant) > SINGLE_ORDERS:
+                continue
+            found.setdefault(candidate.key, candidate)
+    return in_each_recording(tuple(found.values()), state)
+
+
+def _families(candidates: Sequence[Candidate], blocks: Sequence[slice]) -> Iterable[Hypothesis]:
+    laws: dict[tuple[str, str], list[int]] = {}
+    waves: dict[str, list[int]] = {}
+    for index, candidate in enumerate(candidates):
+        if set(candidate.location) != {"joint"}:
+            continue
+        if candidate.effect == WAVE:
+            waves.setdefault(str(candidate.location["joint"]), []).append(index)
+        else:
+            laws.setdefault((candidate.effect, candidate.variant), []).append(index)
+    for (_, variant), members in laws.items():
+        if len(members) >= FEWEST:
+            yield _hypothesis(candidates, blocks, members, {"joints": ALL}, variant)
+    for low, high in BANDS:
+        within = {
+            joint: [i for i in several if low <= order_of(candidates[i].variant) <= high]
+            for joint, several in waves.items()
+        }
+        variant = f"orders {low} to {high}"
+        if not any(len(members) > 1 for members in within.values()):
+            continue  # the recording carries none of these orders
+        for joint, members in within.items():
+            if len(members) > 1:
+                yield _hypothesis(candidates, blocks, members, {"joint": joint}, variant)
+        if len(within) >= FEWEST:
+            yield _hypothesis(candidates, blocks, list(itertools.chain(*within.values())), {"joints": ALL}, variant)
+
+
+def _hypothesis(
+    candidates: Sequence[Candidate],
+    blocks: Sequence[slice],
+    members: Sequence[int],
+    location: Mapping[str, str | tuple[str, ...]],
+    variant: str,
+) -> Hypothesis:
+    first = candidates[members[0]]
+    columns = np.concatenate([np.arange(blocks[i].start, blocks[i].stop) for i in members])
+    return Hypothesis(first.effect, first.family, dict(location), variant, tuple(members), columns)

@@ -1,0 +1,163 @@
+"""Rows predicted with whole blocks of configurations left out; accepted columns keep the prior of their size."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dpotrs
+
+from calibration_core.estimation.blocks import STAYS, Blocks
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
+
+RIDGE = 1e-10  # of columns of length one: keeps a block that alone shows a parameter solvable
+FEW = 48  # columns: more are not added to a factorisation, they get their own
+LEAST_NATS = 3.0  # that a hypothesis must gain on blocks left out
+
+
+def left_out(
+    columns: Float2D,
+    residual: Float1D,
+    partition: Blocks,
+    ridge: Float2D,
+    used: Bool1D | None = None,
+    own: tuple[Float2D, Float1D] | None = None,
+) -> Float1D:
+    """Return what a linear model leaves of every row when its block is left out, (3 m,).
+
+    Args:
+        columns: (3 m, p) of length about one.
+        residual: (3 m,).
+        partition: Of the m readings.
+        ridge: (p, p) prior precision times the noise variance.
+        used: (m,) readings that may be fitted; the others are predicted only.  None: all.
+        own: The same columns and residual in other units, in which the answer is wanted; None: as fitted.
+    """
+    shown, target_of = (columns, residual) if own is None else own
+    label = np.repeat(partition.label, 3)
+    fitted = np.ones(len(label), dtype=bool) if used is None else np.repeat(used, 3)
+    shrinkage = RIDGE * np.eye(len(ridge)) + ridge
+    several = [np.flatnonzero(label == block) for block in range(partition.count)]
+    kept = [rows[fitted[rows]] for rows in several]
+    grams, rights = [], []
+    for rows in kept:  # every row once: they add up to those of all
+        there = columns[rows]
+        grams.append(there.T @ there)
+        rights.append(there.T @ residual[rows])
+    stays = np.flatnonzero(fitted & (label == STAYS))
+    whole = sum(grams, columns[stays].T @ columns[stays])
+    right = sum(rights, columns[stays].T @ residual[stays])
+    result = np.empty_like(residual)
+    for rows, gram, vector in zip(several, grams, rights, strict=True):
+        solved = np.linalg.solve(whole - gram + shrinkage, right - vector)
+        result[rows] = target_of[rows] - shown[rows] @ solved
+    return result
+
+
+class LeftOut:
+    """A linear model with every block of several partitions left out, and what more columns would change.
+
+    e_b = (I - H_bb)^(-1) r_b with H = X (X'X + R)^(-1) X': one factorisation serves all blocks.  Further columns Z add
+    U'U to H, U = S^(-1/2) (Z - H Z)' with S = Z' (Z - H Z) + R_z, so that they cost little (Woodbury).
+
+    Attributes:
+        partitions: Of the readings; rows beyond them are priors, which stay.
+        residual: (r,).
+        columns: (r, p) of length about one.
+        ridge: (p,) prior precision times the noise variance.
+        half: (p, r) (X'X + R)^(-1/2) X'.
+        left: (r,) what the model leaves, nothing left out.
+        blocks: Per partition and block: its rows, and the Cholesky factor of I - H_bb.
+    """
+
+    def __init__(self, columns: Float2D, residual: Float1D, partitions: Sequence[Blocks], ridge: Float1D) -> None:
+        lower = cholesky(columns.T @ columns + np.diag(RIDGE + ridge), lower=True, overwrite_a=True)
+        self.partitions, self.residual = tuple(partitions), residual
+        self.columns, self.ridge = columns, ridge
+        self.half = solve_triangular(lower, columns.T, lower=True)
+        self.left = residual - (self.half @ residual) @ self.half
+        self.blocks: list[list[tuple[Int1D, Float2D]]] = []
+        for partition in self.partitions:
+            label = np.repeat(partition.label, 3)
+            several = []
+            for block in range(partition.count):
+                rows = np.flatnonzero(label == block)
+                own = self.half[:, rows]
+                several.append((rows, _factor(np.eye(len(rows)) - own.T @ own)))
+            self.blocks.append(several)
+
+    @property
+    def errors(self) -> list[Float1D]:
+        """Per partition what is left of every row when its block is left out, (r,)."""
+        answers = []
+        for several in self.blocks:
+            result = np.zeros_like(self.residual)
+            for rows, factor in several:
+                result[rows] = dpotrs(factor, self.left[rows], lower=True)[0]
+            answers.append(result)
+        return answers
+
+    def beside(self, columns: Float2D, ridge: Float1D) -> list[Float1D]:
+        """Return the same with k further columns (r, k), of prior precision (k,) times the noise variance."""
+        if columns.shape[1] > FEW:
+            both, precision = np.concatenate([self.columns, columns], axis=1), np.concatenate([self.ridge, ridge])
+            return LeftOut(both, self.residual, self.partitions, precision).errors
+        rest = columns - self.half.T @ (self.half @ columns)
+        lower = cholesky(columns.T @ rest + np.diag(RIDGE + ridge), lower=True)
+        more = solve_triangular(lower, rest.T, lower=True)  # (k, r)
+        left = self.left - (more @ self.residual) @ more
+        answers = []
+        for several in self.blocks:
+            result = np.zeros_like(self.residual)
+            for rows, factor in several:
+                own = more[:, rows]
+                solved = dpotrs(factor, np.column_stack([left[rows], own.T]), lower=True)[0]
+                plain, through = solved[:, 0], solved[:, 1:]
+                inner = np.eye(len(own)) - own @ through
+                result[rows] = plain + through @ np.linalg.solve(inner, own @ plain)
+            answers.append(result)
+        return answers
+
+
+def _factor(matrix: Float2D) -> Float2D:
+    """Return the Cholesky factor; what a block alone shows is zero but for rounding, and becomes the ridge."""
+    factor, failed = dpotrf(matrix, lower=True)
+    if failed:
+        own, turn = np.linalg.eigh(matrix)
+        factor, _ = dpotrf((turn * np.maximum(own, RIDGE)) @ turn.T, lower=True)
+    return np.asarray(factor, dtype=np.float64)
+
+
+def block_squares(error: Float1D, partition: Blocks) -> Float1D:
+    """Return the sum of squares of every block, (b,)."""
+    left_out = np.repeat(partition.label, 3) != STAYS
+    squares = error[: len(left_out)][left_out] ** 2
+    return np.asarray(np.bincount(np.repeat(partition.label, 3)[left_out], squares), dtype=np.float64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Proof:
+    """What blocks left out say of a hypothesis.
+
+    Attributes:
+        nats: Squares saved over twice the variance.
+        without_best: The same without the block that saves most.
+        share: Of the squares, that is saved.
+    """
+
+    nats: float
+    without_best: float
+    share: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether enough is saved, and not on a single block only."""
+        return self.nats > LEAST_NATS and self.without_best > 0
+
+
+def proof(before: Float1D, after: Float1D, variance: float) -> Proof:
+    """Compare squares per block, (b,), without and with a hypothesis."""
+    gain = (before - after) / (2 * variance)
+    return Proof(float(gain.sum()), float(gain.sum() - gain.max()), float((before - after).sum() / before.sum()))

@@ -1,0 +1,1 @@
+"""Noise: what readings share, and what is always a little wrong."""

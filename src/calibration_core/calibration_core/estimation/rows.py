@@ -1,0 +1,119 @@
+"""A recording as rows of one linear model: readings, null model, and movements in units of the claimed noise.
+
+Rows are coordinates, reading after reading; columns are movements of the measured points.  Absolute positions are the
+rows of every recording: a loaded reading is one more position, under another wrench.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.geometry.fit import AbsoluteProblem
+from calibration_core.identification.geometry.terms import Term, names_of
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.recorded_state import recorded_state
+from calibration_core.model.effects.state import State
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
+
+SEARCHED = 1_000  # configurations in the sample that is searched
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NullModel:
+    """A recording and the model that is fitted to it before any hypothesis.
+
+    Attributes:
+        readings: The recording, m rows in the order of time.
+        cell: The cell file.
+        problem: The same readings as positions.
+        parameters: Frames, geometry and compliances, at which everything is linear.
+        terms: Frames and identifiable geometry, refitted beside every hypothesis.
+        fitted_compliances: Compliances of the null model, refitted likewise.
+        state: What effects depend on, for all readings.
+        used: (m,) readings that may be fitted.
+    """
+
+    readings: Readings
+    cell: Cell
+    problem: AbsoluteProblem
+    parameters: ModelParameters
+    terms: tuple[Term, ...]
+    fitted_compliances: tuple[Candidate, ...]
+    state: State
+    used: Bool1D
+
+    def at(self, parameters: ModelParameters) -> NullModel:
+        """Return the same model, linear about other parameters."""
+        state = state_at(self.problem, parameters, self.readings, self.cell)
+        return dataclasses.replace(self, parameters=parameters, state=state)
+
+    def flat(self, rows: Int1D) -> tuple[Float2D, Float1D]:
+        """Return the null model's columns (3 r, f) and the residual (3 r,) of some readings, units of the claim."""
+        part = self.problem.select(rows)
+        columns, residual = null_columns(part, self.parameters, self.terms)
+        extra = [self.moves(one, rows) for one in self.fitted_compliances]
+        return np.concatenate([columns, *extra], axis=1), residual
+
+    def moves(self, candidate: Candidate, rows: Int1D) -> Float2D:
+        """Return the columns of a candidate per unit of its parameters, (3 r, k), in units of the claimed noise."""
+        return weighted(self.problem.select(rows), self.parameters, candidate.columns(self.state)[rows])
+
+
+def state_at(problem: AbsoluteProblem, parameters: ModelParameters, readings: Readings, cell: Cell) -> State:
+    """Return what effects may depend on, for all readings in the order of time.
+
+    Raises:
+        EquilibriumError: The compliances do not carry the loads.
+    """
+    chain = problem.chain.corrected(parameters.geometry)
+    return recorded_state(readings, cell, chain, parameters, problem.load)
+
+
+def sample(configuration: Int1D, used: Int1D) -> Int1D:
+    """Return up to `SEARCHED` whole configurations' readings, evenly taken, as indices.
+
+    Args:
+        configuration: (m,) configuration of every reading.
+        used: Indices of the readings that may be used.
+    """
+    numbers = np.unique(configuration[used])
+    if len(numbers) > SEARCHED:
+        numbers = numbers[np.linspace(0, len(numbers) - 1, SEARCHED).astype(int)]
+    return used[np.isin(configuration[used], numbers)]
+
+
+def null_columns(part: AbsoluteProblem, parameters: ModelParameters, terms: Sequence[Term]) -> tuple[Float2D, Float1D]:
+    """Return the columns of frames and geometry (3 r, n) and the residual (3 r,), in units of the claimed noise."""
+    view = part.view(parameters)
+    columns = np.empty((len(names_of(terms)), *view.target.shape))
+    first = 0
+    for term in terms:
+        count = len(term.names)
+        term.write(view, columns[first : first + count])
+        first += count
+    residual = (view.measured - view.target).T[:, :, None]
+    movement = np.moveaxis(columns, 0, -1).transpose(1, 0, 2)  # (r, 3, n)
+    return weighted(part, parameters, movement), weighted(part, parameters, residual)[:, 0]
+
+
+def weighted(part: AbsoluteProblem, parameters: ModelParameters, movement: Float3D) -> Float2D:
+    """Return movements (r, 3, k) m, base axes, in units of the claimed noise, (3 r, k), reading after reading."""
+    k = movement.shape[2]
+    if isinstance(part.whitening, float):
+        return (part.whitening * movement).reshape(3 * len(movement), k)
+    to_noise = np.einsum("abm,cb->mac", part.whitening, parameters.tracker[:3, :3])
+    return np.asarray(to_noise @ movement).reshape(3 * len(movement), k)
+
+
+def unweighted(part: AbsoluteProblem, parameters: ModelParameters, values: Float1D) -> Float2D:
+    """Return coordinates (3 r,) in units of the claimed noise in metres, (r, 3), base axes: undoes `weighted`."""
+    rows = values.reshape(-1, 3)
+    if isinstance(part.whitening, float):
+        return rows / part.whitening
+    to_noise = np.einsum("abm,cb->mac", part.whitening, parameters.tracker[:3, :3])
+    return np.asarray(np.linalg.solve(to_noise, rows[:, :, None])[:, :, 0], dtype=np.float64)

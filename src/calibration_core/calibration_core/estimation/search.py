@@ -1,0 +1,371 @@
+"""Which hypotheses enter: likelihood proposes, whole blocks left out dispose.
+
+One at a time the hypothesis that gains most beside what is accepted is proposed; it enters if it exceeds what the best
+of all gains in one per cent of recordings without it (parametric bootstrap of the fitted model, Westfall and Young
+1993), predicts blocks left out in time and in posture better, and passes the controls of its kind.  One cause is
+preferred to two: where another form or place instead of an accepted one gains as much as the proposal beside it, it is
+swapped and nothing is added.  After each acceptance all sizes are fitted together.  What is accepted is swapped or
+dropped where others make it needless.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from calibration_core.estimation.controls import impossible
+from calibration_core.estimation.field import Accepted, Field, Trial
+from calibration_core.estimation.gains import Seen, beside, gains
+from calibration_core.estimation.leave_out import LeftOut, Proof
+from calibration_core.estimation.likelihood import Sizes, fit_sizes
+from calibration_core.timeseries import Float1D
+
+FALSE_ALARM = 0.01
+DRAWS = 60
+FLOOR = 10.0  # nats: the threshold is never lower
+BESIDE = 20.0  # nats that a further cause must gain: what is accepted is seldom of quite the right form
+SEED = 17384
+TRIED = 6  # proposals per round that may try
+EQUIVALENT = 5.0  # nats
+PART = 3.0  # nats that a member must gain to stand, with a few others, in an accepted family's stead
+SWAP = 5.0  # nats by which a swap must be better
+MOST = 16  # hypotheses
+ROUNDS = 3  # of refinement
+FEW = 6  # members of a family that are tried in its stead
+NARROW = 24  # columns of a hypothesis that is tried in another's stead; families come in by themselves
+KEPT = 4  # models with blocks left out, for what is tried beside them
+EULER = 0.5772156649015329
+Control = Callable[[Trial], str]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Selection:
+    """What was accepted.
+
+    Attributes:
+        accepted: Hypotheses, in the order of acceptance.
+        sizes: Of all of them together.
+        gain: (k,) nats, of each beside the others.
+        proofs: Of each beside the others, per partition.
+        limit: Threshold, nats.
+        refused: Sentences on strong hypotheses that failed.
+    """
+
+    accepted: Accepted
+    sizes: Sizes
+    gain: tuple[float, ...]
+    proofs: tuple[tuple[Proof, ...], ...]
+    limit: float
+    refused: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scores:
+    """How hypotheses do beside accepted ones, (j,) each.
+
+    Attributes:
+        nats: Gain at the best size; minus infinity where it was not asked for.
+        size: That size, typical ones, at the noise before.
+        left: Share of the squared residual that is left.
+    """
+
+    nats: Float1D
+    size: Float1D
+    left: Float1D
+
+
+class Search:
+    """The steps of the search, and what they refuse."""
+
+    def __init__(self, field: Field, control: Control) -> None:
+        self.field, self.control = field, control
+        self.judged = field.judged
+        self.place = {index: k for k, index in enumerate(self.judged)}
+        several = [len(field.offered.hypotheses[index].columns) for index in self.judged]
+        self.narrow = np.flatnonzero(np.array(several, dtype=np.int64) <= NARROW)
+        self.alone = np.array([len(field.offered.hypotheses[index].members) == 1 for index in self.judged], dtype=bool)
+        self._narrow = frozenset(map(int, self.narrow))
+        self.fits: dict[Accepted, Sizes] = {}
+        self.held_out: dict[Accepted, list[Float1D]] = {}
+        self.known: dict[tuple[Accepted, bool], Scores] = {}
+        self.trials: dict[tuple[Accepted, int], Trial] = {}
+        self.alone_known: dict[tuple[Accepted, int], tuple[float, float, float]] = {}
+        self._seen: dict[Accepted, Seen] = {}
+        self._left_out: dict[Accepted, LeftOut] = {}
+        self.refused: dict[str, None] = {}
+        self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
+        self.limit = self._threshold()
+
+    def sizes(self, accepted: Accepted) -> Sizes:
+        """Return the sizes of hypotheses together."""
+        if accepted not in self.fits:
+            self.fits[accepted] = fit_sizes(self.field.gram, self.field.blocks(accepted), self._start(accepted))
+        return self.fits[accepted]
+
+    def squares(self, accepted: Accepted) -> list[Float1D]:
+        """Return the squares of blocks left out."""
+        if accepted not in self.held_out:
+            self.held_out[accepted] = self.field.in_blocks(self.left_out(accepted).errors)
+        return self.held_out[accepted]
+
+    def left_out(self, accepted: Accepted) -> LeftOut:
+        """Return the model of the accepted ones with every block left out; only the last few are kept."""
+        if accepted not in self._left_out:
+            while len(self._left_out) >= KEPT:
+                self._left_out.pop(next(iter(self._left_out)))
+            self._left_out[accepted] = self.field.left_out(accepted, self.sizes(accepted))
+        return self._left_out[accepted]
+
+    def scores(self, accepted: Accepted, *, narrow: bool = False) -> Scores:
+        """Return how every judged hypothesis does beside the accepted ones; narrow: those of few columns alone."""
+        key = accepted, narrow
+        if key not in self.known:
+            if narrow and (accepted, False) in self.known:
+                return self.known[accepted, False]
+            chosen = self.narrow if narrow else np.arange(len(self.judged))
+            every = Scores(*(np.full(len(self.judged), fill) for fill in (-np.inf, 1.0, 1.0)))
+            blocks = self.field.blocks(tuple(self.judged[k] for k in chosen))
+            found = gains(self.seen(accepted), blocks)
+            every.nats[chosen], every.size[chosen], every.left[chosen] = (
+                one[:, 0] for one in (found.nats, found.size, found.left)
+            )
+            self.known[key] = every
+        return self.known[key]
+
+    def seen(self, accepted: Accepted) -> Seen:
+        """Return what is seen beside the accepted ones."""
+        if accepted not in self._seen:
+            self._seen[accepted] = beside(self.field.gram, self.field.blocks(accepted), self.sizes(accepted))
+        return self._seen[accepted]
+
+    def score(self, accepted: Accepted, index: int) -> tuple[float, float, float]:
+        """Return how one hypothesis does beside the accepted ones: nats, size and what is left, as `Scores`."""
+        k = self.place[index]
+        for narrow in (False, True):
+            known = self.known.get((accepted, narrow))
+            if known is not None and not (narrow and k not in self._narrow):
+                return float(known.nats[k]), float(known.size[k]), float(known.left[k])
+        if (accepted, index) not in self.alone_known:
+            found = gains(self.seen(accepted), self.field.blocks((index,)))
+            self.alone_known[accepted, index] = (
+                float(found.nats[0, 0]),
+                float(found.size[0, 0]),
+                float(found.left[0, 0]),
+            )
+        return self.alone_known[accepted, index]
+
+    def trial(self, accepted: Accepted, index: int) -> Trial:
+        """Put one more hypothesis beside the accepted ones, at the size that suits it best."""
+        if (accepted, index) not in self.trials:
+            self.trials[accepted, index] = self._trial(accepted, index)
+        return self.trials[accepted, index]
+
+    def _trial(self, accepted: Accepted, index: int) -> Trial:
+        at = self.sizes(accepted)
+        nats, own, left = self.score(accepted, index)
+        sizes = Sizes(at.variance * left, np.append(at.size, own) * np.sqrt(left), float("nan"))
+        columns = self.field.columns((index,))
+        before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
+        after = self.field.in_blocks(before.beside(columns, ridge))
+        return Trial(self.field, accepted, index, sizes, nats, self.squares(accepted), after)
+
+    def run(self, accepted: Accepted = ()) -> Selection:
+        """Search, beginning with some hypotheses.
+
+        A family explains a little of everything, waves of many orders resemble any law of a joint, and what is
+        accepted first bends what comes later.  So the search is made once more with few single hypotheses, and its
+        answer taken where it predicts blocks left out better.
+        """
+        found = self._grown(accepted, narrow=False)
+        if len(found) > 1 or any(len(self.field.offered.hypotheses[i].members) > 1 for i in found):
+            few = self._grown(accepted, narrow=True)
+            if set(few) != set(found) and self._better(few, found):
+                found = few
+        return self.result(found)
+
+    def _better(self, one: Accepted, other: Accepted) -> bool:
+        """Return whether hypotheses predict blocks left out better than others do, in every partition."""
+        return all(a.sum() < b.sum() for a, b in zip(self.squares(one), self.squares(other), strict=True))
+
+    def _grown(self, accepted: Accepted, *, narrow: bool) -> Accepted:
+        accepted = self.grow(accepted, narrow=narrow)
+        for _ in range(ROUNDS):
+            refined = self.possible(self.refine(accepted, narrow=narrow))
+            if refined == accepted:
+                break
+            accepted = self.grow(refined, narrow=narrow)
+        return self.possible(accepted)
+
+    def possible(self, accepted: Accepted) -> Accepted:
+        """Drop what physics forbids beside the others: what comes later may turn a compliance negative."""
+        while True:
+            gain = {i: self._beside(accepted, i) for i in accepted}
+            others = {i: tuple(k for k in accepted if k != i) for i in sorted(accepted, key=lambda i: gain[i])}
+            forbidden = next((i for i, rest in others.items() if not self._allowed(rest, i)), None)
+            if forbidden is None:
+                return accepted
+            accepted = others[forbidden]
+
+    def grow(self, accepted: Accepted, *, narrow: bool = False) -> Accepted:
+        """Add hypotheses one at a time until none passes; narrow: few, and no family."""
+        while len(accepted) < (FEW if narrow else MOST):
+            gain = self._gain(accepted, narrow=narrow)
+            least = self._least(accepted)
+            order = [k for k in np.argsort(-gain, kind="stable") if gain[k] > least[k]][:TRIED]
+            found = next((k for k in order if self._passes(accepted, self.judged[k])), None)
+            if found is None:
+                break
+            close = [k for k in order[order.index(found) :] if gain[k] > gain[found] - EQUIVALENT]
+            instead = self._instead(accepted, float(gain[found]), narrow=narrow)
+            accepted = instead or (*accepted, self._best_proven(accepted, [self.judged[k] for k in close]))
+        return accepted
+
+    def _gain(self, accepted: Accepted, *, narrow: bool) -> Float1D:
+        """Return what hypotheses gain, nats; narrow: single ones, minus infinity for families."""
+        nats = self.scores(accepted, narrow=narrow).nats
+        return np.where(self.alone, nats, -np.inf) if narrow else nats
+
+    def _least(self, accepted: Accepted) -> Float1D:
+        """Return what every judged hypothesis must gain beside the accepted ones, nats, (j,)."""
+        hypotheses = self.field.offered.hypotheses
+        known = {hypotheses[i].place for i in accepted}
+        further = [bool(known) and hypotheses[i].place not in known for i in self.judged]
+        return np.where(further, max(self.limit, BESIDE), self.limit)
+
+    def _instead(self, accepted: Accepted, gained: float, *, narrow: bool) -> Accepted:
+        """Return the accepted ones, one of them swapped, where that gains as much as one more; else nothing.
+
+        Args:
+            accepted: Hypotheses.
+            gained: What one more would gain, nats; more than `EQUIVALENT`, so that every swap gains.
+            narrow: Swap in single hypotheses alone.
+        """
+        for index in accepted:
+            others = tuple(i for i in accepted if i != index)
+            own = self.score(others, index)[0]
+            gain = self._gain(others, narrow=narrow) if narrow else self.scores(others, narrow=True).nats
+            better = [int(k) for k in np.argsort(-gain, kind="stable")[:TRIED] if gain[k] > own + gained - EQUIVALENT]
+            for k in better:
+                if self.judged[k] not in accepted and self._passes(others, self.judged[k]):
+                    return tuple(self.judged[k] if i == index else i for i in accepted)
+        return ()
+
+    def refine(self, accepted: Accepted, *, narrow: bool = False) -> Accepted:
+        """Drop what others make needless, swap what another does better, or a few of a family do as well."""
+        for index in accepted:
+            others = tuple(i for i in accepted if i != index)
+            if len(self.field.offered.hypotheses[index].members) > 1:
+                few = self._few(others, index)
+                if few:
+                    self.in_stead.update(few)
+                    accepted = (*others, *few)
+                    continue
+            gain = self._gain(others, narrow=narrow)
+            own, best = gain[self.place[index]], int(np.argmax(gain))
+            least = PART if index in self.in_stead else self._least(others)[self.place[index]]
+            if own < least or not self.trial(others, index).proven:
+                accepted = others
+            elif self.judged[best] != index and gain[best] > own + SWAP and self._passes(others, self.judged[best]):
+                accepted = tuple(self.judged[best] if i == index else i for i in accepted)
+        return accepted
+
+    def _few(self, others: Accepted, family: int) -> Accepted:
+        """Return members of a family that alone do as well as all of it; empty where they do not.
+
+        The family is accepted already, so that its members compete among themselves alone; where they are more than
+        half of it, each must pass by itself.
+        """
+        whole, members = self.sizes((*others, family)).value, set(self.field.offered.hypotheses[family].members)
+        alone = [i for i in self.judged if len(m := self.field.offered.hypotheses[i].members) == 1 and m[0] in members]
+        few: Accepted = ()
+        while len(few) < FEW and len(few) < len(members) - 1:
+            gain = self.scores((*others, *few), narrow=True).nats
+            left = [i for i in alone if i not in few]
+            best = left[int(np.argmax([gain[self.place[i]] for i in left]))] if left else -1
+            least = PART if 2 * (len(few) + 1) <= len(members) else self.limit
+            if best < 0 or gain[self.place[best]] < least:
+                break
+            few = (*few, best)
+        while few:  # those that blocks left out do not prove, or physics forbids, beside the others go, the last first
+            beside = {i: (*others, *(j for j in few if j != i)) for i in few}
+            doubtful = [i for i, rest in beside.items() if not (self.trial(rest, i).proven and self._allowed(rest, i))]
+            if not doubtful:
+                break
+            few = tuple(i for i in few if i != doubtful[-1])
+        return few if few and self.sizes((*others, *few)).value > whole - EQUIVALENT else ()
+
+    def result(self, accepted: Accepted) -> Selection:
+        """Say how each stands beside the others."""
+        accepted = tuple(sorted(accepted, key=lambda one: -self._beside(accepted, one)))  # whatever led to them
+        trials = [self.trial(tuple(i for i in accepted if i != index), index) for index in accepted]
+        gain = tuple(self._beside(accepted, index) for index in accepted)
+        proofs = tuple(trial.proofs for trial in trials)
+        return Selection(accepted, self.sizes(accepted), gain, proofs, self.limit, tuple(self.refused))
+
+    def _beside(self, accepted: Accepted, index: int) -> float:
+        """Return what one of the accepted hypotheses gains beside the others, nats."""
+        return self.score(tuple(i for i in accepted if i != index), index)[0]
+
+    def _best_proven(self, accepted: Accepted, close: list[int]) -> int:
+        """Return which of hypotheses that are as probable predicts blocks left out best; the first passes."""
+        worth = {i: min(one.share for one in self.trial(accepted, i).proofs) for i in close if len(close) > 1}
+        for index in sorted(worth, key=lambda i: -worth[i]):
+            if index == close[0] or self._passes(accepted, index):
+                return index
+        return close[0]
+
+    def _start(self, accepted: Accepted) -> Sizes | None:
+        """Return sizes to begin with: those of a fit with most of the same hypotheses, and what suits the new ones."""
+        known = max(self.fits, key=lambda other: len(set(other) & set(accepted)), default=None)
+        if known is None or not known:
+            scores = self.known.get(((), False))
+            usual = {} if scores is None else dict(zip(self.judged, scores.size, strict=True))
+            null = self.fits.get(())
+            variance = self.field.gram.square / self.field.gram.freedom if null is None else null.variance
+            return Sizes(variance, np.array([max(usual.get(i, 0.3), 1e-2) for i in accepted]), float("nan"))
+        fit = dict(zip(known, self.fits[known].size, strict=True))
+        beyond = dict(zip(self.judged, self.scores(known, narrow=True).size, strict=True))
+        size = np.array([fit.get(i, max(beyond.get(i, 0.3), 1e-2)) for i in accepted])
+        return Sizes(self.fits[known].variance, size, float("nan"))
+
+    def _passes(self, accepted: Accepted, index: int) -> bool:
+        trial = self.trial(accepted, index)
+        words = trial.hypothesis.words
+        if not trial.proven:
+            self.refused[f"{words} does not improve blocks left out"] = None
+            return False
+        why = self.objection(trial)
+        if why:
+            self.refused[f"{words}: {why}"] = None
+        return not why
+
+    def objection(self, trial: Trial) -> str:
+        """Return what physics or the controls of its kind say against a hypothesis; empty if nothing."""
+        return impossible(trial) or self.control(trial)
+
+    def _allowed(self, accepted: Accepted, index: int) -> bool:
+        """Say whether physics allows a hypothesis beside the accepted ones."""
+        trial = self.trial(accepted, index)
+        why = impossible(trial)
+        if why:
+            self.refused[f"{trial.hypothesis.words}: {why}"] = None
+        return not why
+
+    def _threshold(self) -> float:
+        """Return what the best hypothesis gains in one per cent of recordings with the null model alone, nats."""
+        field = self.field
+        if not self.judged:
+            return FLOOR
+        clear = np.flatnonzero(field.clear)
+        matrix = field.gram.matrix
+        scale = np.sqrt(np.where(field.clear, np.diag(matrix), 1.0))
+        part = (matrix / np.outer(scale, scale))[np.ix_(clear, clear)]
+        lower = np.linalg.cholesky(part + 1e-8 * np.eye(len(clear)))
+        drawn = np.zeros((len(scale), DRAWS))
+        drawn[clear] = scale[clear, None] * (lower @ np.random.default_rng(SEED).standard_normal((len(clear), DRAWS)))
+        null = Seen(field.gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
+        largest = gains(null, field.blocks(self.judged), drawn).nats.max(axis=0)
+        width = float(np.std(largest)) * np.sqrt(6) / np.pi
+        return max(float(np.mean(largest) - EULER * width - width * np.log(-np.log(1 - FALSE_ALARM))), FLOOR)

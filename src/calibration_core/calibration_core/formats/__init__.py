@@ -1,0 +1,1 @@
+"""The calibrated robot in the formats of others: URDF, Denavit-Hartenberg rows, Universal Robots, MuJoCo, tables."""

@@ -1,0 +1,368 @@
+"""Absolute recordings: frames, geometry and gravity's elasticity from the position of single points."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.absolute.gross_errors import GrossErrorRejection, reject_gross_errors
+from calibration_core.identification.absolute.prediction_error import folds
+from calibration_core.identification.absolute.residual_noise import audit_absolute, compare_neighbours
+from calibration_core.identification.absolute.staged_selection import (
+    SelectionCase,
+    StagedSelection,
+    select_stages,
+)
+from calibration_core.identification.checks.exclusion_anomalies import anomalies_of
+from calibration_core.identification.checks.noise_audit import rigid_triangle, window_scatter
+from calibration_core.identification.checks.preconditions import check_preconditions
+from calibration_core.identification.checks.space import operating_space
+from calibration_core.identification.geometry.fit import AbsoluteProblem, GeometryFit, column_scale
+from calibration_core.identification.geometry.identifiability import (
+    ParameterSelection,
+    candidates,
+    select_frames,
+    select_identifiable,
+)
+from calibration_core.identification.geometry.named_estimate import named_estimate
+from calibration_core.identification.geometry.parameter_table import Uncertainty, parameter_table, uncertainty_of
+from calibration_core.identification.geometry.problem import absolute_problem, nominal_with_tracker, start_parameters
+from calibration_core.identification.geometry.terms import AXES, Term, names_of
+from calibration_core.identification.result.estimate import (
+    Exclusion,
+    Fit,
+    Identification,
+    JointStiffness,
+    NoiseAudit,
+    Residuals,
+    TestResult,
+    Unidentified,
+)
+from calibration_core.identification.result.observability import stiffness_table
+from calibration_core.identification.statistics.solve import Solution
+from calibration_core.identification.stiffness.outlier_rejection import Key
+from calibration_core.model.chain import Chain
+from calibration_core.model.kinematics import posture
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import gravity_torque
+from calibration_core.observations.covariance import position_covariance
+from calibration_core.timeseries import Bool1D, Float2D, Float3D, Note, Readings
+
+UNLOADED_TORQUE = 1e-6  # N*m
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Evaluated:
+    """The recording with all decisions taken.
+
+    Attributes:
+        problem: All readings.
+        nominal: What the cell file predicts (with the best tracker pose where it states none).
+        terms: Tracker pose and points.
+        hidden: Point coordinates that stay nominal, and why.
+        choice: Geometry that can be identified.
+        staged: The stages.
+        used: (m,) readings used.
+        rejection: The last search for gross errors; None without.
+    """
+
+    problem: AbsoluteProblem
+    nominal: ModelParameters
+    terms: list[Term]
+    hidden: tuple[Unidentified, ...]
+    choice: ParameterSelection
+    staged: StagedSelection
+    used: Bool1D
+    rejection: GrossErrorRejection | None
+
+
+def identify_absolute(
+    readings: Readings,
+    cell: Cell,
+    *,
+    robust: bool = True,
+    test: Readings | None = None,
+    readmit: frozenset[Key] = frozenset(),
+    believed: ModelParameters | None = None,
+) -> Identification:
+    """Identify frames, geometry and, where the recording proves it, elasticity from absolute positions.
+
+    Args:
+        readings: The recording; every configuration has a single step (more do no harm).
+        cell: The cell file.
+        robust: Set gross errors aside.
+        test: A second recording, predicted but not fitted.
+        readmit: (configuration, step, point) of readings that must be used whatever they look like.
+        believed: Model to start from; None: what the cell file believes.
+
+    Raises:
+        CellError: A wrench was recorded and a frame for it is missing.
+        IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
+    """
+    case = evaluate_absolute(readings, cell, robust=robust, readmit=readmit, believed=believed)
+    return identification_of(case, readings, cell, robust=robust, test=test)
+
+
+def identification_of(
+    case: Evaluated, readings: Readings, cell: Cell, *, robust: bool = True, test: Readings | None = None
+) -> Identification:
+    """Say in values and figures what was decided.
+
+    Args:
+        case: The evaluated recording.
+        readings: The recording.
+        cell: The cell file.
+        robust: Whether gross errors were set aside.
+        test: A second recording, predicted but not fitted.
+    """
+    chain = case.problem.chain
+    covariance = position_covariance(readings, cell)
+    result = case.staged.final.fit
+    parameters = result.parameters
+    noise = _audit(case, readings, covariance)
+    uncertainty = uncertainty_of(result, noise.scale)
+    space = operating_space(chain.corrected(parameters.geometry), parameters, readings)
+    figures = _figures(case, covariance, result)
+    exclusions = _exclusions(case, readings)
+    return Identification(
+        kind="absolute",
+        method=_method(case, robust),
+        readings=readings,
+        stiffness=_stiffness(case, uncertainty, noise, result),
+        parameters=parameter_table(cell, parameters, uncertainty, case.choice, case.problem.names),
+        names=uncertainty.names,
+        covariance=uncertainty.covariance,
+        condition_number=_condition(result),
+        fit=figures,
+        noise=noise,
+        stages=case.staged.stages,
+        unidentified=(*case.hidden, *case.choice.unidentified),
+        exclusions=exclusions,
+        anomalies=anomalies_of(noise, exclusions, readings),
+        preconditions=check_preconditions(readings, cell, space, figures.noise),
+        residuals=_residuals(case, readings, covariance, noise.scale),
+        space=space,
+        model=parameters,
+        test=None if test is None else predict_absolute(test, cell, chain, parameters, case.nominal),
+        notes=(*readings.notes, *_notes(case)),
+        estimate=named_estimate(uncertainty.names, uncertainty.covariance, parameters, cell),
+    )
+
+
+def predict_absolute(
+    readings: Readings, cell: Cell, chain: Chain, parameters: ModelParameters, before: ModelParameters
+) -> TestResult:
+    """Predict a recording that was not fitted; nothing is refitted.
+
+    Args:
+        readings: The other recording.
+        cell: The cell file.
+        chain: The nominal robot.
+        parameters: The identified model.
+        before: What the cell file predicts.
+    """
+    problem = absolute_problem(readings, cell, chain, before, position_covariance(readings, cell))
+    return TestResult.of(readings, problem.residual(parameters).T, problem.residual(before).T)
+
+
+def evaluate_absolute(
+    readings: Readings,
+    cell: Cell,
+    *,
+    robust: bool = True,
+    readmit: frozenset[Key] = frozenset(),
+    believed: ModelParameters | None = None,
+) -> Evaluated:
+    """Take all decisions: gross errors, identifiable geometry, stages of the model; arguments as `identify_absolute`.
+
+    Raises:
+        CellError: A wrench was recorded and a frame for it is missing.
+        IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
+    """
+    nominal = nominal_parameters(cell) if believed is None else believed
+    known = believed is not None or cell.frames.tracker is not None
+    problem = absolute_problem(readings, cell, chain_of(cell), nominal, position_covariance(readings, cell))
+    start = start_parameters(problem, nominal)
+    terms, hidden = select_frames(problem, start)
+    start = start.replace(points={**start.points, **_unfitted_points(terms, start, nominal)})
+    used = np.ones(len(readings), dtype=bool)
+    protected = _protected(readings, readmit)
+    rejection: GrossErrorRejection | None = None
+    if robust:
+        rejection = reject_gross_errors(problem, start, terms, used, protected)
+        start, used = rejection.fit.parameters, rejection.used
+    choice = select_identifiable(problem.select(np.flatnonzero(used)), start, terms, candidates(cell))
+    if robust and choice.chosen:
+        rejection = reject_gross_errors(problem, start, [*terms, choice.term], used, protected)
+        used = rejection.used
+    stated = nominal_with_tracker(problem, nominal, start, known=known)
+    fold = folds(readings.configuration)
+    staged = select_stages(SelectionCase(problem, used, fold, readings.configuration), stated, start, terms, choice)
+    if robust:
+        final = staged.final.fit
+        rejection = reject_gross_errors(problem, final.parameters, final.terms, used, protected)
+        if not np.array_equal(rejection.used, used):
+            used = rejection.used
+            staged = select_stages(
+                SelectionCase(problem, used, fold, readings.configuration), stated, start, terms, choice
+            )
+    return Evaluated(problem, stated, terms, hidden, choice, staged, used, rejection)
+
+
+def _unfitted_points(terms: list[Term], start: ModelParameters, nominal: ModelParameters) -> dict[str, Float2D]:
+    """Put coordinates that no term fits back on their nominal values."""
+    fitted = names_of(terms)
+    points = {}
+    for point, value in nominal.points.items():
+        free = np.array([f"{point} {axis}" in fitted for axis in AXES])
+        points[point] = np.where(free, start.points[point], value)
+    return points
+
+
+def _protected(readings: Readings, readmit: frozenset[Key]) -> Bool1D:
+    names = readings.points
+    keys = zip(readings.configuration, readings.step, readings.point, strict=True)
+    return np.array([(int(c), int(s), names[p]) in readmit for c, s, p in keys])
+
+
+def _audit(case: Evaluated, readings: Readings, covariance: Float3D) -> NoiseAudit:
+    used = case.used
+    result = case.staged.final.fit
+    neighbours = compare_neighbours(
+        readings.q[used], case.staged.final.residual[:, used], readings.point[used], readings.configuration[used]
+    )
+    checks = (rigid_triangle(readings.position, readings, used), window_scatter(readings, used))
+    return audit_absolute(covariance[used], checks, neighbours, result.normal.cost, result.freedom)
+
+
+def _stiffness(
+    case: Evaluated, uncertainty: Uncertainty, noise: NoiseAudit, result: GeometryFit
+) -> tuple[JointStiffness, ...]:
+    joints = case.problem.chain.joints
+    if not case.staged.elastic:
+        return ()
+    n = len(joints)
+    determined = np.isin(np.arange(n), case.staged.elastic)
+    variance = np.full(n, np.inf)
+    for j in case.staged.elastic:
+        variance[j] = (uncertainty.std(f"C {joints[j]}") / noise.scale) ** 2
+    value = result.parameters.compliance
+    solution = Solution(
+        value=value,
+        unbounded=value,
+        covariance=np.diag(variance),
+        at_bound=determined & (value <= 0.0),
+        determined=determined,
+        condition_number=_condition(result),
+        eigenvalues=np.ones(n),
+        eigenvectors=np.eye(n),
+    )
+    chain = case.problem.chain.corrected(result.parameters.geometry)
+    torque = gravity_torque(chain, posture(chain, case.problem.q))
+    torque_rms = np.sqrt(np.mean(torque**2, axis=1))
+    freedom = result.freedom if noise.scale > 1.0 else None
+    table = stiffness_table(joints, solution, noise.scale, freedom, torque_rms, chain.prismatic, chain.rigid)
+    return tuple(
+        entry if j in case.staged.elastic else dataclasses.replace(entry, reason=_not_fitted(float(torque_rms[j])))
+        for j, entry in enumerate(table)
+    )
+
+
+def _not_fitted(torque: float) -> str:
+    if torque < UNLOADED_TORQUE:
+        return "not fitted: gravity does not load this joint"
+    return f"not fitted: it does not clearly improve configurations left out (gravity torque {torque:.2g} N·m rms)"
+
+
+def _condition(result: GeometryFit) -> float:
+    scale = column_scale(result.normal.matrix)
+    values = np.linalg.eigvalsh(result.normal.matrix * np.outer(scale, scale))
+    return float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else float("inf")
+
+
+def _figures(case: Evaluated, covariance: Float3D, result: GeometryFit) -> Fit:
+    before, after = case.staged.frames, case.staged.final
+    lengths = np.linalg.norm(after.held_out, axis=0)
+    return Fit(
+        rms_before=_rms(before.residual),
+        rms_after=_rms(after.residual),
+        held_out_rms_before=_rms(before.held_out),
+        held_out_rms_after=_rms(after.held_out),
+        noise=float(np.sqrt(np.einsum("mii->m", covariance).mean() / 3)),
+        held_out_mean_after=float(lengths.mean()),
+        held_out_max_after=float(lengths.max()),
+        rms_used=_rms(after.residual[:, case.used]),
+        chi2=result.normal.cost,
+        degrees_of_freedom=result.freedom,
+    )
+
+
+def _residuals(case: Evaluated, readings: Readings, covariance: Float3D, scale: float) -> Residuals:
+    final = case.staged.final
+    tracker = final.fit.parameters.tracker
+    measured = readings.position @ tracker[:3, :3].T + tracker[:3, 3]
+    variance = np.einsum("ai,mij,aj->ma", tracker[:3, :3], covariance, tracker[:3, :3], optimize=True)
+    force = np.zeros(len(readings)) if readings.wrench is None else np.linalg.norm(readings.wrench[:, :3], axis=1)
+    return Residuals(
+        measured=measured,
+        predicted=measured - final.residual.T,
+        residual=final.residual.T,
+        held_out=final.held_out.T,
+        sigma=scale * np.sqrt(variance),
+        load=force,
+        excluded=~case.used,
+    )
+
+
+def _exclusions(case: Evaluated, readings: Readings) -> tuple[Exclusion, ...]:
+    rejection = case.rejection
+    if rejection is None:
+        return ()
+    held_out = np.linalg.norm(case.staged.final.held_out, axis=0)
+    found = []
+    for row in np.flatnonzero(~case.used):
+        ratio = float(np.sqrt(rejection.squared[row] / rejection.threshold))
+        reason = (
+            f"{held_out[row] * 1e3:.3f} mm from where the other configurations and the model put it, "
+            f"{ratio:.2f} times the limit that this recording's own scatter sets"
+        )
+        name = readings.points[readings.point[row]]
+        found.append(
+            Exclusion(
+                int(readings.configuration[row]),
+                int(readings.step[row]),
+                name,
+                reason,
+                size=float(held_out[row]),
+                times_sigma=float(np.sqrt(rejection.squared[row])),
+            )
+        )
+    return tuple(found)
+
+
+def _notes(case: Evaluated) -> tuple[Note, ...]:
+    if case.rejection is None or not case.rejection.full:
+        return ()
+    count = int(np.sum(~case.used))
+    text = f"{count} readings were excluded, the largest share allowed; more may be wrong"
+    return (Note("many_outliers", "readings", text, count),)
+
+
+def _method(case: Evaluated, robust: bool) -> str:
+    kept = [stage.name for stage in case.staged.stages[1:] if stage.kept]
+    return ", ".join(
+        (
+            "absolute positions",
+            " + ".join(kept) + " by weighted Gauss-Newton (weights from the instrument's uncertainty)",
+            "stages kept by cross-validation over whole configurations",
+            "gross errors excluded by name" if robust else "every reading used",
+        )
+    )
+
+
+def _rms(values: Float2D) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,154 @@
+"""Gross errors among absolute positions: single mis-measured poses, found one at a time and named.
+
+What a model leaves out is not an outlier.  A reading is judged against the recording's own scatter, heavy tails
+included, never against the instrument's claim; it is excluded only where it stands apart from all the others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration_core.identification.geometry.fit import (
+    AbsoluteProblem,
+    GeometryFit,
+    NormalEquations,
+    bounded_step,
+    fit,
+    lower_steps,
+    whitened,
+)
+from calibration_core.identification.geometry.terms import Term
+from calibration_core.identification.statistics.distributions import chi2_limit, f_limit
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D
+
+FALSE_EXCLUSION = 0.01  # probability that a recording with nearly normal residuals loses any reading
+MARGIN = 1.25  # on top of the quantile: tails of a systematic rest
+MAX_SHARE = 0.02  # never more than this share of the readings
+RETURN = 0.5  # an excluded reading is taken back below this share of the threshold (of squares)
+LEVERAGE = 0.05  # readings whose own leverage leaves less than this of a direction cannot be judged
+ROUNDS = 5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GrossErrorRejection:
+    """A fit without gross errors.
+
+    Attributes:
+        fit: The fit to the readings used.
+        used: (m,) mask.
+        squared: (m,) squared residual of every reading predicted from the others, in units of its claimed covariance.
+        threshold: Limit on `squared`.
+        full: Whether the search stopped because the allowed share was reached.
+    """
+
+    fit: GeometryFit
+    used: Bool1D
+    squared: Float1D
+    threshold: float
+    full: bool
+
+
+def reject_gross_errors(
+    problem: AbsoluteProblem,
+    start: ModelParameters,
+    terms: Sequence[Term],
+    used: Bool1D,
+    protected: Bool1D,
+) -> GrossErrorRejection:
+    """Fit, take out gross errors one at a time, refit, and take back what fits after all.
+
+    The statistic of a reading is its deletion residual e^T (I - H)^-1 e.  Its scale is the larger of what the median
+    and the 90 % quantile of all readings say under normal errors, so that a heavy-tailed rest widens the limit; the
+    limit is the F quantile that a clean recording exceeds anywhere with 1 % probability, times 1.25^2.  Between
+    exclusions the solution is updated in the linearised problem; when none is left the fit is repeated and the search
+    goes on.
+
+    Args:
+        problem: All readings.
+        start: First guess.
+        terms: What is fitted.
+        used: (m,) readings to begin with.
+        protected: (m,) readings that must be used whatever they look like.
+    """
+    budget = max(1, int(MAX_SHARE * len(problem)))
+    used = used | protected
+    result, squared, threshold = _judge(problem, start, terms, used)
+    for _ in range(ROUNDS):
+        found = _exclude(problem, result, used, protected, budget)
+        back = ~used & (squared < RETURN * threshold)
+        if not found.any() and not back.any():
+            break
+        used = (used & ~found) | back
+        result, squared, threshold = _judge(problem, result.parameters, terms, used)
+    return GrossErrorRejection(result, used, squared, threshold, full=int(np.sum(~used)) >= budget)
+
+
+def _judge(
+    problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term], used: Bool1D
+) -> tuple[GeometryFit, Float1D, float]:
+    """Fit the readings used and judge all of them."""
+    result = fit(problem.select(np.flatnonzero(used)), start, terms)
+    columns, residual = _linearised(problem, result)
+    squared = np.empty(len(problem))
+    squared[used] = _deletion(columns[:, :, used], residual[:, used], result.normal, sign=-1.0)
+    squared[~used] = _deletion(columns[:, :, ~used], residual[:, ~used], result.normal, sign=1.0)
+    return result, squared, _threshold(squared[used], len(problem), result.freedom)
+
+
+def _exclude(problem: AbsoluteProblem, result: GeometryFit, used: Bool1D, protected: Bool1D, budget: int) -> Bool1D:
+    """Return the readings to exclude, found one at a time in the problem linearised at `result`."""
+    columns, residual = _linearised(problem, result)
+    normal, left, e = result.normal, used.copy(), residual
+    found = np.zeros(len(problem), dtype=bool)
+    lower = lower_steps(result.terms, result.parameters)
+    while int(np.sum(~left)) < budget:
+        squared = np.where(left, _deletion(columns, e, normal, sign=-1.0), 0.0)
+        threshold = _threshold(squared[left], len(problem), 3 * normal.readings - len(normal.gradient))
+        worst = int(np.argmax(np.where(protected, 0.0, squared)))
+        if protected[worst] or squared[worst] <= threshold:
+            break
+        left[worst], found[worst] = False, True
+        own = NormalEquations(
+            columns[:, :, worst] @ columns[:, :, worst].T,
+            columns[:, :, worst] @ residual[:, worst],
+            float(residual[:, worst] @ residual[:, worst]),
+            1,
+        )
+        normal = normal - own
+        e = residual - np.tensordot(bounded_step(normal, lower), columns, axes=1)
+    return found
+
+
+def _linearised(problem: AbsoluteProblem, result: GeometryFit) -> tuple[Float3D, Float2D]:
+    """Return fully whitened columns (p, 3, m) and residuals (3, m)."""
+    parts = [whitened(block, result.parameters, result.terms) for block in problem.blocks()]
+    weight = problem.whitening if isinstance(problem.whitening, float) else 1.0
+    columns = weight * np.concatenate([part[0] for part in parts], axis=2)
+    return columns, weight * np.concatenate([part[1] for part in parts], axis=1)
+
+
+def _deletion(columns: Float3D, residual: Float2D, normal: NormalEquations, sign: float) -> Float1D:
+    """Return e^T (I + sign H)^-1 e of each reading, (m,), H = J N^-1 J^T its leverage; 0 where it cannot be judged."""
+    p, _, m = columns.shape
+    if m == 0:
+        return np.empty(0)
+    scale = 1.0 / np.sqrt(np.diag(normal.matrix))
+    lower = np.linalg.cholesky(normal.matrix * np.outer(scale, scale) + 1e-13 * np.eye(p))
+    reduced = np.linalg.solve(lower, scale[:, None] * columns.reshape(p, -1)).reshape(p, 3, m)
+    system = np.eye(3) + sign * np.einsum("pam,pbm->mab", reduced, reduced)
+    values, vectors = np.linalg.eigh(system)
+    along = np.einsum("mab,am->mb", vectors, residual)
+    known = values[:, 0] > LEVERAGE
+    return np.where(known, np.sum(along**2 / np.maximum(values, LEVERAGE), axis=1), 0.0)
+
+
+def _threshold(squared: Float1D, readings: int, freedom: int) -> float:
+    known = squared[squared > 0]
+    if len(known) < 4 or freedom < 4:
+        return np.inf
+    scale = max(float(np.quantile(known, level)) / chi2_limit(1 - level, 3) for level in (0.5, 0.9))
+    return MARGIN**2 * scale * 3 * f_limit(FALSE_EXCLUSION / readings, 3, freedom)

@@ -1,0 +1,187 @@
+"""Held-out prediction errors by whole configurations, and when an improvement counts.
+
+Leaving out single rows would let a configuration predict itself; whole configurations are left out (five folds, drawn
+once and for all by a fixed seed, or one at a time when there are few).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration_core.errors import EquilibriumError
+from calibration_core.identification.geometry.fit import (
+    AbsoluteProblem,
+    GeometryFit,
+    NormalEquations,
+    bounded_step,
+    fit,
+    lower_steps,
+    moved,
+    normal_equations,
+    whitened,
+)
+from calibration_core.identification.geometry.terms import Term, names_of
+from calibration_core.identification.statistics.distributions import student_quantile
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Bool1D, Float2D, Int1D
+
+FOLDS = 5
+FEW = 30  # configurations below which every one is left out on its own
+SEED = 17384
+CHANCE = 0.023  # probability of a clear gain where there is none: two standard errors of many configurations
+
+
+def folds(configuration: Int1D) -> Int1D:
+    """Return the fold of every reading, (m,), 0 first; readings of one configuration are never parted."""
+    numbers, index = np.unique(configuration, return_inverse=True)
+    count = len(numbers)
+    order = np.arange(count) if count < FEW else np.random.default_rng(SEED).permutation(count) % FOLDS
+    return order[index.reshape(-1)].astype(np.int64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Improvement:
+    """Paired comparison of two models on held-out configurations.
+
+    Attributes:
+        gain: Mean over configurations of the squared error before minus after, m^2.
+        error: Standard error of `gain`, m^2.
+        before: Root mean square of the 3-d error before, m.
+        after: The same after, m.
+        configurations: On how many configurations it rests.
+    """
+
+    gain: float
+    error: float
+    before: float
+    after: float
+    configurations: int
+
+    @property
+    def clear(self) -> bool:
+        """Whether the gain is larger than twice its standard error (more with few configurations: Student's t).
+
+        A smaller held-out error alone is no reason to believe a larger model: between two equally good models one is
+        always smaller.  The errors of both models on one configuration go together, so their difference is judged,
+        pair by pair; folds share training data, which makes the standard error a little small, hence two of them
+        and not one.
+        """
+        if self.configurations < 2:
+            return False
+        return self.gain > student_quantile(1 - CHANCE, self.configurations - 1) * self.error
+
+    @property
+    def text(self) -> str:
+        """The figures in words."""
+        ratio = self.gain / self.error if self.error > 0 else (np.inf if self.gain > 0 else 0.0)
+        return (
+            f"3-d rms of configurations left out from {1e3 * self.before:.4f} to {1e3 * self.after:.4f} mm, "
+            f"paired gain {ratio:.1f} standard errors"
+        )
+
+
+def compare(before: Float2D, after: Float2D, configuration: Int1D) -> Improvement:
+    """Compare two (3, m) arrays of held-out residuals, m, configuration by configuration."""
+    squares = np.stack([np.sum(before**2, axis=0), np.sum(after**2, axis=0)])
+    _, index = np.unique(configuration, return_inverse=True)
+    index = index.reshape(-1)
+    difference = np.bincount(index, squares[0] - squares[1]) / np.bincount(index)
+    error = float(np.std(difference, ddof=1) / np.sqrt(len(difference))) if len(difference) > 1 else np.inf
+    rms = np.sqrt(squares.mean(axis=1))
+    return Improvement(float(difference.mean()), error, float(rms[0]), float(rms[1]), len(difference))
+
+
+def held_out(problem: AbsoluteProblem, whole: GeometryFit, fold: Int1D, used: Bool1D) -> Float2D:
+    """Return the (3, m) residuals, m, base axes, of every reading predicted by a fit to the other folds.
+
+    The fold's normal matrix is taken out of the total, which gives its solution to first order; one more Gauss-Newton
+    step on the training data, linearised there, makes it exact for all purposes.
+
+    Args:
+        problem: All readings.
+        whole: The fit to all readings used.
+        fold: (m,) fold of every reading.
+        used: (m,) mask of the readings that may serve for fitting; the others are only predicted.
+    """
+    if not whole.names:
+        return problem.residual(whole.parameters)
+    count = int(fold.max()) + 1
+    parts = [
+        normal_equations(problem.select(np.flatnonzero(used & (fold == k))), whole.parameters, whole.terms)
+        for k in range(count)
+    ]
+    total = _sum(parts)
+    residual = np.empty((3, len(problem)))
+    for k in range(count):
+        training = problem.select(np.flatnonzero(used & (fold != k)))
+        rows = np.flatnonzero(fold == k)
+        residual[:, rows] = problem.select(rows).residual(_without(training, whole, total - parts[k]))
+    return residual
+
+
+def _without(training: AbsoluteProblem, whole: GeometryFit, normal: NormalEquations) -> ModelParameters:
+    """Return the solution for the training data, whose normal equations at the whole solution are `normal`."""
+    step = bounded_step(normal, lower_steps(whole.terms, whole.parameters))
+    first = moved(whole.parameters, whole.terms, step)
+    try:
+        again = normal_equations(training, first, whole.terms)
+    except EquilibriumError:  # far from linear: these compliances do not even carry the robot
+        return fit(training, whole.parameters, whole.terms).parameters
+    return moved(first, whole.terms, bounded_step(again, lower_steps(whole.terms, first)))
+
+
+class LinearModel:
+    """All columns of many terms at one set of parameters, for comparing models that use some of them.
+
+    Held-out residuals of any choice of columns then cost one small solution per fold.
+
+    Attributes:
+        names: Names of the columns.
+        lower: (p,) lowest step of each column.
+        matrix: (p, p) normal matrix over all folds.
+    """
+
+    def __init__(
+        self, problem: AbsoluteProblem, parameters: ModelParameters, terms: Sequence[Term], fold: Int1D
+    ) -> None:
+        """Linearise; memory is 24 bytes per reading and column."""
+        plain = dataclasses.replace(problem, whitening=1.0)
+        self.names = names_of(terms)
+        self.lower = lower_steps(terms, parameters)
+        self._columns = np.empty((len(self.names), 3, len(problem)))
+        self._residual = np.empty((3, len(problem)))
+        first = 0
+        for block in plain.blocks():
+            rows = slice(first, first + len(block))
+            self._columns[:, :, rows], self._residual[:, rows] = whitened(block, parameters, terms)
+            first += len(block)
+        self._fold = [np.flatnonzero(fold == k) for k in range(int(fold.max()) + 1)]
+        self._parts = [normal_equations(problem.select(rows), parameters, terms) for rows in self._fold]
+        self._total = _sum(self._parts)
+        self.matrix = self._total.matrix
+
+    def fitted(self, chosen: Sequence[int]) -> Float2D:
+        """Return the (3, m) residuals, m, of the model with the chosen columns fitted to all readings."""
+        index = np.array(chosen, dtype=int)
+        step = bounded_step(self._total.of(index), self.lower[index])
+        return self._residual - np.tensordot(step, self._columns[index], axes=1)
+
+    def held_out(self, chosen: Sequence[int]) -> Float2D:
+        """Return the (3, m) held-out residuals, m, of the model with the chosen columns."""
+        index = np.array(chosen, dtype=int)
+        residual = np.empty_like(self._residual)
+        for rows, part in zip(self._fold, self._parts, strict=True):
+            training = (self._total - part).of(index)
+            step = bounded_step(training, self.lower[index])
+            residual[:, rows] = self._residual[:, rows] - np.tensordot(step, self._columns[index][:, :, rows], axes=1)
+        return residual
+
+
+def _sum(parts: list[NormalEquations]) -> NormalEquations:
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return total

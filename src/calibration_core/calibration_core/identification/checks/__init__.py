@@ -1,0 +1,1 @@
+"""Whether a measurement meets the demands on it: conditions, preconditions, sensor, operating space, noise."""

@@ -1,0 +1,184 @@
+"""The standard's demands on a measurement (CWA 17384, clauses 5.1 to 5.4 and 6.2), checked on the recording."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.result.estimate import OperatingSpace, Precondition
+from calibration_core.timeseries import Condition, Override, Readings
+
+MIN_CONFIGURATIONS = 12
+STANDARD_GRAVITY = 9.80665  # m/s^2, where the cell file states none
+AMBIENT, TOLERANCE = 20.0, 2.0  # degrees Celsius
+TEST_UNCERTAINTY_RATIO = 5.0
+NEAR_SINGULAR = 0.02  # smallest singular value of the scaled Jacobian
+UNSEEN = (  # what only a live measurement shows
+    ("5.1", "maximum Cartesian speed 250 mm/s, manual mode, servos on, brakes released"),
+    ("5.2", "start-up cycle before the test, repeated periodically"),
+)
+
+
+def check_preconditions(
+    readings: Readings, cell: Cell, space: OperatingSpace, sigma: float
+) -> tuple[Precondition, ...]:
+    """Check what a recording can show; what it cannot show is said to be unknown.
+
+    Args:
+        readings: What was measured.
+        cell: The cell file.
+        space: Configurations, deflections and the share of K_CSM.
+        sigma: Standard deviation of one coordinate of one reading, m.
+    """
+    readings, space = _under_load(readings, space)
+    checks = [_configurations(space), _spread(space), _temperature(readings)]
+    if space.force is not None:
+        checks.append(_rated_load(cell, space))
+    checks += [_uncertainty_ratio(space, sigma), *_calibrated(cell), _singularities(space)]
+    seen = {condition.name: condition for condition in readings.conditions}
+    checks = [_with_override(check, seen.pop(check.name, None)) for check in checks]
+    watched = [_watched(condition) for condition in seen.values()]
+    if "end_effector" not in seen:
+        watched.append(_end_effector(cell))
+    if not readings.conditions:
+        watched += [Precondition(*row, "not contained in the evaluated data", None) for row in UNSEEN]
+    return (*checks, *watched)
+
+
+def _under_load(readings: Readings, space: OperatingSpace) -> tuple[Readings, OperatingSpace]:
+    """Return configurations with several steps alone, where a loaded recording holds others for frames and geometry."""
+    if space.force is None:
+        return readings, space
+    pairs = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
+    numbers, counts = np.unique(pairs[:, 0], return_counts=True)
+    kept = np.isin(space.configuration, numbers[counts > 1])
+    if kept.all() or not kept.any():
+        return readings, space
+    fields = ("configuration", "joint_origins", "flange", "wrench_point", "force", "deflection", "q", "singularity",
+              "k_csm_share")  # fmt: skip
+    parts: dict[str, Any] = {name: getattr(space, name) for name in fields}
+    rows: dict[str, Any] = {name: None if values is None else values[kept] for name, values in parts.items()}
+    points = {name: at[kept] for name, at in space.points.items()}
+    loaded = np.isin(readings.configuration, space.configuration[kept])
+    return readings.select(loaded), dataclasses.replace(space, points=points, **rows)
+
+
+def _with_override(check: Precondition, seen: Condition | None) -> Precondition:
+    """Add what was seen live to what the readings show: a violation then counts, and so does who overrode it."""
+    if seen is None:
+        return check
+    if seen.met is False and check.met is not False:
+        check = dataclasses.replace(check, found=f"{check.found}; while measuring: {seen.value}", met=False)
+    return dataclasses.replace(check, override=_who(seen.override))
+
+
+def _watched(condition: Condition) -> Precondition:
+    requirement = f"{condition.requirement}: {condition.limit}"
+    who = _who(condition.override)
+    return Precondition(
+        condition.clause, requirement, condition.value, condition.met, condition.name, condition.shall, who
+    )
+
+
+def _who(override: Override | None) -> str:
+    return "" if override is None else f"{override.operator}: {override.reason}"
+
+
+def _end_effector(cell: Cell) -> Precondition:
+    tool = cell.end_effector
+    found = "its stiffness is not stated" if tool is None else f"its compliance is accounted for ({tool.source})"
+    requirement = "end effector considerably stiffer than the robot, or its compliance accounted for"
+    return Precondition("5.1", requirement, found, None if tool is None else True, "end_effector")
+
+
+def _configurations(space: OperatingSpace) -> Precondition:
+    count = len(space.configuration)
+    return Precondition(
+        "5.1",
+        f"at least {MIN_CONFIGURATIONS} manipulator configurations",
+        f"{count} configurations",
+        count >= MIN_CONFIGURATIONS,
+    )
+
+
+def _spread(space: OperatingSpace) -> Precondition:
+    box = np.ptp(space.flange, axis=0)
+    found = " × ".join(f"{1e3 * side:.0f}" for side in box)
+    return Precondition(
+        "5.1",
+        "configurations evenly spaced in the operating space",
+        f"flange positions span {found} mm (x, y, z)",
+        None,
+    )
+
+
+def _temperature(readings: Readings) -> Precondition:
+    requirement = f"{AMBIENT:.0f} °C ± {TOLERANCE:.0f} °C"
+    known = readings.temperature[np.isfinite(readings.temperature)]
+    if not len(known):
+        return Precondition("5.1", requirement, "no temperature recorded", None, "temperature")
+    low, high = float(known.min()), float(known.max())
+    inside = abs(low - AMBIENT) <= TOLERANCE and abs(high - AMBIENT) <= TOLERANCE
+    return Precondition("5.1", requirement, f"{low:.1f} to {high:.1f} °C", inside, "temperature")
+
+
+def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
+    assert space.force is not None  # noqa: S101 - asked for only with a load
+    largest = float(np.linalg.norm(space.force, axis=1).max())
+    rated = cell.robot.rated_load * (float(np.linalg.norm(cell.gravity)) or STANDARD_GRAVITY)
+    sensor = cell.instruments.force_torque
+    expanded = 2 * np.sqrt(3) * (0.0 if sensor is None else sensor.sigma_force)  # k = 2, three axes
+    found = f"largest force {largest:.0f} N, {100 * largest / rated:.1f} %"
+    if rated < largest <= rated + expanded:
+        found = (
+            f"largest reading {largest:.0f} N, above the limit by {largest - rated:.1f} N, which is within the "
+            f"measurement uncertainty of the force (± {expanded:.1f} N, k = 2)"
+        )
+    return Precondition(
+        "5.1",
+        f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:.0f} N)",
+        f"{found} (torques are not part of this check)",
+        bool(largest <= rated + expanded),
+        "rated_load",
+    )
+
+
+def _uncertainty_ratio(space: OperatingSpace, sigma: float) -> Precondition:
+    requirement = "test uncertainty ratio not lower than 1:5"
+    if space.deflection is None:
+        found = "no deflection is measured in an absolute recording"
+        return Precondition("5.3", requirement, found, None, "uncertainty_ratio", shall=False)
+    size = float(np.sqrt(np.mean(np.sum(space.deflection**2, axis=1))))
+    expanded = 2 * np.sqrt(2) * sigma
+    ratio = size / expanded
+    found = (
+        f"1:{ratio:.1f} (deflection {1e3 * size:.3f} mm rms, "
+        f"expanded uncertainty of a deflection {1e6 * expanded:.0f} µm, k = 2)"
+    )
+    met = bool(ratio >= TEST_UNCERTAINTY_RATIO)
+    return Precondition("5.3", requirement, found, met, "uncertainty_ratio", shall=False)
+
+
+def _calibrated(cell: Cell) -> list[Precondition]:
+    checks = []
+    instruments = (("laser tracker", cell.instruments.tracker), ("force/torque sensor", cell.instruments.force_torque))
+    for label, instrument in instruments:
+        if instrument is not None:
+            found = instrument.calibrated or "no calibration date in the cell file"
+            checks.append(Precondition("5.3", f"{label} calibrated", found, True if instrument.calibrated else None))
+    return checks
+
+
+def _singularities(space: OperatingSpace) -> Precondition:
+    worst = int(np.argmin(space.singularity))
+    distance = float(space.singularity[worst])
+    found = f"nearest: configuration {int(space.configuration[worst])}, smallest singular value {distance:.3f}"
+    if space.k_csm_share is not None:
+        share = 1e6 * float(space.k_csm_share.max())
+        found += f"; neglecting K_CSM would move points by up to {share:.1f} µm (it is not neglected)"
+    return Precondition(
+        "6.2", "configurations far from kinematic singularities", found, bool(distance >= NEAR_SINGULAR)
+    )

@@ -1,0 +1,1 @@
+"""Frames, points and geometry as parameters of a least-squares problem: terms, fit, identifiability, prior, table."""

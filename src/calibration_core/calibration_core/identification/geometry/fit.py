@@ -1,0 +1,328 @@
+"""Weighted Gauss-Newton on absolute positions: frames, geometry and whatever else comes as a term.
+
+Normal matrices are accumulated over blocks of readings, so memory stays bounded and the columns stay in the cache; they
+are also what cross-validation works with (normal matrices of folds add up).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from calibration_core.errors import EquilibriumError
+from calibration_core.identification.geometry.terms import ElasticityTerm, Term, TermContext, names_of
+from calibration_core.model.chain import Chain
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.kinematics import posture
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.statics import Load
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+
+BLOCK = 2_000  # readings per block
+ITERATIONS = 50
+CONVERGED = 1e-10  # predicted decrease of the sum of squares, relative to it (plus one: a step of one sigma)
+RIDGE = 1e-13  # of the column-scaled normal matrix: keeps a fold that lacks a direction solvable
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AbsoluteProblem:
+    """Absolute positions and all that a prediction needs besides the parameters.
+
+    Attributes:
+        chain: The nominal robot.
+        q: (m, n) rad, encoder angles.
+        position: (3, m) m, tracker frame.
+        names: Measurement points.
+        point: (m,) index into `names`; None where there is only one point.
+        whitening: 1/sigma (1/m) if all coordinates have the same noise, else (3, 3, m) matrices W, tracker axes, with
+            W^T W the inverse covariance of a reading.
+        load: External load of every reading beside the robot's own weight; None if there is none.
+        recording: (m,) which of several recordings, each with its own set-up, a reading comes from; None: one alone.
+    """
+
+    chain: Chain
+    q: Float2D
+    position: Float2D
+    names: tuple[str, ...]
+    point: Int1D | None
+    whitening: float | Float3D
+    load: Load | None = None
+    recording: Int1D | None = None
+
+    def __len__(self) -> int:
+        """Return the number of readings."""
+        return self.position.shape[1]
+
+    @property
+    def loaded(self) -> bool:
+        """Whether anything known loads the joints."""
+        return self.chain.mass is not None or self.load is not None
+
+    def select(self, rows: Int1D | slice) -> AbsoluteProblem:
+        """Return the problem of some of the readings."""
+        return AbsoluteProblem(
+            self.chain,
+            self.q[rows],
+            self.position[:, rows],
+            self.names,
+            None if self.point is None else self.point[rows],
+            self.whitening if isinstance(self.whitening, float) else self.whitening[:, :, rows],
+            None if self.load is None else self.load.rows(rows),
+            None if self.recording is None else self.recording[rows],
+        )
+
+    def blocks(self) -> Iterator[AbsoluteProblem]:
+        """Yield the readings block by block."""
+        if len(self) <= BLOCK:
+            yield self
+            return
+        for first in range(0, len(self), BLOCK):
+            yield self.select(slice(first, first + BLOCK))
+
+    def view(self, parameters: ModelParameters, *, elastic: bool = False) -> TermContext:
+        """Predict every reading.
+
+        Args:
+            parameters: Current values.
+            elastic: Whether the derivatives of the equilibrium are wanted even if the joints are still rigid.
+
+        Raises:
+            EquilibriumError: The compliances do not carry the robot's own weight.
+        """
+        chain = self.chain.corrected(parameters.geometry)
+        rest = None
+        if elastic or (self.loaded and np.any(parameters.compliance)):
+            rest = solve_equilibrium(chain, self.q, parameters.compliance, self.load)
+        at = posture(chain, self.q) if rest is None else rest.at
+        if self.point is None:
+            target = at.point(parameters.points[self.names[0]])
+        else:
+            target = at.point(np.stack([parameters.points[name] for name in self.names], axis=1)[:, self.point])
+        placed = parameters.placed(self.position, self.recording)
+        measured = parameters.tracker[:3, :3] @ placed + parameters.tracker[:3, 3:4]
+        return TermContext(chain, parameters, at, target, measured, self.point, rest, self.recording)
+
+    def residual(self, parameters: ModelParameters) -> Float2D:
+        """Return measured minus predicted, (3, m) m, base axes."""
+        return np.concatenate([view.measured - view.target for view in self._views(parameters)], axis=1)
+
+    def _views(self, parameters: ModelParameters) -> Iterator[TermContext]:
+        for block in self.blocks():
+            yield block.view(parameters)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Whitened normal equations N dx = g of a set of readings at given parameters.
+
+    Attributes:
+        matrix: (p, p) J^T J.
+        gradient: (p,) J^T e.
+        cost: e^T e.
+        readings: Number of readings.
+    """
+
+    matrix: Float2D
+    gradient: Float1D
+    cost: float
+    readings: int
+
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        """Add further readings."""
+        return NormalEquations(
+            self.matrix + other.matrix,
+            self.gradient + other.gradient,
+            self.cost + other.cost,
+            self.readings + other.readings,
+        )
+
+    def of(self, chosen: Int1D) -> NormalEquations:
+        """Return the equations of some of the parameters, the others held."""
+        return NormalEquations(self.matrix[np.ix_(chosen, chosen)], self.gradient[chosen], self.cost, self.readings)
+
+    def __sub__(self, other: NormalEquations) -> NormalEquations:
+        """Take readings out."""
+        return NormalEquations(
+            self.matrix - other.matrix,
+            self.gradient - other.gradient,
+            self.cost - other.cost,
+            self.readings - other.readings,
+        )
+
+
+class Prior(Protocol):
+    """What is known of the parameters before the readings."""
+
+    def normal(self, parameters: ModelParameters) -> NormalEquations:
+        """Return what it adds to the normal equations at these values (no readings)."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GeometryFit:
+    """The least-squares solution for a list of terms.
+
+    Attributes:
+        parameters: All values, fitted or not.
+        terms: What was fitted.
+        normal: Whitened normal equations at the solution.
+        iterations: Gauss-Newton steps.
+        converged: Whether the sum of squares stopped falling.
+    """
+
+    parameters: ModelParameters
+    terms: tuple[Term, ...]
+    normal: NormalEquations
+    iterations: int
+    converged: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fitted parameters."""
+        return names_of(self.terms)
+
+    @property
+    def freedom(self) -> int:
+        """Coordinates minus parameters."""
+        return 3 * self.normal.readings - len(self.normal.gradient)
+
+    @property
+    def covariance(self) -> Float2D:
+        """(p, p) covariance of the parameters for the stated noise, SI units."""
+        scale = column_scale(self.normal.matrix)
+        return np.linalg.inv(self.normal.matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+
+
+def fit(
+    problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term], prior: Prior | None = None
+) -> GeometryFit:
+    """Minimise the weighted sum of squares by Gauss-Newton under the terms' bounds, damped where a step fails.
+
+    Args:
+        problem: The readings.
+        start: First guess.
+        terms: What is fitted.
+        prior: What is known of the same terms already; its part of the sum counts like that of the readings.
+
+    Raises:
+        EquilibriumError: The start does not carry the robot's own weight.
+    """
+
+    def linearised(at: ModelParameters) -> NormalEquations:
+        seen = normal_equations(problem, at, terms)
+        return seen if prior is None else seen + prior.normal(at)
+
+    parameters, normal, damping = start, linearised(start), 0.0
+    for iteration in range(1, ITERATIONS + 1):
+        step = bounded_step(normal, lower_steps(terms, parameters), damping)
+        if float(normal.gradient @ step) <= CONVERGED * (normal.cost + 1.0):
+            last = moved(parameters, terms, step) if not np.any(parameters.compliance) else parameters
+            return GeometryFit(last, tuple(terms), normal, iteration, converged=True)
+        trial = moved(parameters, terms, step)
+        after = _attempt(linearised, trial)
+        if after is not None and after.cost <= normal.cost:
+            parameters, normal = trial, after
+            damping = 0.0 if damping < 1e-6 else damping / 10
+        elif damping > 1e6:
+            break
+        else:
+            damping = max(10 * damping, 1e-4)
+    return GeometryFit(parameters, tuple(terms), normal, ITERATIONS, converged=False)
+
+
+def _attempt(
+    linearised: Callable[[ModelParameters], NormalEquations], trial: ModelParameters
+) -> NormalEquations | None:
+    """Linearise at trial values; None where such compliances would not carry the robot."""
+    try:
+        return linearised(trial)
+    except EquilibriumError:
+        return None
+
+
+def normal_equations(problem: AbsoluteProblem, parameters: ModelParameters, terms: Sequence[Term]) -> NormalEquations:
+    """Accumulate the whitened normal equations over blocks of readings."""
+    p = len(names_of(terms))
+    matrix, gradient, cost = np.zeros((p, p)), np.zeros(p), 0.0
+    for block in problem.blocks():
+        columns, residual = whitened(block, parameters, terms)
+        flat = columns.reshape(p, residual.size)
+        matrix += flat @ flat.T
+        gradient += flat @ residual.reshape(-1)
+        cost += float(np.vdot(residual, residual))
+    weight = problem.whitening**2 if isinstance(problem.whitening, float) else 1.0
+    return NormalEquations(weight * matrix, weight * gradient, weight * cost, len(problem))
+
+
+def whitened(block: AbsoluteProblem, parameters: ModelParameters, terms: Sequence[Term]) -> tuple[Float3D, Float2D]:
+    """Return the columns (p, 3, m) and residuals (3, m), whitened but for a common factor 1/sigma."""
+    view = block.view(parameters, elastic=any(isinstance(t, ElasticityTerm) and t.gravity is None for t in terms))
+    columns = np.empty((len(names_of(terms)), *view.target.shape))
+    first = 0
+    for term in terms:
+        count = len(term.names)
+        term.write(view, columns[first : first + count])
+        first += count
+    residual = view.measured - view.target
+    if isinstance(block.whitening, float):
+        return columns, residual
+    to_noise = np.einsum("abm,cb->acm", block.whitening, parameters.tracker[:3, :3])
+    return np.einsum("acm,pcm->pam", to_noise, columns), np.einsum("acm,cm->am", to_noise, residual)
+
+
+def moved(parameters: ModelParameters, terms: Sequence[Term], step: Float1D) -> ModelParameters:
+    """Return the parameters after a step of all terms."""
+    first = 0
+    for term in terms:
+        count = len(term.names)
+        if count:
+            parameters = term.moved(parameters, step[first : first + count])
+        first += count
+    return parameters
+
+
+def lower_steps(terms: Sequence[Term], parameters: ModelParameters) -> Float1D:
+    """Return the lowest step, (p,), that keeps every value above its bound."""
+    if not terms:
+        return np.empty(0)
+    return np.concatenate([term.lower - term.values(parameters) for term in terms])
+
+
+def bounded_step(normal: NormalEquations, lower: Float1D, damping: float = 0.0) -> Float1D:
+    """Solve N dx = g such that no step falls below `lower` (p,).
+
+    Active set: parameters that would leave their bounds are put on them and the rest is solved again; one whose
+    release would lower the sum of squares is released.  With damping, N's diagonal grows by that share.
+    """
+    scale = column_scale(normal.matrix)
+    matrix = normal.matrix * np.outer(scale, scale)
+    matrix[np.diag_indices_from(matrix)] += damping + RIDGE
+    right, floor = normal.gradient * scale, np.minimum(lower, 0.0) / scale
+    held = np.zeros(len(right), dtype=bool)
+    step = np.linalg.solve(matrix, right)
+    bounded = np.isfinite(floor)
+    if not bounded.any():
+        return step * scale
+    for _ in range(3 * int(bounded.sum()) + 1):
+        out = bounded & ~held & (step < floor - 1e-15)
+        if out.any():
+            held |= out
+        else:
+            pull = right - matrix @ step
+            release = held & (pull > 1e-12 * np.abs(right).max(initial=0.0))
+            if not release.any():
+                break
+            held[np.argmax(np.where(release, pull, -np.inf))] = False
+        step = np.where(held, floor, 0.0)
+        free = ~held
+        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], (right - matrix @ step)[free])
+    return step * scale
+
+
+def column_scale(matrix: Float2D) -> Float1D:
+    """Return 1 over the length of every column, (p,), given J^T J; 1 for a column of zeros."""
+    diagonal = np.diag(matrix)
+    return 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

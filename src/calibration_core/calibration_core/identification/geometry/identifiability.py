@@ -1,0 +1,199 @@
+"""Which corrections of the geometry a recording can identify, and in whose effect the others are hidden.
+
+The frame before every joint could be moved in six ways, many of which do the same to the measured points.  Candidates
+are taken in an order of preference; one that is, to a small rest, a combination of those taken before stays nominal.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.geometry.fit import AbsoluteProblem, column_scale, normal_equations
+from calibration_core.identification.geometry.setups import pose_terms
+from calibration_core.identification.geometry.terms import (
+    CORRECTIONS,
+    GeometryTerm,
+    PointTerm,
+    Term,
+    names_of,
+)
+from calibration_core.identification.result.estimate import Unidentified
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Float1D, Float2D
+
+DH_KINDS = (0, 3, 2, 5)  # a, alpha, d, theta
+OTHER_KINDS = (1, 4)  # y and the rotation about it: needed where neighbouring axes are parallel
+LEAST_REST = 0.02  # share of a column that the others do not explain: condition numbers stay near 100 (Schröer's rule)
+NAMED = 0.1  # parts of a combination below this share of the largest are not named
+
+
+@dataclasses.dataclass(frozen=True)
+class GeometryCorrection:
+    """A correction of the frame before a joint.
+
+    Attributes:
+        joint: Counted from 0.
+        kind: Index into `terms.CORRECTIONS`.
+        name: For DH robots the name of the DH parameter (`a_2`, `alpha_2`, `d_3`, `theta_3`; rows counted from 1).
+        nominal: The value in the cell file; None where it states none.
+    """
+
+    joint: int
+    kind: int
+    name: str
+    nominal: float | None
+
+    @property
+    def unit(self) -> Literal["m", "rad"]:
+        """`m` or `rad`."""
+        return "m" if self.kind < 3 else "rad"
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterSelection:
+    """What is fitted and what stays nominal.
+
+    Attributes:
+        chosen: Corrections to fit.
+        nominal: DH-like corrections that stay nominal.
+        unidentified: For each of those, what hides it.
+    """
+
+    chosen: tuple[GeometryCorrection, ...]
+    nominal: tuple[GeometryCorrection, ...]
+    unidentified: tuple[Unidentified, ...]
+
+    @property
+    def term(self) -> GeometryTerm:
+        """The term that fits the chosen corrections, ordered by joint."""
+        ordered = sorted(self.chosen, key=lambda c: (c.joint, c.kind))
+        return GeometryTerm(tuple((c.joint, c.kind) for c in ordered), tuple(c.name for c in ordered))
+
+
+def candidates(cell: Cell) -> tuple[GeometryCorrection, ...]:
+    """Return the corrections in the order of preference: DH-like ones of all joints, then the others.
+
+    Moving the frame before the first joint is moving the tracker; only what the cell file states of it is listed.
+    """
+    offered = [
+        _candidate(cell, joint, kind)
+        for kinds in (DH_KINDS, OTHER_KINDS)
+        for joint in range(len(cell.robot.joints))
+        for kind in kinds
+    ]
+    return tuple(candidate for candidate in offered if candidate.joint > 0 or candidate.nominal is not None)
+
+
+def _candidate(cell: Cell, joint: int, kind: int) -> GeometryCorrection:
+    rows = cell.robot.dh
+    if rows is None or kind in OTHER_KINDS:
+        symbol = "beta" if kind == 4 and rows is not None else CORRECTIONS[kind]
+        return GeometryCorrection(joint, kind, f"{symbol}_{joint + 1}", None)
+    field = {0: "a", 3: "alpha", 2: "d", 5: "theta"}[kind]
+    row = joint - 1 if kind in (0, 3) and not cell.robot.modified_dh else joint
+    if row < 0:
+        return GeometryCorrection(joint, kind, f"{CORRECTIONS[kind]}_{joint + 1}", None)
+    return GeometryCorrection(joint, kind, f"{field}_{row + 1}", float(getattr(rows[row], field)))
+
+
+def select_identifiable(
+    problem: AbsoluteProblem,
+    parameters: ModelParameters,
+    fixed: Sequence[Term],
+    offered: Sequence[GeometryCorrection],
+) -> ParameterSelection:
+    """Select the corrections that the readings identify beside the `fixed` terms, at the nominal geometry.
+
+    The candidates are taken in order; what a column keeps after the best combination of all columns taken before must
+    be at least `LEAST_REST` of its length.  A combination with a smaller rest would make the errors of the result
+    more than 1/`LEAST_REST` times those of a well-conditioned fit.
+    """
+    everything = GeometryTerm(tuple((c.joint, c.kind) for c in offered), tuple(c.name for c in offered))
+    terms = [*fixed, everything]
+    names = names_of(terms)
+    matrix = normal_equations(_without_residual(problem, parameters), parameters, terms).matrix
+    scale = column_scale(matrix)
+    gram = matrix * np.outer(scale, scale)
+    first = len(names) - len(offered)
+    taken = list(range(first))
+    limit = 3 * len(problem) - 1
+    chosen, nominal, unidentified = [], [], []
+    for index, candidate in enumerate(offered, start=first):
+        weights, rest = _explained(gram, taken, index)
+        if matrix[index, index] > 0 and rest >= LEAST_REST and len(taken) < limit:
+            taken.append(index)
+            chosen.append(candidate)
+        elif candidate.kind in DH_KINDS:
+            nominal.append(candidate)
+            unidentified.append(_hidden(names, taken, index, weights, moves=bool(matrix[index, index] > 0)))
+    return ParameterSelection(tuple(chosen), tuple(nominal), tuple(unidentified))
+
+
+def select_frames(problem: AbsoluteProblem, parameters: ModelParameters) -> tuple[list[Term], tuple[Unidentified, ...]]:
+    """Return the terms of the tracker pose and of those point coordinates that the readings tell from it.
+
+    If the flange never turns about some axes, moving the point along one is the same as moving the tracker; such a
+    coordinate keeps its nominal value, and the tracker pose takes up the difference.
+    """
+    poses = pose_terms(None if parameters.setups is None else len(parameters.setups))
+    everything: list[Term] = [*poses, *(PointTerm(name, k) for k, name in enumerate(problem.names))]
+    names, first = names_of(everything), 6 * len(poses)
+    matrix = normal_equations(_without_residual(problem, parameters), parameters, everything).matrix
+    scale = column_scale(matrix)
+    gram = matrix * np.outer(scale, scale)
+    taken, unidentified = list(range(first)), []
+    for index in range(first, len(names)):
+        weights, rest = _explained(gram, taken, index)
+        if matrix[index, index] > 0 and rest >= LEAST_REST:
+            taken.append(index)
+        else:
+            unidentified.append(_hidden(names, taken, index, weights, moves=bool(matrix[index, index] > 0)))
+    terms: list[Term] = [*poses]
+    for k, name in enumerate(problem.names):
+        axes = tuple(axis for axis in range(3) if first + 3 * k + axis in taken)
+        if axes:
+            terms.append(PointTerm(name, k, axes))
+    return terms, tuple(unidentified)
+
+
+def _without_residual(problem: AbsoluteProblem, parameters: ModelParameters) -> AbsoluteProblem:
+    """Return the problem with the predicted positions as readings, so that exact aliases are exactly that."""
+    shift = parameters.tracker[:3, :3].T @ -problem.residual(parameters)
+    if parameters.setups is not None and problem.recording is not None:
+        shift = np.einsum("mji,jm->im", parameters.setups[problem.recording, :3, :3], shift)
+    return dataclasses.replace(problem, position=problem.position + shift)
+
+
+def columns_rest(matrix: Float2D, index: int) -> float:
+    """Return the share of a column's length that the other columns do not explain, given J^T J."""
+    scale = column_scale(matrix)
+    others = [k for k in range(len(matrix)) if k != index]
+    return _explained(matrix * np.outer(scale, scale), others, index)[1]
+
+
+def _explained(gram: Float2D, taken: list[int], index: int) -> tuple[Float1D, float]:
+    """Return how the columns taken explain one column, and the length of the rest (all columns of length one)."""
+    if not taken:
+        return np.empty(0), 1.0
+    values, vectors = np.linalg.eigh(gram[np.ix_(taken, taken)])
+    kept = values > 1e-12 * max(float(values[-1]), 1e-300)
+    projected = vectors[:, kept].T @ gram[taken, index]
+    weights = vectors[:, kept] @ (projected / values[kept])
+    return weights, float(np.sqrt(max(gram[index, index] - projected @ (projected / values[kept]), 0.0)))
+
+
+def _hidden(names: tuple[str, ...], taken: list[int], index: int, weights: Float1D, *, moves: bool) -> Unidentified:
+    name = names[index]
+    if not moves:
+        return Unidentified({name: 1.0}, f"{name} does not move the measured point; it stays nominal")
+    parts = {name: 1.0, **{names[k]: -float(w) for k, w in zip(taken, weights, strict=True)}}
+    largest = max(abs(weight) for weight in parts.values())
+    named = {key: weight for key, weight in parts.items() if key == name or abs(weight) >= NAMED * largest}
+    combination = {key: weight / largest for key, weight in named.items()}
+    others = ", ".join(key for key in combination if key != name) or "the parameters before it"
+    return Unidentified(combination, f"{name} cannot be distinguished from {others}; it stays nominal")

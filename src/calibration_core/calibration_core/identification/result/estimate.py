@@ -1,0 +1,400 @@
+"""What an identification says: values with uncertainty, what was excluded, what cannot be known, and why."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from calibration_core.identification.result.phase import Decoupled, PhaseEstimate
+from calibration_core.identification.result.standard_methods import StandardGeometry
+from calibration_core.identification.result.together import Together
+from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Note, Readings
+
+
+@dataclasses.dataclass(frozen=True)
+class JointStiffness:
+    """Stiffness of one joint (CWA 17384, Table 2).
+
+    Attributes:
+        joint: Name of the joint.
+        value: Stiffness in `unit`; at a compliance of zero the median of what is possible; infinite for a rigid joint.
+        std: One standard deviation, N*m/rad (to first order; infinite where the recording tells nothing).
+        interval: 95 % interval, N*m/rad; from 0 to infinity where the recording tells nothing.
+        compliance: rad/(N*m), not negative.
+        compliance_std: One standard deviation, rad/(N*m).
+        identifiable: Whether this recording determines it.
+        reason: Why not, or what limits it; empty if there is nothing to say.
+        unit: Of the stiffness: `N*m/rad`, or `N/m`.
+        extended: The same joint in the model that holds what the standard's leaves out; None where nothing is left out.
+    """
+
+    joint: str
+    value: float
+    std: float
+    interval: tuple[float, float]
+    compliance: float
+    compliance_std: float
+    identifiable: bool
+    reason: str = ""
+    unit: str = "N*m/rad"
+    extended: JointStiffness | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterEstimate:
+    """One fitted parameter other than a stiffness: frame, point or geometry.
+
+    Attributes:
+        name: For example `tracker x`, `mp1 z`, `a_2`, `theta_5`.
+        group: `tracker`, `point`, `geometry`.
+        value: Fitted value (for geometry: the correction to the nominal value), m or rad.
+        std: One standard deviation.
+        unit: `m` or `rad`.
+        nominal: What the cell file says; None if it says nothing.
+        fitted: False where it could not be identified and stays nominal.
+    """
+
+    name: str
+    group: Literal["tracker", "point", "geometry"]
+    value: float
+    std: float
+    unit: Literal["m", "rad"]
+    nominal: float | None
+    fitted: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
+class Exclusion:
+    """A reading that was not used, and why.
+
+    Attributes:
+        configuration: Its configuration.
+        step: Its step.
+        point: Its measurement point.
+        reason: One sentence.
+        size: Length of its residual when predicted from the others, m.
+        times_sigma: The same in standard deviations.
+    """
+
+    configuration: int
+    step: int
+    point: str
+    reason: str
+    size: float
+    times_sigma: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Root mean squares per coordinate, m, over all readings after the best frames (contract, section 5).
+
+    Attributes:
+        rms_before: Model with the values believed so far, frames refitted; rigid where no stiffness is stated.
+        rms_after: Identified model.
+        held_out_rms_before: As `rms_before`, every configuration predicted from the others.
+        held_out_rms_after: As `rms_after`, every configuration predicted from the others.
+        noise: Standard deviation of one coordinate expected from the instruments.
+        held_out_mean_after: Mean length of the 3-d prediction error of held-out readings, m.
+        held_out_max_after: Largest such length, m.
+        rms_used: As `rms_after`, over the readings that were used (exclusions left out).
+        chi2: Weighted sum of squares over the readings used.
+        degrees_of_freedom: Readings used times three, less offsets and parameters.
+    """
+
+    rms_before: float
+    rms_after: float
+    held_out_rms_before: float
+    held_out_rms_after: float
+    noise: float
+    held_out_mean_after: float
+    held_out_max_after: float
+    rms_used: float = float("nan")
+    chi2: float = float("nan")
+    degrees_of_freedom: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseCheck:
+    """One way of seeing the noise without, or with, the model.
+
+    Attributes:
+        source: `rigid triangle`, `zero return`, `window scatter` or `residual`.
+        seen: Standard deviation of one coordinate, m.
+        degrees_of_freedom: On how much it rests.
+    """
+
+    source: str
+    seen: float
+    degrees_of_freedom: int
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseAudit:
+    """Claimed against seen noise.
+
+    Attributes:
+        claimed: Standard deviation of one coordinate that the cell file states, m.
+        checks: What was seen, in several ways.
+        scale: Factor on the claimed standard deviations that the uncertainties of this result use (>= 1).
+        understated: Whether the claim is rejected at the 1 % level.
+        text: One sentence for a person.
+    """
+
+    claimed: float
+    checks: tuple[NoiseCheck, ...]
+    scale: float
+    understated: bool
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Precondition:
+    """One requirement of the standard, checked on the recording.
+
+    Attributes:
+        clause: Clause of CWA 17384, for example `5.1`.
+        requirement: What the clause demands.
+        found: What the recording shows, with figures.
+        met: True, False, or None where the recording cannot tell.
+        name: A stable word for those that are watched while measuring; empty for the others.
+        shall: Whether the standard demands it (`shall`); otherwise it recommends it (`should`).
+        override: Who let the measurement go on although it was violated, and why; empty if nobody did.
+    """
+
+    clause: str
+    requirement: str
+    found: str
+    met: bool | None
+    name: str = ""
+    shall: bool = True
+    override: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Unidentified:
+    """A joint or combination of parameters that this recording cannot determine.
+
+    Attributes:
+        combination: Parameter name -> weight, the largest being 1.
+        reason: Why, in one sentence.
+    """
+
+    combination: Mapping[str, float]
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """One stage of the model selection for absolute recordings: kept only if held-out configurations say so.
+
+    Attributes:
+        name: `nominal`, `frames`, `geometry` or `elasticity`.
+        parameters: Number of free parameters up to and including this stage.
+        rms: 3-d root mean square over all readings, m.
+        held_out_rms: The same on configurations left out, m.
+        kept: Whether the result contains it.
+        reason: Why, with figures.
+    """
+
+    name: str
+    parameters: int
+    rms: float
+    held_out_rms: float
+    kept: bool
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Anomaly:
+    """Something wrong with the data that is no physics of the robot (contract, sections 5 and 6).
+
+    Attributes:
+        kind: A word of the contract, e.g. `noise_understated`, `unsettled`, `outlier_readings`.
+        location: For example {"point": "mp1"}.
+        configurations: First and last configuration concerned; None if all.
+        magnitude: How large.
+        unit: Unit of the magnitude.
+        text: One sentence for a person.
+        remedy: What to do about it, in words; empty where the text says it.
+    """
+
+    kind: str
+    location: Mapping[str, str | int]
+    configurations: tuple[int, int] | None
+    magnitude: float
+    unit: str
+    text: str
+    remedy: str = ""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Residuals:
+    """Measured against predicted, reading by reading (same rows as `readings`).
+
+    Attributes:
+        measured: (m, 3) m, base axes.  Loaded: deflection under the external load alone, less the fitted offset of its
+            configuration and point (displacement recordings: relative to step 0).  Absolute: position, base frame.
+        predicted: (m, 3) m, as `measured`.
+        residual: (m, 3) m, measured - predicted.
+        held_out: (m, 3) m, measured - predicted when the whole configuration was left out of the fit.
+        sigma: (m, 3) m, standard deviation expected per coordinate, after the noise audit.
+        load: (m,) N, size of the force at this reading (0 where no load is known).
+        excluded: (m,) whether the reading was not used.
+    """
+
+    measured: Float2D
+    predicted: Float2D
+    residual: Float2D
+    held_out: Float2D
+    sigma: Float2D
+    load: Float1D
+    excluded: Bool1D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OperatingSpace:
+    """The investigated operating space in Cartesian representation (CWA 17384, 8 g), base frame, m.
+
+    Attributes:
+        configuration: (k,) numbers of the configurations.
+        joint_origins: (k, n + 2, 3) base, every joint origin, flange: the arm as a polyline.
+        flange: (k, 3); points: measurement point -> (k, 3); wrench_point: (k, 3) or None.
+        force: (k, 3) N, largest force applied at that configuration, base axes; None for absolute recordings.
+        deflection: (k, 3) m, deflection of the first point under that force; None for absolute recordings.
+        q: (k, n) rad, the configurations of Table 1.
+        joint_deflection: (k, n) rad (m: sliding), of the joints under that force; None for absolute recordings.
+        singularity: (k,) smallest singular value of the Jacobian at the wrist, scaled by the reach: 0 is singular.
+        k_csm_share: (k,) m, how far neglecting K_CSM moves the predicted point (clause 6.2); None for absolute ones.
+        tracker: (3,) where the tracker stands; None where that is not shown.
+        boxes: (b, 8, 3) corners of what stands in the cell, x fastest, z slowest; None where that is not shown.
+    """
+
+    configuration: Int1D
+    joint_origins: Float3D
+    flange: Float2D
+    points: Mapping[str, Float2D]
+    wrench_point: Float2D | None
+    force: Float2D | None
+    deflection: Float2D | None
+    q: Float2D
+    singularity: Float1D
+    k_csm_share: Float1D | None
+    tracker: Float1D | None = None
+    boxes: Float3D | None = None
+    joint_deflection: Float2D | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class TestResult:
+    """How the identified model does on a second recording that was not used in the fit (`--test`).
+
+    Attributes:
+        file: The second recording.
+        readings: Number of readings.
+        rms: Per coordinate, m, after the best offsets (loaded) or with the fitted frames (absolute).
+        mean, maximum: Of the 3-d error, m.
+        rms_before: Per coordinate with the cell file's model, m.
+        mean_before: Mean 3-d error with the cell file's model, m.
+        sha256: File name -> SHA-256 hex digest of every file of the second recording.
+    """
+
+    __test__ = False
+
+    file: str
+    readings: int
+    rms: float
+    mean: float
+    maximum: float
+    rms_before: float
+    mean_before: float
+    sha256: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(cls, readings: Readings, after: Float2D, before: Float2D) -> TestResult:
+        """Sum up what two models leave of a recording.
+
+        Args:
+            readings: The recording.
+            after: (m, 3) m, left by the identified model, of the readings that count.
+            before: (m, 3) m, left by the cell file's model.
+        """
+        lengths, nominal = np.linalg.norm(after, axis=1), np.linalg.norm(before, axis=1)
+        return cls(
+            file=readings.provenance.path,
+            sha256=readings.provenance.sha256,
+            readings=len(after),
+            rms=float(np.sqrt(np.mean(after**2))),
+            mean=float(lengths.mean()),
+            maximum=float(lengths.max()),
+            rms_before=float(np.sqrt(np.mean(before**2))),
+            mean_before=float(nominal.mean()),
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Identification:
+    """The complete answer of `calibration identify`.
+
+    Attributes:
+        kind: `loaded` (stiffness from loads) or `absolute` (frames, geometry, gravity).
+        method: How, in words, e.g. `equilibrium, point deflections, instrument weights, robust`.
+        readings: What was evaluated.
+        stiffness: One per joint; empty if none was to be had.
+        parameters: Frames, points and geometry.
+        names: Names of the rows of `covariance`: compliances (`C joint_1`, ...) and fitted parameters.
+        covariance: (p, p), SI units.
+        condition_number: Of the column-scaled observation matrix of the compliances (or of all parameters).
+        fit: The figures.
+        noise: Claimed against seen.
+        stages: Stages of the model selection of an absolute recording; empty for loaded ones.
+        unidentified: What cannot be determined.
+        exclusions: Readings not used.
+        anomalies: Something wrong with the data.
+        preconditions: The standard's demands, checked.
+        residuals: Row by row.
+        space: The operating space.
+        model: The identified model, as `predict` uses it.
+        test: Result on a second recording, if one was given.
+        notes: Further remarks, those of the readings included.
+        standard: Base frame, joint axes and wrist centre by the standard's methods; None for a loaded recording.
+        given: The model that was handed in to start from, whose effects were taken off the readings; None without.
+        phases: What the phases of the calibration found one after another; empty for a recording of one phase.
+        decoupled: Stiffnesses of arm and wrist identified apart, beside the joint identification; None without.
+        not_decoupled: Why there is none; empty if there is one.
+        estimate: Everything identified in `model`, with its joint covariance, as the model file has it.
+        together: Of which recordings it was identified, where there were several; None: one.
+    """
+
+    kind: Literal["loaded", "absolute"]
+    method: str
+    readings: Readings
+    stiffness: tuple[JointStiffness, ...]
+    parameters: tuple[ParameterEstimate, ...]
+    names: tuple[str, ...]
+    covariance: Float2D
+    condition_number: float
+    fit: Fit
+    noise: NoiseAudit
+    stages: tuple[Stage, ...]
+    unidentified: tuple[Unidentified, ...]
+    exclusions: tuple[Exclusion, ...]
+    anomalies: tuple[Anomaly, ...]
+    preconditions: tuple[Precondition, ...]
+    residuals: Residuals
+    space: OperatingSpace
+    model: ModelParameters
+    test: TestResult | None = None
+    notes: tuple[Note, ...] = ()
+    standard: StandardGeometry | None = None
+    given: GivenModel | None = None
+    phases: tuple[PhaseEstimate, ...] = ()
+    decoupled: Decoupled | None = None
+    not_decoupled: str = ""
+    estimate: GaussianEstimate = dataclasses.field(default_factory=GaussianEstimate.nothing)
+    together: Together | None = None

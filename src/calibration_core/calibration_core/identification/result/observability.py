@@ -1,0 +1,94 @@
+"""What a recording can tell about each joint, and what it cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.identification.result.estimate import JointStiffness, Unidentified
+from calibration_core.identification.result.stiffness_interval import joint_stiffness
+from calibration_core.identification.statistics.distributions import normal_quantile, student_quantile
+from calibration_core.identification.statistics.solve import Solution
+from calibration_core.timeseries import Float1D
+
+HARDLY = 1 / 3  # relative standard deviation above which a compliance is within three sigma of zero: a rigid joint
+WEAK_DIRECTION = 1e-4  # eigenvalue of the column-scaled normal matrix: columns parallel to 1 %
+NAMED = 0.2  # parameters below this share of a weak direction are not named
+
+
+def stiffness_table(
+    joints: tuple[str, ...],
+    solution: Solution,
+    scale: float,
+    freedom: int | None,
+    torque_rms: Float1D,
+    prismatic: tuple[bool, ...] = (),
+    rigid: tuple[bool, ...] = (),
+) -> tuple[JointStiffness, ...]:
+    """Turn compliances into stiffnesses with 95 % intervals, see `stiffness_interval.joint_stiffness`.
+
+    Args:
+        joints: Names.
+        solution: Compliances and their covariance for unit weight.
+        scale: Factor on the standard deviations.
+        freedom: Degrees of freedom of `scale` if it was estimated; None if the claimed noise is used.
+        torque_rms: (n,) N*m, how much load torque (N where it slides) each joint saw.
+        prismatic: Per joint, whether it slides; none where empty.
+        rigid: Per joint, whether it is declared rigid; none where empty.
+    """
+    quantile = normal_quantile(0.975) if freedom is None else student_quantile(0.975, max(freedom, 1))
+    table = []
+    for i, joint in enumerate(joints):
+        value = float(solution.value[i])
+        std = scale * float(np.sqrt(solution.covariance[i, i]))
+        relative = std / value if value > 0 else np.inf
+        stated_rigid = bool(rigid) and rigid[i]
+        table.append(
+            joint_stiffness(
+                joint,
+                value,
+                std,
+                centre=float(solution.unbounded[i]) if solution.determined[i] else value,
+                quantile=quantile,
+                identifiable=bool(solution.determined[i]) and relative <= HARDLY,
+                reason="declared rigid in the cell file: not asked for"
+                if stated_rigid
+                else _reason(solution, i, relative, float(torque_rms[i])),
+                unit="N/m" if prismatic and prismatic[i] else "N*m/rad",
+            )
+        )
+    return tuple(table)
+
+
+def _reason(solution: Solution, i: int, relative: float, torque: float) -> str:
+    if not solution.determined[i]:
+        return f"not identifiable: no load on this joint that another joint does not share ({torque:.3g} N·m rms)"
+    if solution.at_bound[i]:
+        return f"not distinguishable from a rigid joint: the best compliance is zero ({torque:.3g} N·m rms)"
+    if relative > HARDLY:
+        return f"hardly identifiable: relative standard deviation {100 * relative:.0f} % ({torque:.3g} N·m rms)"
+    return ""
+
+
+def weak_directions(names: tuple[str, ...], solution: Solution) -> tuple[Unidentified, ...]:
+    """Name the combinations of parameters that the recording cannot, or hardly, determine.
+
+    Args:
+        names: (n,) names of the parameters.
+        solution: With the eigenvectors of the column-scaled normal matrix.
+    """
+    found = []
+    for i, name in enumerate(names):
+        if not solution.determined[i] and np.abs(solution.eigenvectors[i]).max() > 1 - NAMED**2:
+            found.append(Unidentified({name: 1.0}, f"the readings do not depend on {name}"))
+    largest = float(solution.eigenvalues[-1])
+    for value, vector in zip(solution.eigenvalues, solution.eigenvectors.T, strict=True):
+        if value > WEAK_DIRECTION * largest:
+            continue
+        weights = vector / vector[np.argmax(np.abs(vector))]
+        combination = {name: float(w) for name, w in zip(names, weights, strict=True) if abs(w) >= NAMED}
+        if len(combination) > 1:
+            gain = np.sqrt(largest / value) if value > 0 else np.inf
+            found.append(
+                Unidentified(combination, f"only their sum shows: errors in this combination grow {gain:.3g} times")
+            )
+    return tuple(found)

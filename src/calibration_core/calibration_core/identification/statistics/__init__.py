@@ -1,0 +1,1 @@
+"""Distributions, least squares with free offsets, solutions that are not negative."""

@@ -1,0 +1,85 @@
+"""Gauss-Newton on the compliances of a loaded recording, offsets eliminated."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+
+from calibration_core.identification.statistics.offsets import Normal, normal_equations
+from calibration_core.identification.statistics.solve import Solution, solve_non_negative
+from calibration_core.identification.stiffness.poses import as_poses
+from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.timeseries import Float1D
+
+Deflections = Literal["points", "pose"]
+ITERATIONS = 12
+CONVERGED = 1e-10  # of the largest compliance
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LoadedFit:
+    """The best compliances for one set of readings.
+
+    Attributes:
+        compliance: (n,) rad/(N*m), not negative.
+        solution: How well they are determined (unit weight = the claimed noise).
+        normal: Normal equations per configuration at the solution.
+        chi2: Weighted sum of squares at the solution.
+        freedom: Its degrees of freedom.
+    """
+
+    compliance: Float1D
+    solution: Solution
+    normal: Normal
+    chi2: float
+    freedom: int
+
+
+def fit_compliance(
+    problem: LoadedProblem, start: Float1D, deflections: Deflections = "points", near: Float1D | None = None
+) -> LoadedFit:
+    """Fit the compliances by Gauss-Newton; K_CSM makes the problem slightly nonlinear (a few tenths of a percent).
+
+    Args:
+        problem: The readings to use.
+        start: (n,) first guess, rad/(N*m); also the value of what the readings do not determine.
+        deflections: `points`, or `pose` for the rigid displacement of three or more points.
+        near: (n,) a solution for nearly the same readings, to begin with; None: the first guess.
+
+    Raises:
+        EquilibriumError: The load is beyond what these compliances carry.
+        IdentificationError: `pose` without three points.
+    """
+    compliance = start if near is None else near
+    solution = stepped(_normal(problem, compliance, deflections), compliance, start)
+    for _ in range(ITERATIONS):
+        change = float(np.abs(solution.value - compliance).max())
+        compliance = solution.value
+        if change <= CONVERGED * max(float(np.abs(compliance).max()), 1e-30):
+            break
+        solution = stepped(_normal(problem, compliance, deflections), compliance, start)
+    normal = _normal(problem, compliance, deflections)
+    freedom = int(normal.freedom.sum()) - int(solution.determined.sum())
+    return LoadedFit(compliance, solution, normal, float(normal.chi2.sum()), freedom)
+
+
+def stepped(normal: Normal, compliance: Float1D, start: Float1D) -> Solution:
+    """Return the best compliances where the problem is linear about some, (n,) rad/(N*m).
+
+    Args:
+        normal: Normal equations there.
+        compliance: (n,) about which they are.
+        start: (n,) values of what the readings do not determine.
+    """
+    matrix, vector = normal.matrix.sum(axis=0), normal.vector.sum(axis=0)
+    return solve_non_negative(matrix, vector + matrix @ compliance, start)
+
+
+def _normal(problem: LoadedProblem, compliance: Float1D, deflections: Deflections) -> Normal:
+    linear = problem.linearise(compliance)
+    if deflections == "pose":
+        rows, residual, columns = as_poses(problem, linear)
+        return normal_equations(rows, residual, columns)
+    return normal_equations(linear.rows, linear.residual, linear.columns)

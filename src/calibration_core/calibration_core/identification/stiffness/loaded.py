@@ -1,0 +1,391 @@
+"""Joint stiffness from a loaded recording: frames, compliances, exclusions, uncertainty, held-out proof."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.errors import IdentificationError
+from calibration_core.identification.checks.exclusion_anomalies import anomalies_of
+from calibration_core.identification.checks.noise_audit import audit, rigid_triangle, window_scatter, zero_return
+from calibration_core.identification.checks.preconditions import check_preconditions
+from calibration_core.identification.checks.space import operating_space
+from calibration_core.identification.geometry.frames import FrameFit, fit_frames
+from calibration_core.identification.geometry.named_estimate import loaded_estimate
+from calibration_core.identification.geometry.parameter_table import frame_table
+from calibration_core.identification.geometry.setups import fit_each
+from calibration_core.identification.result.estimate import (
+    Fit,
+    Identification,
+    NoiseAudit,
+    Residuals,
+    TestResult,
+)
+from calibration_core.identification.result.observability import stiffness_table, weak_directions
+from calibration_core.identification.statistics.offsets import without_offsets
+from calibration_core.identification.stiffness.fit import Deflections, LoadedFit, fit_compliance
+from calibration_core.identification.stiffness.left_out import held_out_compliance
+from calibration_core.identification.stiffness.outlier_rejection import Key, OutlierRejection, reject_outliers
+from calibration_core.identification.stiffness.problem import Linearised, LoadedProblem, Method, Weights, build_problem
+from calibration_core.model.chain import Chain
+from calibration_core.model.equilibrium import solve_equilibrium
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.recorded_load import load_of
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D, Readings
+
+MIN_CONFIGURATIONS = 2  # one posture cannot tell joints from frames
+UNLOADED = 0.02  # share of the largest force below which a step counts as unloaded
+SET_ASIDE = 1e12  # factor on the variance of an excluded reading, so that offsets do not depend on it
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """How a recording is to be evaluated.
+
+    Attributes:
+        method: `equilibrium`: deformed geometry, K_CSM and gravity included; `linear`: equations (6) and (7) as they
+            stand in the standard.
+        weights: `instrument`: tracker and wrench covariance; `plain`: every coordinate alike, scaled by the residual.
+        deflections: `points`, or `pose` for the rigid displacement of three or more points.
+        robust: Set gross errors aside.
+        readmit: Readings that must be used: (configuration, step, point).
+        start: Model to start from; None: what the cell file believes.
+    """
+
+    method: Method = "equilibrium"
+    weights: Weights = "instrument"
+    deflections: Deflections = "points"
+    robust: bool = True
+    readmit: frozenset[Key] = frozenset()
+    start: ModelParameters | None = None
+
+    def in_words(self) -> str:
+        """Describe the method for the report."""
+        return ", ".join(
+            (
+                {
+                    "equilibrium": "static equilibrium on the deformed geometry (K_CSM and gravity included)",
+                    "linear": "linear least squares, equations (6) and (7) of CWA 17384 (K_CSM neglected)",
+                }[self.method],
+                {"points": "position deflections", "pose": "full-pose deflections"}[self.deflections],
+                {"instrument": "weights from the instruments' uncertainties", "plain": "equal weights"}[self.weights],
+                "one free offset per configuration and point",
+                "gross errors excluded by name" if self.robust else "every reading used",
+            )
+        )
+
+
+def identify_loaded(
+    readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None
+) -> Identification:
+    """Identify the joint stiffnesses from a recording with several load steps per configuration.
+
+    Args:
+        readings: The recording.
+        cell: The cell file.
+        options: How to evaluate.
+        test: A second recording, predicted but not fitted.
+
+    Raises:
+        CellError: A frame is needed and missing.
+        IdentificationError: Fewer than two steps everywhere, or no load.
+        EquilibriumError: The load is beyond what the joints can carry.
+    """
+    options = options or Options()
+    return identify_prepared(prepare_loaded(readings, cell, options), cell, options, test)
+
+
+def identify_prepared(
+    prepared: PreparedLoaded, cell: Cell, options: Options, test: Readings | None = None
+) -> Identification:
+    """Make the answer of `identify_loaded` from what was fitted."""
+    readings = prepared.problem.readings
+    problem, rejection, fit, nominal = prepared.problem, prepared.rejection, prepared.fit, prepared.nominal
+    chain, parameters, frames = problem.chain, prepared.parameters, prepared.frames
+
+    noise = _audit(problem, rejection, fit, cell)
+    plain = options.weights == "plain"
+    scale = float(np.sqrt(fit.chi2 / max(fit.freedom, 1))) if plain else noise.scale
+    estimated = plain or noise.scale > 1.0
+    load = load_of(readings, cell, parameters)
+    torque_rms = np.sqrt(np.mean(_load_torques(problem, parameters) ** 2, axis=1))
+    joints = tuple(f"C {joint}" for joint in chain.joints)
+    residuals, figures = _figures(problem, rejection, fit, nominal.compliance, scale, cell)
+    space = operating_space(chain, parameters, readings, load)
+    return Identification(
+        kind="loaded",
+        method=options.in_words(),
+        readings=readings,
+        stiffness=stiffness_table(
+            chain.joints,
+            fit.solution,
+            scale,
+            fit.freedom if estimated else None,
+            torque_rms,
+            chain.prismatic,
+            chain.rigid,
+        ),
+        parameters=() if frames is None else frame_table(frames, cell, readings),
+        names=joints,
+        covariance=fit.solution.covariance * scale**2,
+        condition_number=fit.solution.condition_number,
+        fit=figures,
+        noise=noise,
+        stages=(),
+        unidentified=weak_directions(joints, fit.solution),
+        exclusions=rejection.exclusions,
+        anomalies=anomalies_of(noise, rejection.exclusions, readings),
+        preconditions=check_preconditions(readings, cell, space, figures.noise),
+        residuals=residuals,
+        space=space,
+        model=parameters,
+        test=None if test is None else predict_loaded(test, cell, chain, parameters, nominal.compliance),
+        notes=readings.notes,
+        estimate=loaded_estimate(fit.solution.covariance * scale**2, frames, readings.points, parameters, cell),
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PreparedLoaded:
+    """A loaded recording with frames refitted, gross errors set aside and compliances fitted.
+
+    Attributes:
+        problem: All readings, frames refitted.
+        rejection: The readings used.
+        fit: The fit that counts (points or pose).
+        nominal: What the cell file believes, or the model to start from.
+        parameters: Identified model.
+        frames: Refitted frames; None for displacement recordings.
+        stated_by: Who says where the tracker is: `the cell file`, `the given model`, `earlier phases`; None: nobody.
+    """
+
+    problem: LoadedProblem
+    rejection: OutlierRejection
+    fit: LoadedFit
+    nominal: ModelParameters
+    parameters: ModelParameters
+    frames: FrameFit | None
+    stated_by: str | None
+
+    def select(self, rows: Int1D) -> PreparedLoaded:
+        """Return the same fit of some of the readings (indices)."""
+        rejection = dataclasses.replace(self.rejection, used=self.rejection.used[rows])
+        return dataclasses.replace(self, problem=self.problem.select(rows), rejection=rejection)
+
+
+def prepare_loaded(readings: Readings, cell: Cell, options: Options) -> PreparedLoaded:
+    """Refit the frames, set gross errors aside and fit the compliances; raises as `identify_loaded` does."""
+    nominal = nominal_parameters(cell) if options.start is None else options.start
+    chain = chain_of(cell).corrected(nominal.geometry)
+    stated_by = "the given model" if options.start is not None else "the cell file" if cell.frames.tracker else None
+    stated_by = stated_by if readings.recording is None else None  # set-ups are fitted before they are put together
+    guess = None if stated_by is None else nominal.tracker
+    require_load(readings)
+    parameters, frames = _with_frames(readings, cell, chain, nominal, guess)
+    problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
+    rejection = reject_outliers(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
+    if frames is not None:
+        near, guess = rejection.fit.compliance, None if stated_by is None else parameters.tracker
+        believed = parameters.replace(compliance=near)
+        parameters, frames = _with_frames(readings, cell, chain, believed, guess, rejection.used)
+        problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
+        rejection = reject_outliers(
+            problem, nominal.compliance, robust=options.robust, readmit=options.readmit, near=near
+        )
+    fit = rejection.fit
+    if options.deflections == "pose":
+        fit = fit_compliance(problem.select(np.flatnonzero(rejection.used)), fit.compliance, "pose")
+    identified = parameters.replace(compliance=fit.compliance)
+    return PreparedLoaded(problem, rejection, fit, nominal, identified, frames, stated_by)
+
+
+def predict_loaded(
+    readings: Readings, cell: Cell, chain: Chain, parameters: ModelParameters, before: Float1D
+) -> TestResult:
+    """Predict a recording that was not fitted; only the offsets of its configurations are free.
+
+    Args:
+        readings: The other recording.
+        cell: The cell file.
+        chain: The robot.
+        parameters: The identified model.
+        before: (n,) compliances of the cell file, for comparison.
+    """
+    require_load(readings)
+    problem = build_problem(readings, cell, chain, parameters)
+    after, nominal = (_relative(problem, problem.linearise(c), cell) for c in (parameters.compliance, before))
+    shown = _shown(problem, cell)
+    return TestResult.of(readings, after[shown], nominal[shown])
+
+
+def loaded_configurations(readings: Readings) -> list[int]:
+    """Return the numbers of the configurations with several steps."""
+    numbers = np.unique(readings.configuration)
+    return [int(c) for c in numbers if len(np.unique(readings.step[readings.configuration == c])) > 1]
+
+
+def require_load(readings: Readings) -> None:
+    """Raise IdentificationError unless several configurations have several steps, and the load changes."""
+    path = readings.provenance.path
+    if readings.wrench is None:
+        raise IdentificationError(path, "fx ... tz", "no wrench", "the measured load (a loaded recording)")
+    several = loaded_configurations(readings)
+    if not several:
+        raise IdentificationError(path, "step", "one step in every configuration", "unloaded and loaded steps")
+    if len(several) < MIN_CONFIGURATIONS:
+        found, expected = f"{len(several)} with unloaded and loaded steps", f"at least {MIN_CONFIGURATIONS}"
+        raise IdentificationError(path, "configuration", found, f"{expected} (CWA 17384, 5.1, asks for 12)")
+    if not np.any(np.ptp(readings.wrench, axis=0) > 0):
+        raise IdentificationError(path, "fx ... tz", "the same wrench everywhere", "a load that changes between steps")
+
+
+def _with_frames(
+    readings: Readings,
+    cell: Cell,
+    chain: Chain,
+    believed: ModelParameters,
+    guess: Float2D | None,
+    used: Bool1D | None = None,
+) -> tuple[ModelParameters, FrameFit | None]:
+    """Refit tracker pose and points where the recording holds absolute positions.
+
+    Unloaded readings alone, where every configuration has some: a stiffness that is still wrong then moves no frame.
+    """
+    if cell.measurements.points == "displacement":
+        return believed, None
+    kept = readings if used is None else readings.select(used)
+    if readings.recording is not None:
+        return fit_each(kept, believed, lambda part, at: _fitted_frames(part, cell, chain, at, at.tracker))
+    fit = _fitted_frames(kept, cell, chain, believed, guess)
+    fitted = dict(zip(readings.points, fit.points, strict=True))
+    return believed.replace(tracker=fit.tracker, points={**believed.points, **fitted}), fit
+
+
+def _fitted_frames(
+    readings: Readings, cell: Cell, chain: Chain, believed: ModelParameters, guess: Float2D | None
+) -> FrameFit:
+    some = readings.select(_unloaded(readings))
+    rest = solve_equilibrium(chain, some.q, believed.compliance, load_of(some, cell, believed))
+    points = np.stack([believed.points[name] for name in readings.points])
+    fit = fit_frames(rest.at, some.position, some.point, points, guess)
+    if guess is None and fit.rank < 6:
+        raise IdentificationError(
+            readings.provenance.path,
+            "",
+            "configurations that do not fix the tracker pose",
+            "frames.tracker in the cell file",
+        )
+    return fit
+
+
+def _unloaded(readings: Readings) -> Bool1D:
+    assert readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
+    force = np.linalg.norm(readings.wrench[:, :3], axis=1)
+    light = force <= UNLOADED * force.max()
+    everywhere = set(readings.configuration) == set(readings.configuration[light])
+    return light if everywhere else np.ones(len(readings), dtype=bool)
+
+
+def _audit(problem: LoadedProblem, rejection: OutlierRejection, fit: LoadedFit, cell: Cell) -> NoiseAudit:
+    linear = problem.linearise(fit.compliance)
+    absolute = cell.measurements.points == "absolute"
+    checks = (
+        rigid_triangle(problem.readings.position, problem.readings, rejection.used) if absolute else None,
+        zero_return(linear.residual, problem.readings, rejection.used) if absolute else None,
+        window_scatter(problem.readings, rejection.used),
+    )
+    return audit(problem.noise[rejection.used], checks, fit.chi2, fit.freedom)
+
+
+def without_load(problem: LoadedProblem) -> LoadedProblem:
+    """Return the same problem with the robot under its own weight alone."""
+    load = problem.load
+    return dataclasses.replace(
+        problem, load=dataclasses.replace(load, force=np.zeros_like(load.force), torque=np.zeros_like(load.torque))
+    )
+
+
+def _load_torques(problem: LoadedProblem, parameters: ModelParameters) -> Float2D:
+    """Return the (n, m) joint torques of the external load alone, N*m."""
+    loaded = solve_equilibrium(problem.chain, problem.readings.q, parameters.compliance, problem.load)
+    own = solve_equilibrium(problem.chain, problem.readings.q, parameters.compliance, None)
+    return loaded.torque - own.torque
+
+
+def _figures(
+    problem: LoadedProblem, rejection: OutlierRejection, fit: LoadedFit, before: Float1D, scale: float, cell: Cell
+) -> tuple[Residuals, Fit]:
+    linear = problem.linearise(fit.compliance)
+    own = without_load(problem).linearise(fit.compliance)
+    after = _relative(problem, linear, cell, rejection.used)
+    nominal = _relative(problem, problem.linearise(before), cell, rejection.used)
+    compliances = held_out_compliance(fit, problem.configuration)
+    moved = np.einsum("mij,mj->mi", linear.columns, compliances[problem.configuration] - fit.compliance)
+    left_out = dataclasses.replace(linear, residual=linear.residual - moved)
+    held_out = _relative(problem, left_out, cell, rejection.used)
+    shown = _shown(problem, cell)
+    lengths = np.linalg.norm(held_out[shown], axis=1)
+    deflection = linear.predicted - own.predicted
+    predicted = _from_first_step(problem, deflection) if cell.measurements.points == "displacement" else deflection
+    doubled = 2.0 if cell.measurements.points == "displacement" else 1.0
+    variance = np.einsum("mii->mi", problem.noise) + np.einsum("mij,mij->mi", linear.rows.shared, linear.rows.shared)
+    assert problem.readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
+    residuals = Residuals(
+        measured=predicted + after,
+        predicted=predicted,
+        residual=after,
+        held_out=held_out,
+        sigma=scale * np.sqrt(doubled * variance),
+        load=np.linalg.norm(problem.readings.wrench[:, :3], axis=1),
+        excluded=~rejection.used,
+    )
+    figures = Fit(
+        rms_before=_rms(nominal[shown]),
+        rms_after=_rms(after[shown]),
+        held_out_rms_before=_rms(nominal[shown]),
+        held_out_rms_after=_rms(held_out[shown]),
+        noise=float(np.sqrt(doubled * variance[shown].mean())),
+        held_out_mean_after=float(lengths.mean()),
+        held_out_max_after=float(lengths.max()),
+        rms_used=_rms(after[shown & rejection.used]),
+        chi2=fit.chi2,
+        degrees_of_freedom=fit.freedom,
+    )
+    return residuals, figures
+
+
+def _relative(problem: LoadedProblem, linear: Linearised, cell: Cell, used: Bool1D | None = None) -> Float2D:
+    """Return residuals after the best offsets; for displacement recordings, relative to step 0."""
+    if cell.measurements.points == "displacement":
+        return _from_first_step(problem, linear.residual)
+    rows = linear.rows
+    if used is not None:
+        rows = dataclasses.replace(rows, noise=rows.noise * np.where(used, 1.0, SET_ASIDE)[:, None, None])
+    return without_offsets(rows, linear.residual)
+
+
+def _from_first_step(problem: LoadedProblem, values: Float2D) -> Float2D:
+    readings = problem.readings
+    order = np.lexsort((readings.step, readings.point, problem.configuration))
+    keys = np.column_stack([problem.configuration, readings.point])[order]
+    starts = np.r_[True, np.any(np.diff(keys, axis=0) != 0, axis=1)]
+    first = order[starts][np.cumsum(starts) - 1]
+    reference = np.empty_like(values)
+    reference[order] = values[first]
+    return values - reference
+
+
+def _shown(problem: LoadedProblem, cell: Cell) -> Bool1D:
+    """Say which rows count in the figures: all but step 0 of a displacement recording, zero by definition."""
+    if cell.measurements.points == "absolute":
+        return np.ones(len(problem.readings), dtype=bool)
+    first = _from_first_step(problem, problem.readings.step[:, None].astype(float))[:, 0]
+    return first > 0
+
+
+def _rms(values: Float2D) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,141 @@
+"""Readings that do not belong: found one at a time, named, and taken back when they fit after all."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.identification.result.estimate import Exclusion
+from calibration_core.identification.statistics.distributions import chi2_limit
+from calibration_core.identification.statistics.offsets import deleted, normal_equations
+from calibration_core.identification.stiffness.fit import LoadedFit, fit_compliance, stepped
+from calibration_core.identification.stiffness.problem import Linearised, LoadedProblem
+from calibration_core.timeseries import Bool1D, Float1D, Int1D
+
+FALSE_EXCLUSION = 0.01  # probability that a clean recording loses any reading
+MAX_SHARE = 0.05  # never more than this share of the readings
+RETURN = 0.5  # an excluded reading is taken back below this share of the threshold
+Key = tuple[int, int, str]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OutlierRejection:
+    """A fit and the readings it rests on.
+
+    Attributes:
+        fit: The fit of the readings used.
+        used: (m,) mask.
+        exclusions: What was not used, and why.
+    """
+
+    fit: LoadedFit
+    used: Bool1D
+    exclusions: tuple[Exclusion, ...]
+
+
+def reject_outliers(
+    problem: LoadedProblem,
+    start: Float1D,
+    *,
+    robust: bool = True,
+    readmit: frozenset[Key] = frozenset(),
+    near: Float1D | None = None,
+) -> OutlierRejection:
+    """Fit the compliances and set gross errors aside.
+
+    A reading is predicted from the other readings of its configuration and the model; its squared error in units of
+    its covariance is compared with the quantile that a clean recording exceeds anywhere with 1 % probability.  The
+    scale is the recording's own (median), never below the claimed noise, so that missing physics or understated noise
+    does not turn readings into outliers.  Excluded readings are tested again against the final fit.
+
+    Args:
+        problem: All readings.
+        start: (n,) first guess of the compliances.
+        robust: False uses every reading.
+        readmit: (configuration, step, point) of readings that must be used whatever they look like; the other readings
+            of the same configuration and point are then not judged either.
+        near: (n,) compliances of nearly the same problem, to begin with; None: the first guess.
+    """
+    m = len(problem.readings)
+    used = np.ones(m, dtype=bool)
+    fit = fit_compliance(problem, start, near=near)
+    if not robust:
+        return OutlierRejection(fit, used, ())
+    groups = {(configuration, point) for configuration, _, point in readmit}  # a reading judges its neighbours too
+    kept = np.array([(configuration, point) in groups for configuration, _, point in _keys(problem)])
+    exclusions: dict[int, Exclusion] = {}
+    budget = max(1, int(MAX_SHARE * m))
+    while len(exclusions) < budget:  # until nothing is left to set aside under the compliances of those that are left
+        linear, compliance, before = problem.linearise(fit.compliance), fit.compliance, len(exclusions)
+        while len(exclusions) < budget:  # about one linearisation: a few readings less change the compliances little
+            index = np.flatnonzero(used)
+            squared, size, threshold = _suspicion(linear, index, m)
+            squared[kept[index]] = 0.0
+            worst = _worst_per_configuration(
+                squared, problem.configuration[index], threshold, problem.readings.step[index]
+            )
+            if not len(worst):
+                break
+            for row in worst[: budget - len(exclusions)]:
+                exclusions[int(index[row])] = _exclusion(problem, int(index[row]), size[row], squared[row], threshold)
+                used[index[row]] = False
+            index = np.flatnonzero(used)
+            normal = normal_equations(linear.rows.select(index), linear.residual[index], linear.columns[index])
+            change = stepped(normal, compliance, start).value - compliance
+            linear = dataclasses.replace(linear, residual=linear.residual - linear.columns @ change)
+            compliance = compliance + change
+        if len(exclusions) == before:
+            break
+        fit = fit_compliance(problem.select(np.flatnonzero(used)), start, near=compliance)
+    if not exclusions:
+        return OutlierRejection(fit, used, ())
+    linear, excluded = problem.linearise(fit.compliance), len(exclusions)
+    squared = np.zeros(m)
+    index = np.flatnonzero(used)
+    squared[index] = deleted(linear.rows.select(index), linear.residual[index])[0]
+    for row in list(exclusions):  # a reading is judged by those of its own configuration alone
+        beside = np.flatnonzero(used & (problem.configuration == problem.configuration[row]))
+        near_it = np.sort(np.append(beside, row))
+        trial = squared.copy()
+        trial[near_it] = deleted(linear.rows.select(near_it), linear.residual[near_it])[0]
+        if trial[row] < RETURN * _threshold(trial[trial > 0], m):
+            used[row] = True
+            squared = trial
+            del exclusions[row]
+    if len(exclusions) < excluded:
+        fit = fit_compliance(problem.select(np.flatnonzero(used)), start, near=fit.compliance)
+    return OutlierRejection(fit, used, tuple(exclusions[row] for row in sorted(exclusions)))
+
+
+def _suspicion(linear: Linearised, index: Int1D, m: int) -> tuple[Float1D, Float1D, float]:
+    squared, error, _ = deleted(linear.rows.select(index), linear.residual[index])
+    return squared, np.linalg.norm(error, axis=1), _threshold(squared[squared > 0], m)
+
+
+def _threshold(testable: Float1D, m: int) -> float:
+    scale = float(np.median(testable) / chi2_limit(0.5, 3)) if len(testable) else 1.0
+    return chi2_limit(FALSE_EXCLUSION / m, 3) * max(1.0, scale)
+
+
+def _worst_per_configuration(squared: Float1D, configuration: Int1D, threshold: float, step: Int1D) -> Int1D:
+    """Return the worst suspicious row of every configuration, worst first; of two equal ones the loaded one."""
+    suspects = np.flatnonzero(squared > threshold)
+    order = suspects[np.lexsort((-step[suspects], -np.round(squared[suspects] / threshold, 9)))]
+    _, first = np.unique(configuration[order], return_index=True)
+    return order[np.sort(first)]
+
+
+def _exclusion(problem: LoadedProblem, row: int, size: float, squared: float, threshold: float) -> Exclusion:
+    key = _keys(problem)[row]
+    times = float(np.sqrt(squared))
+    reason = (
+        f"{size * 1e3:.3f} mm from where the other readings of its configuration and the model put it "
+        f"({times:.1f} claimed standard deviations, limit {np.sqrt(threshold):.1f})"
+    )
+    return Exclusion(*key, reason=reason, size=float(size), times_sigma=times)
+
+
+def _keys(problem: LoadedProblem) -> list[Key]:
+    r = problem.readings
+    return [(int(c), int(s), r.points[p]) for c, s, p in zip(r.configuration, r.step, r.point, strict=True)]

@@ -1,0 +1,155 @@
+"""Whether what a cell file states can be: a tracker at 4,000 m, angles in degrees, targets in millimetres.
+
+Each rule has two limits: beyond the first a value is doubtful and said so, beyond the second it cannot be.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.model.chain import Chain
+
+STANDARD_GRAVITY = 9.80665
+FARTHEST_TRACKER = (40.0, 400.0)  # m; makers state 40 to 320 m for laser trackers
+LONGEST_REACH = (5.0, 30.0)  # m; the largest robots reach 4.7 m
+FARTHEST_TARGET = (1.5, 10.0)  # m from the flange
+TWO_TURNS = 4 * math.pi * 1.001  # rad: more is what degrees look like
+USUAL_STIFFNESS = (1e3, 1e8)  # N*m/rad; physics of joints from desktop arms to 1,000 kg robots
+WORST_TRACKER = (1e-3, 2e-2)  # m, one standard deviation
+SHARE_OF_LOAD = (0.02, 0.5)  # standard deviation of the force as a share of the rated load
+
+
+@dataclasses.dataclass(frozen=True)
+class Remark:
+    """What is hard to believe in a cell file.
+
+    Attributes:
+        place: Field, e.g. `frames.tracker.xyz`.
+        found: What stands there, in words.
+        expected: What would be usual, with the likely cause.
+        impossible: Whether it cannot be, and not only is unusual.
+    """
+
+    place: str
+    found: str
+    expected: str
+    impossible: bool
+
+
+def implausible(cell: Cell, chain: Chain) -> tuple[Remark, ...]:
+    """Return what is hard to believe in a cell file, in its order; empty where nothing is."""
+    return (*_robot(cell, chain), *_frames(cell, chain), *_instruments(cell))
+
+
+def _robot(cell: Cell, chain: Chain) -> Iterator[Remark]:
+    robot = cell.robot
+    for i, (low, high) in enumerate(chain.limits):
+        if not chain.prismatic[i] and max(abs(low), abs(high)) > TWO_TURNS:
+            found = f"limits of {low:g} to {high:g} rad for {robot.joints[i]}"
+            yield Remark("robot.joint_limits", found, "radians: these look like degrees", True)
+    yield from _beyond("robot", "a reach", chain.reach, LONGEST_REACH, "metres: are the lengths in millimetres?")
+    if chain.reach < 0.15:
+        found = f"a reach of {chain.reach:.3g} m"
+        yield Remark("robot", found, "the robot's lengths in metres; base_link and flange at its two ends", True)
+    for i, stiffness in enumerate(robot.stiffness or ()):
+        if not chain.prismatic[i] and not USUAL_STIFFNESS[0] <= stiffness <= USUAL_STIFFNESS[1] < math.inf:
+            if stiffness == math.inf:
+                continue
+            found = f"{stiffness:.3g} N·m/rad for {robot.joints[i]}"
+            yield Remark(f"robot.stiffness.{i}", found, "1e3 to 1e8 N·m/rad: not N·m per degree or a compliance", False)
+    gravity = float(np.linalg.norm(robot.gravity))
+    if abs(gravity - STANDARD_GRAVITY) > 0.1:
+        found = f"an acceleration of {gravity:.4g} m/s²"
+        yield Remark("robot.gravity", found, "9.76 to 9.84 m/s², as on Earth", abs(gravity - STANDARD_GRAVITY) > 2.0)
+    if chain.mass is not None and chain.com is not None:
+        moving = float(chain.mass.sum())
+        if moving < 0.5 * robot.rated_load:
+            found = f"links of {moving:.3g} kg in all, for a rated load of {robot.rated_load:g} kg"
+            yield Remark("robot", found, "a robot several times as heavy as its load: are masses or load in kg?", False)
+        far = float(np.linalg.norm(chain.com, axis=1).max())
+        if far > 2.0 * chain.reach:
+            yield Remark("robot.inertials", f"a centre of gravity {far:.3g} m from its joint", "metres", True)
+
+
+def _frames(cell: Cell, chain: Chain) -> Iterator[Remark]:
+    frames = cell.frames
+    if frames.tracker is not None:
+        away = float(np.linalg.norm(frames.tracker.xyz))
+        cause = "metres from the base: is the pose in millimetres?"
+        yield from _beyond("frames.tracker.xyz", "a tracker at", away, FARTHEST_TRACKER, cause)
+        if away < 0.3 * chain.reach:
+            found = f"a tracker {away:.3g} m from the base of a robot that reaches {chain.reach:.3g} m"
+            yield Remark("frames.tracker.xyz", found, "a tracker out of the robot's reach; in the base frame", False)
+        yield from _turned("frames.tracker.rpy", frames.tracker.rpy)
+    if frames.force_torque is not None:
+        away = float(np.linalg.norm(frames.force_torque.xyz))
+        yield from _beyond("frames.force_torque.xyz", "a sensor at", away, FARTHEST_TARGET, "metres from the flange")
+        yield from _turned("frames.force_torque.rpy", frames.force_torque.rpy)
+    if frames.wrench_point is not None:
+        away = float(np.linalg.norm(frames.wrench_point))
+        cause = "metres from the flange: in millimetres?"
+        yield from _beyond("frames.wrench_point", "a wrench point at", away, FARTHEST_TARGET, cause)
+    for name, place in frames.measurement_points.items():
+        away = float(np.linalg.norm(place))
+        cause = "metres from the flange: in millimetres, or in another frame?"
+        yield from _beyond(f"frames.measurement_points.{name}", "a target at", away, FARTHEST_TARGET, cause)
+    yield from _spread(cell)
+
+
+def _spread(cell: Cell) -> Iterator[Remark]:
+    places = np.array(list(cell.frames.measurement_points.values()))
+    if len(places) < 2:
+        return
+    apart, one, other = min(
+        (float(np.linalg.norm(a - b)), name, another)
+        for (name, a), (another, b) in itertools.combinations(zip(cell.points, places, strict=True), 2)
+    )
+    if apart < 1e-3:
+        found = f"{one} and {other} {1e3 * apart:.2g} mm apart"
+        yield Remark("frames.measurement_points", found, "targets at different places", apart == 0.0)
+    if len(places) >= 3:
+        _, values, _ = np.linalg.svd(places - places.mean(axis=0))
+        if values[1] < 0.02 * max(values[0], 1e-9):
+            found = "all targets in one line"
+            yield Remark(
+                "frames.measurement_points", found, "targets that span a plane: the tool's turn is seen", False
+            )
+
+
+def _instruments(cell: Cell) -> Iterator[Remark]:
+    tracker = cell.instruments.tracker
+    for key in ("sigma", "sigma_range"):
+        value = getattr(tracker, key)
+        if value is not None:
+            cause = "metres, usually 5e-6 to 5e-5: is it in millimetres?"
+            yield from _beyond(f"instruments.tracker.{key}", "a standard deviation of", value, WORST_TRACKER, cause)
+            if value < 1e-6:
+                found = f"a standard deviation of {1e6 * value:.2g} µm"
+                yield Remark(
+                    f"instruments.tracker.{key}", found, "usually 5 to 50 µm: no tracker reads better than 1 µm", False
+                )
+    if tracker.sigma_angle is not None and tracker.sigma_angle > 2e-4:
+        found = f"{tracker.sigma_angle:g} rad"
+        yield Remark("instruments.tracker.sigma_angle", found, "rad, usually 2e-6 to 2e-5: is it in degrees?", False)
+    sensor, load = cell.instruments.force_torque, cell.robot.rated_load * STANDARD_GRAVITY
+    if sensor is not None and sensor.sigma_force > SHARE_OF_LOAD[0] * load:
+        found = f"{sensor.sigma_force:g} N, {100 * sensor.sigma_force / load:.2g} % of the rated load"
+        beyond = sensor.sigma_force > SHARE_OF_LOAD[1] * load
+        yield Remark("instruments.force_torque.sigma_force", found, "N, usually below 0.2 % of the rated load", beyond)
+
+
+def _beyond(place: str, what: str, value: float, limits: tuple[float, float], expected: str) -> Iterator[Remark]:
+    if value > limits[0]:
+        yield Remark(place, f"{what} {value:,.4g} m", expected, value > limits[1])
+
+
+def _turned(place: str, angles: tuple[float, float, float]) -> Iterator[Remark]:
+    largest = max(abs(angle) for angle in angles)
+    if largest > 2 * math.pi * 1.001:
+        yield Remark(place, f"an angle of {largest:g} rad", "radians: is it in degrees?", True)

@@ -1,0 +1,88 @@
+"""A common factor of all forces or of all positions: it leaves no residual, and shows in how stiff the robot seems.
+
+Judged by the stiffness that the cell file states, else by what robots of its rated load usually have, which tells
+factors of a hundred and more.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.input_checks.anomaly import InputAnomaly
+from calibration_core.input_checks.explained import Motion, Reading, columns_of, posture_of
+from calibration_core.model.effects.priors import typical
+from calibration_core.timeseries import Float1D
+
+VISIBLE = 3.0  # times the claimed noise: less motion tells nothing
+SEEN_BY_PRIOR = 100.0  # factor from the usual stiffness of a rated load that is a matter of units
+SEEN_BY_STATED = 8.0  # factor from the stated stiffness
+FORCES = ((1000.0, "kN", 0.01), (9.80665, "kgf", 0.3))  # N, name, largest force over the rated load's weight
+LENGTHS = ((1e-3, "mm"), (0.01, "cm"), (0.0254, "inches"))  # m
+OF_ITS_LOAD = "robots of its rated load do"
+
+
+@dataclasses.dataclass(frozen=True)
+class CellSizes:
+    """What a cell file tells about sizes.
+
+    Attributes:
+        rated_load: kg.
+        stiffness: N*m/rad per joint, where the cell file states it.
+        joints: Names.
+        positions: Whether the recording holds positions, which say more of points and zeros than deflections do.
+        base_claimed: Whether the messages say that the wrench is in base axes, against the cell file.
+    """
+
+    rated_load: float
+    stiffness: tuple[float, ...] | None
+    joints: tuple[str, ...]
+    positions: bool = True
+    base_claimed: bool = False
+
+
+def expected_motion(motion: Motion, given: Reading, facts: CellSizes) -> Float1D:
+    """Return the (3 m,) motion, m, that a robot of the stated stiffness, or of the usual one, would show."""
+    usual = np.full(len(facts.joints), typical("joint_elasticity", facts.rated_load))
+    if facts.stiffness is not None:
+        usual = 1.0 / np.array(facts.stiffness)
+    return columns_of(motion, posture_of(motion), motion.force, motion.torque, given) @ usual
+
+
+def unit_words(motion: Motion, facts: CellSizes) -> str:
+    """Return in words why the unit of forces and positions is not checked, or only coarsely; empty where it is."""
+    if motion.total < motion.freedom * (VISIBLE * motion.sigma) ** 2:
+        return "the unit cannot be checked: the loads move the points by less than three times the noise"
+    if facts.stiffness is None:
+        return (
+            "the unit is checked by what robots of this rated load usually have; a common factor below "
+            f"{SEEN_BY_PRIOR:g} cannot be seen (state robot.stiffness for a closer check)"
+        )
+    return ""
+
+
+def unit_anomaly(size: float, strength: float, *, stated: bool) -> list[InputAnomaly]:
+    """Name the unit of forces or positions that a robot's apparent softness suggests; none within what may be.
+
+    Args:
+        size: Motion seen over motion expected.
+        strength: Largest force over the weight of the rated load.
+        stated: Whether the expectation rests on a stated stiffness.
+    """
+    limit = SEEN_BY_STATED if stated else SEEN_BY_PRIOR
+    if 1.0 / limit < size < limit:
+        return []
+    seen = f"the robot gives way {size:.2g} times as much as {'its stated stiffness says' if stated else OF_ITS_LOAD}; "
+    seen += f"the largest force is {100 * strength:.2g} % of the rated load"
+    if size <= 1.0 / limit:
+        remedy = "give positions in m: multiply them by 1000 (they look like km, or millimetres divided twice)"
+        return [InputAnomaly("position_unit", seen, remedy, size, factor=1e3)]
+    units = [(factor, name) for factor, name, most in FORCES if strength < most]
+    units += [(1 / factor, name) for factor, name in LENGTHS]
+    factor, name = min(units, key=lambda unit: abs(np.log(size / unit[0])))
+    if name in {unit for _, unit, _ in FORCES}:
+        remedy = f"give forces in N and torques in N·m: multiply them by {factor:g} (they look like {name})"
+        return [InputAnomaly("wrench_unit", seen, remedy, size, factor=factor)]
+    remedy = f"give positions in m: multiply them by {1 / factor:g} (they look like {name})"
+    return [InputAnomaly("position_unit", seen, remedy, size, factor=1 / factor)]

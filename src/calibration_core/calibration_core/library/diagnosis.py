@@ -1,0 +1,115 @@
+"""`calibration_core.diagnose`: which physics the model of a recording leaves out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from calibration_core.commands.evaluation.diagnose import Diagnosed, evaluate_all
+from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.diagnosis.result.finding import Diagnosis, Finding
+from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.library.identification import ANOMALY
+from calibration_core.library.models import HoldsModel, given_model, in_memory
+from calibration_core.library.recordings import Recording, recordings_of
+from calibration_core.library.result import Columns, Judged, Picture, columns_of
+from calibration_core.model.identified.given import GivenModel
+
+FINDING = ("effect", "family", "location", "magnitude", "held_out_gain", "log_bayes_factor", "explanation")
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult(Judged):
+    """The effects that the model leaves out, and how much better it is with them.
+
+    Attributes:
+        cell: The cell that it holds for.
+        answer: The diagnosis, or the refusal of input that is not what it claims to be (`usable` is `no`).
+    """
+
+    answer: Diagnosed | Refusal
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The effects found, largest movement of the measured points (m, root mean square) first."""
+        return () if isinstance(self.answer, Refusal) else self.answer.diagnosis.findings
+
+    @property
+    def tables(self) -> Mapping[str, Columns]:
+        """`findings` (magnitude in m), `parameters` of the findings, `stiffness`, `anomalies`; SI units."""
+        parameters = [{**vars(one), "effect": f.effect} for f in self.findings for one in f.parameters]
+        stiffness = {} if isinstance(self.answer, Refusal) else self.answer.diagnosis.stiffness
+        return {
+            "findings": columns_of([vars(finding) for finding in self.findings], FINDING),
+            "parameters": columns_of(parameters, ("effect", "name", "value", "std", "unit")),
+            "stiffness": {
+                "joint": list(stiffness),
+                "value": [value for value, _ in stiffness.values()],
+                "std": [std for _, std in stiffness.values()],
+            },
+            "anomalies": columns_of(self._contents["anomalies"], ANOMALY),
+        }
+
+    def plot(self) -> Picture:
+        """Draw the residuals (µm or mm) of every configuration without and with the findings."""
+        from calibration_core.report.figures.diagnosis import before_after_figure
+        from calibration_core.report.figures.identification import prediction_figure
+
+        found = self.diagnosis
+        null, before = found.identification, found.residual_before
+        if before is None or not before.shape == found.residual.shape == null.readings.position.shape:
+            svg = prediction_figure(null.residuals, null.kind == "loaded")
+            return Picture(svg, "Predicted and measured positions, without the findings")
+        svg = before_after_figure(null.readings, before, found.residual, found.noise)
+        return Picture(svg, "Residuals without and with the findings")
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """Everything that was found: SI units, and frames as its fields state.
+
+        Raises:
+            IdentificationError: Nothing was: the input is not what it claims to be.
+        """
+        if isinstance(self.answer, Refusal):
+            raise self.answer.error
+        return self.answer.diagnosis
+
+    def _given(self) -> GivenModel:
+        if isinstance(self.answer, Refusal):
+            raise self.answer.error
+        return in_memory(self.answer.model, self.answer.model_text, self.answer.estimate, self.answer.covered)
+
+
+def diagnose(
+    recording: Recording | Sequence[Recording],
+    *,
+    test: Recording | None = None,
+    simulation: Recording | None = None,
+    model: str | Path | HoldsModel | None = None,
+    robust: bool = True,
+) -> DiagnosisResult:
+    """Say where recording and model differ, which physics the model leaves out, and how much better it is with it.
+
+    Args:
+        recording: What was measured: angles in rad, points in m (tracker frame), wrenches in N and N*m; or several
+            recordings of one robot, each with the cell of its own set-up.
+        test: A further recording, in the set-up of the first, in its units and frames, predicted and not fitted.
+        simulation: What a simulation says of the same measurement; it is compared before any physics.
+        model: A model file or result to start from; its effects are known and are taken off the readings.
+        robust: Set gross errors aside, by name.
+
+    Returns:
+        The findings with their size in m at the measured points, what else would explain them, and the extended model.
+
+    Raises:
+        InputError: The recording cannot be evaluated; the message names the place, what was found, what was expected.
+
+    Source: marginal likelihood with priors of physical size (Kass and Raftery, 1995), and configurations left out.
+    """
+    recordings, cells = recordings_of(recording)
+    cell = cells[0]
+    tested, simulated = (None if one is None else one.readings for one in (test, simulation))
+    given = None if model is None else given_model(model, cell)
+    options = Options(robust=robust)
+    return DiagnosisResult(cell, evaluate_all(recordings, cells, options, tested, simulated, given))

@@ -1,0 +1,1 @@
+"""Effects on absolute positions: geometry, gears, own weight, temperature."""

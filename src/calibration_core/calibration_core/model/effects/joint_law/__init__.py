@@ -1,0 +1,1 @@
+"""Effects of a joint: how torque and angle belong together beyond a constant stiffness."""

@@ -1,0 +1,118 @@
+"""Friction between motor and link: the deflection depends on where the torque came from.
+
+theta = C tau - sum_r h_r stop_r[tau]/r: elements that stick up to r and slip beyond (Prandtl-Ishlinskii, Maxwell slip),
+under load and weight.  What happened before step 0 is unknown.  Tried are elements that the weight alone has strained
+from nothing, relaxed ones (a virgin start), and ones on the verge in the direction against the first load (a centred
+start).  The radii form one block; single elements are tried beside it, for a weak effect does not show its shape.
+Friction of teeth grows with what presses them: theta = C tau - |tau|/tau_r sum_r h_r stop_r[tau]/r.  How much the
+elements really carry on arrival in a configuration is a matter of chance, whatever the form.
+Source: Al-Bender, Lampaert, Swevers on presliding; stop operators; Hamon, Gautier, Garrec 2010 (friction and load).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import stacked
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+
+RADII = (0.02, 0.06, 0.15, 0.4)  # of the largest torque
+CHANCE = 0.25  # standard deviation of what elements carry on arrival, of what they carry at most at the typical size
+MOST = 60  # configurations, beyond which chance is left out: its columns would cost more than all others together
+
+STARTS = {"virgin start": 0.0, "centred start": 1.0, "from the weight": None}
+
+
+def stop(torque: Float2D, radius: float, start: float | None) -> Float2D:
+    """Return the stop operator along the steps, (s, k): what an element of strength `radius` carries.
+
+    Args:
+        torque: (s, k) N*m, steps in the order of time.
+        radius: Strength, N*m.
+        start: What the element carries at step 0, as a fraction of its strength, against the first change of torque;
+            None: the torque there, as far as it can.
+    """
+    direction = np.sign(torque[:, 1:2] - torque[:, :1]) if torque.shape[1] > 1 else np.zeros((len(torque), 1))
+    friction = np.clip(torque[:, 0], -radius, radius) if start is None else -start * radius * direction[:, 0]
+    result = np.empty_like(torque)
+    result[:, 0] = friction
+    for k in range(1, torque.shape[1]):
+        friction = np.clip(friction + torque[:, k] - torque[:, k - 1], -radius, radius)
+        result[:, k] = friction
+    return result
+
+
+def _element(state: State, joint: int, radius: float, start: float | None) -> Float1D:
+    """Return what an element carries, (m,), in parts of its strength, which is `radius` of the largest torque."""
+    strength = radius * state.largest_torque(joint)
+    return state.along_steps(state.torque[joint], partial(stop, radius=strength, start=start)) / strength
+
+
+def _columns(
+    state: State, joint: int, radii: tuple[float, ...], start: float | None, *, growing: bool = False
+) -> Float3D:
+    pressed = _pressed(state, joint) if growing else 1.0
+    return stacked(*(-state.joint_column(joint, pressed * _element(state, joint, radius, start)) for radius in radii))
+
+
+def _pressed(state: State, joint: int) -> Float1D:
+    return np.asarray(np.abs(state.torque[joint]) / state.largest_torque(joint))
+
+
+def _chances(state: State, joint: int, size: float, *, growing: bool) -> Float3D:
+    """Return the (m, 3, c) m that elements carrying more or less on arrival move in each of c configurations.
+
+    Per standard deviation, which is CHANCE of elements of half width `size` that carry all they can.
+    """
+    more, less = (np.mean([_element(state, joint, r, start) for r in RADII], axis=0) for start in (1.0, -1.0))
+    lag = CHANCE * size * 0.5 * (more - less)
+    moved = state.joint_column(joint, _pressed(state, joint) * lag if growing else lag)
+    places = np.unique(state.configuration)
+    return np.asarray(moved[:, :, None] * (state.configuration[:, None, None] == places))
+
+
+def _forms(state: State) -> Iterator[Candidate]:
+    size = typical("hysteresis", state.rated_load)
+    few = len(np.unique(state.configuration)) <= MOST
+    for joint, name in enumerate(state.chain.joints):
+        unit = state.chain.units[joint]
+        form = partial(Candidate, EFFECT.name, EFFECT.family, {"joint": name})
+        plain, growing = (
+            partial(_chances, joint=joint, size=size, growing=grows) if few else None for grows in (False, True)
+        )
+        several = tuple(Parameter(f"half_width_{100 * r:g}_percent", unit, size, positive=True) for r in RADII)
+        for variant, start in STARTS.items():
+            yield form(variant, several, partial(_columns, joint=joint, radii=RADII, start=start), plain)
+        virgin = partial(_columns, joint=joint, start=0.0)
+        yield form("virgin start, growing", several, partial(virgin, radii=RADII, growing=True), growing)
+        one = (Parameter("half_width", unit, size, positive=True),)
+        for radius in RADII:
+            words = f"below {100 * radius:g} %"
+            yield form(f"virgin start, {words}", one, partial(virgin, radii=(radius,)), plain)
+            yield form(f"virgin start, {words}, growing", one, partial(virgin, radii=(radius,), growing=True), growing)
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    """Leave out starts that are the same: from a weight that is none; or all others, where there are no later steps."""
+    several = bool(np.any(state.step != state.step[:1]))
+    borne = {name for joint, name in enumerate(state.chain.joints) if state.bears_weight(joint)}
+    for candidate in _forms(state):
+        if candidate.location["joint"] in borne if candidate.variant == "from the weight" else several:
+            yield candidate
+
+
+EFFECT = Effect(
+    name="hysteresis",
+    family="joint law",
+    equation="theta = C tau - g sum_r h_r stop_r[tau]/r, g = 1, or abs(tau)/tau_r where friction grows with the load",
+    source="Prandtl-Ishlinskii, Maxwell slip (Al-Bender, Lampaert, Swevers); with load: Hamon, Gautier, Garrec 2010",
+    reveal="unloading through the same levels; then holds, to tell it from creep",
+    candidates=_candidates,
+    forms=_forms,
+)

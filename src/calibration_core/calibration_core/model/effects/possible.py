@@ -1,0 +1,173 @@
+"""What physics allows: a compliance is not negative, and that of an elastic hinge is a positive matrix.
+
+Estimates scatter, so that a small compliance may come out below zero.  How far the nearest allowed values are from an
+estimate, in nats, tells scatter from a cause that only has the shape of a compliance; and the nearest allowed values
+are the estimate that is reported.
+
+With the covariance C = L L' of the estimate m, the nearest x with A x >= 0 is m + C A' y, where y >= 0 minimises
+|L' A' y + L^-1 m| (the dual, non-negative least squares; Lawson and Hanson 1974).  A matrix is positive where w' M w is
+for every w: such rows are added, w being the eigenvector of the eigenvalue that is still negative, until none is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration_core.model.effects.candidate import Parameter
+from calibration_core.timeseries import Bool1D, Float1D, Float2D
+
+HINGE = (True, True, False)  # two compliances across an axis and the one between them (`springs.tilting`)
+JITTER = 1e-12  # of the variances
+WITHIN = 2.0  # standard deviations
+SCATTER = 2.7  # nats: one in a hundred estimates of a compliance that is zero lies further below
+MOST_SHARE = 0.2  # of what a hypothesis gains, that the way to the nearest possible values may cost
+ROUNDS = 60  # of further directions in which matrices must be positive
+NEGATIVE = 1e-9  # of a matrix's largest eigenvalue, in standard deviations: less is a rounding error
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Nearest:
+    """The nearest values that physics allows.
+
+    Attributes:
+        value: (p,) the values.
+        nats: By how many they are less probable than the estimate.
+        held: (k, p) combinations of the parameters that are zero there because physics allows none beyond.
+    """
+
+    value: Float1D
+    nats: float
+    held: Float2D
+
+
+def nearest(several: Sequence[Sequence[Parameter]], mean: Float1D, covariance: Float2D) -> Nearest:
+    """Return the values nearest to an estimate that physics allows.
+
+    Args:
+        several: The parameters of one candidate after another, p in all.
+        mean: (p,) their estimate.
+        covariance: (p, p) of it.
+    """
+    positive, hinges = _demanded(several)
+    if np.all(mean[positive] >= 0) and not any(_indefinite(mean[hinge]) for hinge in hinges):
+        return Nearest(mean, 0.0, np.zeros((0, len(mean))))
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    unit = covariance / np.outer(std, std) + JITTER * np.eye(len(mean))
+    lower = np.linalg.cholesky(unit)
+    target = np.linalg.solve(lower, mean / std)
+    rows = np.eye(len(mean))[positive]
+    from scipy.optimize import nnls  # slow to load, and few recordings meet the bound
+
+    value, way = mean / std, np.zeros(len(mean))
+    for _ in range(ROUNDS):
+        dual, _ = nnls(lower.T @ rows.T, -target)
+        way = lower.T @ (rows.T @ dual)
+        value = mean / std + lower @ way
+        more = [row for hinge in hinges if (row := _negative(value, hinge, std)) is not None]
+        if not more:
+            break
+        rows = np.concatenate([rows, more])
+    value = np.where(positive & (value < JITTER * np.abs(mean / std)), 0.0, value) * std
+    held = [np.eye(len(mean))[[k]] for k in np.flatnonzero(positive & (value == 0.0))]
+    for hinge in hinges:
+        value[hinge], directions = _positive(value[hinge], std[hinge])
+        held.append(_equations(directions, hinge, len(mean)))
+    return Nearest(value, 0.5 * float(way @ way), np.concatenate([np.zeros((0, len(mean))), *held]))
+
+
+def forbidden(nats: float, gain: float) -> bool:
+    """Say whether the way to the nearest values that physics allows costs too much for a hypothesis of some gain."""
+    return nats > max(MOST_SHARE * gain, SCATTER)
+
+
+def impossibility(parameters: Sequence[Parameter], mean: Float1D, covariance: Float2D) -> float:
+    """Return by how many nats the nearest values that physics allows are less probable than an estimate.
+
+    Args:
+        parameters: k of them, one candidate's.
+        mean: (k,) their estimate.
+        covariance: (k, k) of it.
+    """
+    return nearest([parameters], mean, covariance).nats
+
+
+def out_of_reach(parameters: Sequence[Parameter], mean: Float1D, covariance: Float2D) -> bool:
+    """Say whether any parameter is further from zero than its law is linear, whatever its scatter.
+
+    Args:
+        parameters: k of them, one candidate's.
+        mean: (k,) their estimate.
+        covariance: (k, k) of it.
+    """
+    margin = WITHIN * np.sqrt(np.diag(covariance))
+    first = abs(float(mean[0])) + float(margin[0])
+    return any(abs(value) - much > one.reach * first for one, value, much in zip(parameters, mean, margin, strict=True))
+
+
+def _demanded(several: Sequence[Sequence[Parameter]]) -> tuple[Bool1D, list[slice]]:
+    """Return (p,) which parameters must be positive, and the places of hinges."""
+    hinges, first = [], 0
+    for parameters in several:
+        if tuple(parameter.positive for parameter in parameters[:3]) == HINGE:
+            hinges.append(slice(first, first + 3))
+        first += len(parameters)
+    return np.array([parameter.positive for parameters in several for parameter in parameters], dtype=bool), hinges
+
+
+def _indefinite(values: Float1D) -> bool:
+    return bool(values[2] ** 2 > values[0] * values[1])
+
+
+def _negative(value: Float1D, hinge: slice, std: Float1D) -> Float1D | None:
+    """Return the row in which a hinge's matrix is still negative, (p,); None where it is not.
+
+    Args:
+        value: (p,) standard deviations.
+        hinge: Its place.
+        std: (p,) standard deviations.
+    """
+    across = np.sqrt(std[hinge][:2])  # the matrix in units in which both compliances count alike
+    own, turn = _eigen(value[hinge] * std[hinge], across)
+    if own[0] >= -NEGATIVE * max(abs(own[1]), 1.0):
+        return None
+    w = turn[0] / across
+    row = np.zeros(len(value))
+    row[hinge] = np.array([w[0] ** 2, w[1] ** 2, 2 * w[0] * w[1]]) * std[hinge]
+    return row / np.linalg.norm(row)
+
+
+def _positive(values: Float1D, std: Float1D) -> tuple[Float1D, Float2D]:
+    """Return the three values of a hinge with its matrix positive to the last digit, and where it is zero, (k, 2)."""
+    across = np.sqrt(std[:2])
+    own, turn = _eigen(values, across)
+    zero = own <= 2 * NEGATIVE * max(abs(float(own[1])), 1.0)
+    if not zero.any():
+        return values, np.zeros((0, 2))
+    kept = (turn.T * np.where(zero, 0.0, own)) @ turn * np.outer(across, across)
+    return np.array([kept[0, 0], kept[1, 1], kept[0, 1]]), (turn / across)[zero]
+
+
+def _eigen(values: Float1D, across: Float1D) -> tuple[Float1D, Float2D]:
+    """Return the two eigenvalues of a hinge's matrix, the smaller one first, and their vectors, a row each.
+
+    Args:
+        values: Its two compliances, and the one between them.
+        across: (2,) units of both directions.
+    """
+    a, b, c = values[0] / across[0] ** 2, values[1] / across[1] ** 2, values[2] / (across[0] * across[1])
+    middle, apart = (a + b) / 2, np.hypot((a - b) / 2, c)
+    angle = 0.5 * np.arctan2(2 * c, a - b)  # of the larger one
+    x, y = np.cos(angle), np.sin(angle)
+    return np.array([middle - apart, middle + apart]), np.array([[-y, x], [x, y]])
+
+
+def _equations(directions: Float2D, hinge: slice, count: int) -> Float2D:
+    """Return the (2 k, p) equations M w = 0 of a hinge's matrix."""
+    rows = np.zeros((2 * len(directions), count))
+    for k, w in enumerate(directions):
+        rows[2 * k, hinge] = w[0], 0.0, w[1]
+        rows[2 * k + 1, hinge] = 0.0, w[1], w[0]
+    return rows

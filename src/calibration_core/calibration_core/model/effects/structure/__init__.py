@@ -1,0 +1,1 @@
+"""Effects of the structure: what gives way besides the joints about their axes."""

@@ -1,0 +1,141 @@
+"""A spring or cylinder beside a joint carries part of the weight of the arm.
+
+M = K_c (1 - s0/s) a L sin(alpha - x), s^2 = a^2 + L^2 + 2 a L cos(alpha - x), at the link's angle x, deflection
+included: at rest it is a torque, and its slope adds to the joint's stiffness under load; both are one law, in one
+recording too.  Its first harmonic hides behind the geometry and the weight; the others follow from the triangle, of
+which a few shapes are offered, each with its torque and a small turn of alpha; any other can be made (`spring`).
+It is offered where the weight of the arm acts most, on joints that stand across gravity.
+Source: Klimchik, Pashkevich et al. on heavy robots with gravity compensators.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import re
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.springs import stacked
+from calibration_core.model.effects.state import State
+from calibration_core.model.effects.structure.pose_dependent_stiffness import modulated
+from calibration_core.model.parameters import AppliedEffect
+from calibration_core.timeseries import Float1D, Float3D
+
+HALF = 0.5  # of the largest torque of the weight: a joint that bears less has no compensator
+ACROSS = 0.3  # cosine between a joint's axis and gravity, below which the joint stands across
+ANCHORS = range(0, 360, 30)  # alpha, degrees
+FLATNESS = (0.3, 0.55)  # 2 a L / (a^2 + L^2)
+PRELOAD = (0.35, 0.65)  # s0 / sqrt(a^2 + L^2)
+TURN = 0.15  # rad
+REACH = np.radians(15.0) / TURN  # half of what lies between two anchors
+SHAPE = re.compile(r"torque, anchor (\d{1,3}(?:\.\d)?) deg, flatness (0\.\d{1,3}), preload (0\.\d{1,3})")
+ALL_ROUND = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Triangle:
+    """Shape of the spring's triangle.
+
+    Attributes:
+        anchor: alpha, degrees.
+        flatness: 2 a L / (a^2 + L^2).
+        preload: s0 / sqrt(a^2 + L^2).
+    """
+
+    anchor: float
+    flatness: float
+    preload: float
+
+    @property
+    def variant(self) -> str:
+        """The shape in words, a tenth of a degree and a thousandth being the smallest that it tells."""
+        anchor = f"{round(self.anchor % 360, 1) % 360:g}"
+        return f"torque, anchor {anchor} deg, flatness {round(self.flatness, 3):g}, preload {round(self.preload, 3):g}"
+
+
+def triangle_of(variant: str) -> Triangle | None:
+    """Return the shape that a variant tells; None if it tells none."""
+    found = SHAPE.fullmatch(variant)
+    return None if found is None else Triangle(*map(float, found.groups()))
+
+
+def carriers(state: State) -> tuple[int, ...]:
+    """Return the joints that a compensator could help: across gravity in all readings, and loaded most by the weight.
+
+    Where masses are not known it is the first joint across gravity.
+    """
+    gravity = state.chain.gravity
+    size = float(np.linalg.norm(gravity))
+    if size == 0.0:
+        return ()
+    turning = [j for j in state.chain.revolute if state.compliance[j] > 0]
+    across = [j for j in turning if float(np.abs(gravity @ state.at.axis(j)).max()) < ACROSS * size]
+    weight = np.sqrt(np.mean(state.gravity_torque**2, axis=1)) * ~np.array(state.chain.prismatic)
+    if not weight.any():
+        return tuple(across[:1])
+    return tuple(j for j in across if weight[j] >= HALF * weight.max())
+
+
+def spring(state: State, joint: int, triangle: Triangle) -> Candidate:
+    """Return the hypothesis of a spring of one shape beside a joint, as exactly as its variant tells it."""
+    stated = triangle_of(triangle.variant)
+    assert stated is not None  # noqa: S101 - a variant can be read back
+    torque = typical("gravity_compensator_torque", state.rated_load)
+    pair = (Parameter("torque", "N*m", torque), Parameter("torque_turned", "N*m", torque, reach=REACH))
+    place = {"joint": state.chain.joints[joint]}
+    columns = partial(pull, joint=joint, triangle=stated)
+    return Candidate(EFFECT.name, EFFECT.family, place, stated.variant, pair, columns)
+
+
+def spring_torque(angle: Float1D, flatness: float, preload: float) -> Float1D:
+    """Return the torque at angles alpha - q2, (m,) rad, in units of the largest."""
+
+    def torque(beta: Float1D) -> Float1D:
+        return np.asarray(np.sin(beta) * (1 - preload / np.sqrt(1 + flatness * np.cos(beta))))
+
+    return np.asarray(torque(angle) / np.abs(torque(ALL_ROUND)).max())
+
+
+def pull(state: State, joint: int, triangle: Triangle) -> Float3D:
+    """Return the movement per N*m, and what a turn of the anchor by `TURN` changes in it, (m, 3, 2)."""
+    compliance = state.compliance[joint]
+    link = state.q[:, joint] + compliance * state.torque[joint]
+    beta = np.radians(triangle.anchor) - link
+    torque, ahead, behind = (
+        spring_torque(beta + turn, triangle.flatness, triangle.preload) for turn in (0.0, TURN, -TURN)
+    )
+    turned = (ahead - behind) / 2
+    return stacked(*(state.joint_column(joint, compliance * part) for part in (torque, turned)))
+
+
+def _restored(described: AppliedEffect, state: State) -> Candidate | None:
+    name, joints, triangle = described.location.get("joint"), state.chain.joints, triangle_of(described.variant)
+    if name not in joints:
+        return None
+    if described.variant == "stiffness":  # what files of earlier versions say of loaded recordings
+        pair = (Parameter("modulation_cosine", "1", 1.0), Parameter("modulation_sine", "1", 1.0))
+        columns = partial(modulated, joint=joints.index(str(name)))
+        return Candidate(EFFECT.name, EFFECT.family, described.location, described.variant, pair, columns)
+    return None if triangle is None else spring(state, joints.index(str(name)), triangle)
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    for joint in carriers(state):
+        for shape in itertools.product(ANCHORS, FLATNESS, PRELOAD):
+            yield spring(state, joint, Triangle(*shape))
+
+
+EFFECT = Effect(
+    name="gravity_compensator",
+    family="structure",
+    equation="M = K_c (1 - s0/s) a L sin(alpha - q)",
+    source="Klimchik, Pashkevich et al., heavy robots with gravity compensators (arXiv 1311.6810)",
+    reveal="absolute positions over the range of the joint; the same load at six values of its angle",
+    candidates=_candidates,
+    restore=_restored,
+)

@@ -1,0 +1,1 @@
+"""Identified models: their values, uncertainties, range and file."""

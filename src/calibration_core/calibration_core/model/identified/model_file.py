@@ -1,0 +1,233 @@
+"""The identified model as a file: what `identify` writes and `predict`, `simulate`, `identify` and `diagnose` read.
+
+YAML, SI units.  `geometry` holds corrections to the cell file's nominal geometry, so the file goes with its robot: its
+name, those of its joints, and the digest of the robot section with its URDF (`robot_sha256`) are checked; the cell
+file's own hash is kept for the record.
+
+Schema 2 lists everything that was identified as `parameters` (name, unit, value, std; the name is the path of the
+number in this file, see `named_values`), with their joint `covariance` as the rows of its lower triangle (`.inf` on the
+diagonal: nothing is known), and the `valid_range` of the recording.  Schema 1 has none of these and is still read.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.cell.identity import robot_sha256
+from calibration_core.errors import ModelFileError, quoted
+from calibration_core.files.yaml_file import YamlFile, read_yaml, yaml_text
+from calibration_core.model.chain import pose_matrix, rpy_of
+from calibration_core.model.effects import catalogue
+from calibration_core.model.identified.calibrated import CalibratedModel, ValidRange
+from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.model.identified.model_file_estimate import (
+    estimate_dict,
+    finite,
+    range_dict,
+    read_estimate,
+    read_range,
+    vector,
+)
+from calibration_core.model.identified.named_values import GEOMETRY
+from calibration_core.model.parameters import AppliedEffect, ModelParameters
+from calibration_core.timeseries import Float2D
+
+SCHEMA = 2
+MAX_BYTES = 4 << 20  # many times what a model with all its covariances takes
+OLD_KEYS = (
+    "schema",
+    "robot",
+    "cell",
+    "joints",
+    "compliance",
+    "stiffness",
+    "geometry",
+    "tracker",
+    "measurement_points",
+    "wrench_point",
+    "force_torque",
+    "effects",
+)
+KEYS = (*OLD_KEYS, "robot_sha256", "parameters", "covariance", "valid_range")
+EFFECT_KEYS = ("effect", "location", "variant", "parameters")
+
+
+def model_dict(
+    parameters: ModelParameters,
+    cell: Cell,
+    estimate: GaussianEstimate | None = None,
+    valid_range: ValidRange | None = None,
+) -> dict[str, Any]:
+    """Return the content of the file as plain values, in the order in which it is written.
+
+    Args:
+        parameters: The model.
+        cell: Its robot.
+        estimate: What is known of its numbers; None: nothing was identified, the file has no intervals.
+        valid_range: What the recording covered; None: unknown.
+
+    Raises:
+        CellError: The URDF cannot be read.
+    """
+    compliance = [float(c) for c in parameters.compliance]
+    return {
+        "schema": SCHEMA,
+        "robot": cell.robot.name,
+        "robot_sha256": robot_sha256(cell),
+        "cell": {"file": cell.path.name, "sha256": cell.sha256},
+        "joints": list(parameters.joints),
+        "compliance": compliance,
+        "stiffness": [1 / c if c > 0 else None for c in compliance],
+        "geometry": [dict(zip(GEOMETRY, map(float, row), strict=True)) for row in parameters.geometry],
+        "tracker": _pose_dict(parameters.tracker),
+        "measurement_points": {name: [float(x) for x in point] for name, point in parameters.points.items()},
+        "wrench_point": None if parameters.wrench_point is None else [float(x) for x in parameters.wrench_point],
+        "force_torque": None if parameters.force_torque is None else _pose_dict(parameters.force_torque),
+        "effects": [_effect_dict(effect) for effect in parameters.effects],
+        "valid_range": None if valid_range is None else range_dict(valid_range, parameters.joints),
+        **estimate_dict(estimate or GaussianEstimate.nothing(), parameters),
+    }
+
+
+def model_text(
+    parameters: ModelParameters,
+    cell: Cell,
+    estimate: GaussianEstimate | None = None,
+    valid_range: ValidRange | None = None,
+) -> str:
+    """Return the file's text; every float keeps all its digits.  Arguments and errors as `model_dict`."""
+    head = "# Identified model: SI units; geometry is the correction to the nominal geometry of the cell file.\n"
+    return head + yaml_text(model_dict(parameters, cell, estimate, valid_range), flow=None)
+
+
+def read_model(path: str | Path, cell: Cell) -> ModelParameters:
+    """Read the parameters of an identified model; errors as `read_calibrated`."""
+    return read_calibrated(path, cell).parameters
+
+
+def read_calibrated(path: str | Path, cell: Cell) -> CalibratedModel:
+    """Read an identified model with everything that its file says: covariance and valid range, where it has them.
+
+    Raises:
+        ModelFileError: It is missing, malformed, or belongs to another robot: another name, other joints, or another
+            robot section or URDF of the cell file.
+        CellError: The cell's URDF cannot be read.
+    """
+    file = read_yaml(path, MAX_BYTES, "model file (YAML)", ModelFileError)
+    with file.locating():
+        data = _content(file)
+        parameters = _parameters(file.path, data, cell)
+        if data["schema"] == 1:
+            return CalibratedModel(parameters, None, None)
+        return CalibratedModel(
+            parameters, read_estimate(file.path, data, parameters), read_range(file.path, data, parameters.joints)
+        )
+
+
+def _parameters(path: Path, data: dict[str, Any], cell: Cell) -> ModelParameters:
+    joints = cell.robot.joints
+    if data.get("joints") != list(joints):
+        raise ModelFileError(path, "joints", quoted(data.get("joints")), f"the cell's joints {list(joints)}")
+    if data.get("robot") != cell.robot.name:
+        raise ModelFileError(path, "robot", quoted(data.get("robot")), f"the cell's robot {quoted(cell.robot.name)}")
+    if data["schema"] == SCHEMA and data.get("robot_sha256") != robot_sha256(cell):
+        expected = f"{robot_sha256(cell)}, the digest of the cell's robot section and URDF (another robot, or changed)"
+        raise ModelFileError(path, "robot_sha256", quoted(data.get("robot_sha256")), expected)
+    n = len(joints)
+    points = data.get("measurement_points")
+    if not isinstance(points, dict) or not points:
+        raise ModelFileError(path, "measurement_points", quoted(points), "a mapping of points")
+    compliance = vector(path, "compliance", data.get("compliance"), n)
+    if np.any(compliance < 0):
+        raise ModelFileError(path, "compliance", quoted(float(compliance.min())), "compliances that are not negative")
+    optional = {key: data.get(key) for key in ("wrench_point", "force_torque")}
+    return ModelParameters(
+        joints=joints,
+        compliance=compliance,
+        geometry=_geometry(path, data.get("geometry"), n),
+        tracker=_pose(path, "tracker", data.get("tracker")),
+        points={str(name): vector(path, f"measurement_points.{name}", xyz, 3) for name, xyz in points.items()},
+        wrench_point=None
+        if optional["wrench_point"] is None
+        else vector(path, "wrench_point", optional["wrench_point"], 3),
+        force_torque=None
+        if optional["force_torque"] is None
+        else _pose(path, "force_torque", optional["force_torque"]),
+        effects=_effects(path, data.get("effects") or []),
+    )
+
+
+def _content(file: YamlFile) -> dict[str, Any]:
+    """Return the mapping that a model file holds; only its keys and its schema are checked."""
+    path, data = file.path, file.data
+    if not isinstance(data, dict):
+        raise ModelFileError(path, "", quoted(data), f"a mapping with the keys {', '.join(KEYS)}")
+    schema = data.get("schema")
+    if isinstance(schema, bool) or schema not in (1, SCHEMA):
+        raise ModelFileError(path, "schema", quoted(schema), f"1 or {SCHEMA}")
+    keys = OLD_KEYS if schema == 1 else KEYS
+    unknown = [key for key in data if key not in keys]
+    if unknown:
+        raise ModelFileError(path, unknown[0], "an unknown key", f"one of {', '.join(keys)}")
+    return data
+
+
+def _geometry(path: Path, value: object, n: int) -> Float2D:
+    if not isinstance(value, list) or len(value) != n:
+        raise ModelFileError(path, "geometry", quoted(value), f"{n} entries, one per joint")
+    rows = []
+    for i, row in enumerate(value):
+        if not isinstance(row, dict) or set(row) != set(GEOMETRY):
+            raise ModelFileError(path, f"geometry.{i}", quoted(row), f"the keys {', '.join(GEOMETRY)}")
+        rows.append(vector(path, f"geometry.{i}", [row[key] for key in GEOMETRY], 6))
+    return np.stack(rows)
+
+
+def _effects(path: Path, value: object) -> tuple[AppliedEffect, ...]:
+    """Read the list of effects; names must be of the catalogue, values finite."""
+    if not isinstance(value, list):
+        raise ModelFileError(path, "effects", quoted(value), "a list of effects")
+    known = [effect.name for effect in catalogue()]
+    effects = []
+    for i, entry in enumerate(value):
+        place = f"effects.{i}"
+        if not isinstance(entry, dict) or set(entry) != set(EFFECT_KEYS):
+            raise ModelFileError(path, place, quoted(entry), f"the keys {', '.join(EFFECT_KEYS)}")
+        if entry["effect"] not in known:
+            raise ModelFileError(path, f"{place}.effect", quoted(entry["effect"]), f"one of {', '.join(known)}")
+        location, parameters = entry["location"], entry["parameters"]
+        if not isinstance(location, dict) or not all(_named(x) for x in location.values()):
+            raise ModelFileError(path, f"{place}.location", quoted(location), "names of joints, links or sensors")
+        if not isinstance(parameters, dict) or not all(finite(x) for x in parameters.values()):
+            raise ModelFileError(path, f"{place}.parameters", quoted(parameters), "names with finite numbers")
+        where = {str(key): tuple(x) if isinstance(x, list) else str(x) for key, x in location.items()}
+        numbers = {str(key): float(x) for key, x in parameters.items()}
+        effects.append(AppliedEffect(str(entry["effect"]), where, str(entry["variant"]), numbers))
+    return tuple(effects)
+
+
+def _named(value: object) -> bool:
+    return isinstance(value, str) or (isinstance(value, list) and all(isinstance(x, str) for x in value))
+
+
+def _effect_dict(effect: AppliedEffect) -> dict[str, Any]:
+    return {
+        "effect": effect.effect,
+        "location": {key: list(x) if isinstance(x, tuple) else x for key, x in effect.location.items()},
+        "variant": effect.variant,
+        "parameters": {key: float(x) for key, x in effect.parameters.items()},
+    }
+
+
+def _pose(path: Path, place: str, value: object) -> Float2D:
+    if not isinstance(value, dict) or set(value) != {"xyz", "rpy"}:
+        raise ModelFileError(path, place, quoted(value), "a pose with the keys xyz, rpy")
+    return pose_matrix(vector(path, f"{place}.xyz", value["xyz"], 3), vector(path, f"{place}.rpy", value["rpy"], 3))
+
+
+def _pose_dict(pose: Float2D) -> dict[str, list[float]]:
+    return {"xyz": [float(x) for x in pose[:3, 3]], "rpy": [float(x) for x in rpy_of(pose[:3, :3])]}

@@ -1,0 +1,1 @@
+"""Readings and recordings as a model predicts them."""

@@ -1,0 +1,67 @@
+"""What a load does to a calibrated robot."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from calibration_core.compensation.applied import remarks
+from calibration_core.compensation.compensate import nominal_angles
+from calibration_core.compensation.deflection import Deflection, PlaneMap, deflect, plane_map
+from calibration_core.compensation.robot import CalibratedRobot, Conditions
+from calibration_core.compensation.task import Task
+from calibration_core.errors import InputError
+from calibration_core.model.identified.calibrated import CalibratedModel
+from calibration_core.timeseries import Float2D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Deflected:
+    """What a load does, with what the report says of it.
+
+    Attributes:
+        task: Places and wrenches.
+        robot: The robot with its payload.
+        q: (m, n) rad.
+        found: The deflections.
+        chart: Over a plane through the first place; None without a load there.
+        remarks: What the intervals do not hold.
+    """
+
+    task: Task
+    robot: CalibratedRobot
+    q: Float2D
+    found: Deflection
+    chart: PlaneMap | None
+    remarks: list[str]
+
+
+def deflected(
+    robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axes: str, plane: str | None, name: str | Path
+) -> Deflected:
+    """Predict what the wrenches of a task do.
+
+    Args:
+        robot: The robot with its payload.
+        model: Its model.
+        task: Places and wrenches.
+        axes: Axes of the wrenches: `base` or `tool`.
+        plane: Plane of the map: `xy`, `xz` or `yz`; None: no map.
+        name: What the places are called in messages.
+
+    Raises:
+        InputError: Nothing pulls, or a place is out of reach.
+        EquilibriumError: A load is beyond what the joints can carry.
+    """
+    if not np.any(task.wrench):
+        raise InputError("--wrench", "", "no load", "a wrench other than zero: --wrench, or fx ... tz in the file")
+    q, refused = nominal_angles(task, robot)
+    if refused:
+        row, why = refused[0]
+        raise InputError(name, f"row {row}", why, "a place that the robot reaches within its limits")
+    conditions = Conditions(task.time, task.temperature, task.path)
+    found = deflect(robot, q, task.wrench, conditions, model.estimate, axes)
+    chart = None if plane is None else plane_map(robot, q[0], task.wrench[0], plane, axes)
+    return Deflected(task, robot, q, found, chart, remarks(model, robot))

@@ -1,0 +1,227 @@
+"""Several recordings identified as one, and what is said of the whole."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from calibration_core.identification.identify import fit_freed, with_given
+from calibration_core.identification.result.estimate import Anomaly, Identification, ParameterEstimate, Precondition
+from calibration_core.identification.result.together import Contribution, Together
+from calibration_core.identification.stiffness.known_effects import without_effects
+from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.model.chain import rpy_of
+from calibration_core.model.identified.calibrated import ValidRange
+from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.valid_range import range_of
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import AppliedEffect, ModelParameters
+from calibration_core.outcomes.together.agreement import agreement, as_anomalies
+from calibration_core.outcomes.together.members import Member, numbered
+from calibration_core.outcomes.together.mixture import identify_mixture, of_several_kinds, residual_of
+from calibration_core.outcomes.together.prepare import Prepared
+from calibration_core.timeseries import Bool1D, Float2D
+
+POINTS, TRACKER = "measurement_points.", "tracker."
+FOUND = "what was found"
+SET_UP = ("tracker", "point")
+
+
+def identify_together(prepared: Prepared) -> Identification:
+    """Identify from all recordings together.
+
+    Raises:
+        InputError: They cannot be evaluated together.
+    """
+    merged, at_rest = prepared.merged, None
+    if of_several_kinds(prepared):
+        found, at_rest = identify_mixture(prepared)
+    else:
+        found = fit_freed(merged.readings, merged.cell, prepared.options, prepared.test)
+    if prepared.given is not None:
+        found = with_given(found, prepared.given)
+    return answered(found, prepared, *residual_of(found, prepared, at_rest))
+
+
+def answered(
+    found: Identification,
+    prepared: Prepared,
+    residual: Float2D,
+    excluded: Bool1D,
+    effects: Sequence[AppliedEffect] = (),
+) -> Identification:
+    """Return the answer as it is handed out: model and frames of the first recording, and what each contributes.
+
+    Args:
+        found: Of all recordings together.
+        prepared: The recordings.
+        residual: (m, 3) m, what the common model leaves of every reading.
+        excluded: (m,) readings that were not used.
+        effects: Of the robot, found in all recordings together: they are no reason for recordings to differ.
+    """
+    together = _together(found, prepared, residual, excluded, effects)
+    own = [one for one in found.parameters if one.group not in SET_UP]
+    parameters = [
+        dataclasses.replace(one, name=_beside(one, prepared.members[k]))
+        for k in prepared.named
+        for one in prepared.alone[k].parameters
+        if one.group in SET_UP
+    ]
+    return dataclasses.replace(
+        found,
+        parameters=(*parameters, *own),
+        anomalies=(*located_anomalies(found.anomalies, prepared), *as_anomalies(together.disagreements)),
+        preconditions=_preconditions(found, prepared),
+        model=of_first(found.model, prepared),
+        estimate=estimate_of_first(found.estimate, prepared),
+        together=together,
+    )
+
+
+def of_first(model: ModelParameters, prepared: Prepared) -> ModelParameters:
+    """Return a model of all recordings with tracker pose and points of the first one, as its cell file names them."""
+    member, tracker = prepared.members[prepared.first], prepared.alone[prepared.first].model.tracker
+    if model.setups is not None:
+        tracker = model.tracker @ model.setups[prepared.first] @ tracker
+    points = {name: np.array(point) for name, point in member.cell.frames.measurement_points.items()}
+    points |= {name: model.points[member.point(name)] for name in member.readings.points}
+    return model.replace(tracker=tracker, points=points, setups=None)
+
+
+def estimate_of_first(estimate: GaussianEstimate, prepared: Prepared) -> GaussianEstimate:
+    """Return what is known of the numbers of `of_first`: what is shared, and the first recording's points and tracker.
+
+    The tracker pose is known as the first recording shows it by itself.
+    """
+    member = prepared.members[prepared.first]
+    mark = f"@{member.number}."
+    others = (POINTS, TRACKER)
+    kept = [k for k, name in enumerate(estimate.names) if mark in name or not name.startswith(others)]
+    shared = estimate.chosen(kept)
+    shared = shared.renamed([name.replace(mark, ".") for name in shared.names])
+    alone = prepared.alone[prepared.first].estimate
+    pose = [k for k, name in enumerate(alone.names) if name.startswith(TRACKER)]
+    return GaussianEstimate.independent((shared, alone.chosen(pose)))
+
+
+def covered(prepared: Prepared, model: ModelParameters) -> ValidRange:
+    """Return what all recordings together cover; temperatures as each thermometer showed them."""
+    whole = range_of(prepared.merged.readings, prepared.merged.cell, model)
+    known = np.concatenate([member.readings.temperature for member in prepared.members])
+    known = known[np.isfinite(known)]
+    temperature = (float(known.min()), float(known.max())) if len(known) else None
+    return dataclasses.replace(whole, temperature=temperature)
+
+
+def located_anomalies(anomalies: Sequence[Anomaly], prepared: Prepared) -> tuple[Anomaly, ...]:
+    """Return the anomalies, each with its recording where it is about a set-up."""
+    return tuple(dataclasses.replace(one, location=with_recording(one.location, prepared.members)) for one in anomalies)
+
+
+def with_recording(location: Mapping[str, Any], members: Sequence[Member]) -> dict[str, Any]:
+    """Return a location with the file of its recording, and a point as that recording calls it."""
+    found = dict(location)
+    name, mark, number = str(location.get("point", "")).rpartition("@")
+    if mark:
+        found |= {"point": name, "recording": number}
+    if str(found.get("recording", "")).isdecimal():
+        found["recording"] = members[int(str(found["recording"])) - 1].file
+    return found
+
+
+def _beside(one: ParameterEstimate, member: Member) -> str:
+    """Return the name of a frame's parameter beside those of other recordings, e.g. `tracker@2 x`."""
+    what, _, axis = one.name.rpartition(" ")
+    return f"{member.point(what)} {axis}"
+
+
+def _together(
+    found: Identification, prepared: Prepared, residual: Float2D, excluded: Bool1D, effects: Sequence[AppliedEffect]
+) -> Together:
+    files = [member.file for member in prepared.members]
+    compared, differing = agreement(files, _by_themselves(found, prepared, effects))
+    each = []
+    for k in prepared.named:
+        rows = prepared.merged.readings.recording == prepared.members[k].number - 1
+        each.append(_contribution(found, prepared, k, residual[rows], excluded[rows]))
+    return Together(tuple(each), compared, differing)
+
+
+def _by_themselves(
+    found: Identification, prepared: Prepared, effects: Sequence[AppliedEffect]
+) -> list[GaussianEstimate]:
+    """Return what each recording shows by itself, less the effects of the robot that were found in all of them.
+
+    What the standard's model leaves out moves the parameters of each recording otherwise, for their postures differ;
+    so does a compliance that one recording at rest shows and another one does not: all start from the common ones.
+    """
+    if not effects:
+        return [one.estimate for one in prepared.alone]
+    estimates = []
+    for member, alone, start in zip(prepared.members, prepared.alone, prepared.starts, strict=True):
+        shared = found.model
+        model = alone.model.replace(compliance=shared.compliance, geometry=shared.geometry, effects=tuple(effects))
+        freed = without_effects(member.readings, member.cell, GivenModel(model, FOUND, ""))
+        believed = (start or nominal_parameters(member.cell)).replace(compliance=shared.compliance)
+        options = Options(robust=prepared.options.robust, start=believed)
+        estimates.append(fit_freed(freed, member.cell, options, None).estimate)
+    return estimates
+
+
+def _contribution(
+    found: Identification, prepared: Prepared, k: int, residual: Float2D, excluded: Bool1D
+) -> Contribution:
+    """Return what one recording contributes; residual (m, 3) m and readings not used, (m,), of that one."""
+    member, alone = prepared.members[k], prepared.alone[k]
+    readings, left = member.readings, residual[~excluded]
+    displacement = member.cell.measurements.points == "displacement"
+    steps = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
+    return Contribution(
+        file=member.file,
+        number=member.number,
+        cell=str(member.cell.path),
+        cell_sha256=member.cell.sha256,
+        kind=alone.kind,
+        configurations=len(np.unique(readings.configuration)),
+        numbers=numbered(member),
+        first_number=member.first_number,
+        steps=len(steps),
+        readings=len(readings),
+        excluded=int(excluded.sum()),
+        points=readings.points,
+        noise=alone.noise.claimed,
+        scale=alone.noise.scale,
+        rms=float(np.sqrt(np.mean(left**2))) if len(left) else 0.0,
+        tracker=None if displacement else _pose(found, prepared, k),
+        stiffness={one.joint: (one.value, one.std) for one in alone.stiffness if one.identifiable},
+        sha256=readings.provenance.sha256,
+    )
+
+
+def _pose(found: Identification, prepared: Prepared, k: int) -> tuple[float, ...]:
+    pose: Float2D = prepared.alone[k].model.tracker
+    if found.model.setups is not None:
+        pose = found.model.tracker @ found.model.setups[k] @ pose
+    return tuple(float(x) for x in (*pose[:3, 3], *rpy_of(pose[:3, :3])))
+
+
+def _preconditions(found: Identification, prepared: Prepared) -> tuple[Precondition, ...]:
+    """Return the standard's demands on every recording by itself; on the number of configurations, of all together."""
+    merged: dict[tuple[str, str], list[tuple[Member, Precondition]]] = {}
+    for k in prepared.named:
+        for one in prepared.alone[k].preconditions:
+            merged.setdefault((one.clause, one.requirement), []).append((prepared.members[k], one))
+    whole = {(one.clause, one.requirement): one for one in found.preconditions}
+    rows = []
+    for key, several in merged.items():
+        texts = list(dict.fromkeys(one.found for _, one in several))
+        order = [met for met in (False, None, True) if any(one.met is met for _, one in several)]
+        text = texts[0] if len(texts) == 1 else "; ".join(f"{member.file}: {one.found}" for member, one in several)
+        worst = next(one for _, one in several if one.met is order[0])
+        counted = key in whole and "manipulator configurations" in key[1]
+        rows.append(whole[key] if counted else dataclasses.replace(worst, found=text, met=order[0]))
+    return tuple(rows)

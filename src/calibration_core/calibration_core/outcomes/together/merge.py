@@ -1,0 +1,212 @@
+"""Several recordings as one: rows below each other, positions in the base frame, every instrument with its own claim.
+
+The positions of every recording are brought into the base frame by the tracker pose that it shows by itself; what that
+pose leaves open is fitted again beside everything that the recordings share (`identification.setups`).  Covariances
+are formed in the tracker's own frame first: what a tracker claims depends on where it stands.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from calibration_core.cell import Cell, Pose
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.model.chain import rpy_of
+from calibration_core.model.kinematics import posture
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.robot import chain_of
+from calibration_core.observations.covariance import position_covariance, wrench_covariance
+from calibration_core.outcomes.together.members import Member
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Provenance, Readings
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Merged:
+    """Several recordings as one.
+
+    Attributes:
+        readings: All rows.
+        cell: The cell of the first recording with the points of all, and the base frame as the frame of positions.
+    """
+
+    readings: Readings
+    cell: Cell
+
+
+def merge(members: Sequence[Member], alone: Sequence[Identification], first: int) -> Merged:
+    """Return several recordings as one.
+
+    Args:
+        members: The recordings, in the order of their numbers; known effects taken off.
+        alone: What each shows by itself.
+        first: Index of the one that was named first; wrenches are stated in its axes where it holds any.
+    """
+    names = tuple(one.point(name) for one in members for name in one.readings.points)
+    reference = wrench_reference(members, first)
+    stated = members[reference], alone[reference]
+    parts = [placed(one, found, stated, names) for one, found in zip(members, alone, strict=True)]
+    return Merged(_stacked(_same_warmth(parts)), _cell(members, alone, first, reference))
+
+
+def wrench_reference(members: Sequence[Member], first: int) -> int:
+    """Return the index of the recording in whose axes wrenches are stated: the first, or the next that holds any."""
+    holding = [k for k, one in enumerate(members) if one.readings.wrench is not None]
+    return first if first in holding or not holding else holding[0]
+
+
+def placed(
+    member: Member, found: Identification, reference: tuple[Member, Identification], names: tuple[str, ...]
+) -> Readings:
+    """Return a recording in the base frame, named and numbered beside the others.
+
+    Args:
+        member: The recording.
+        found: What it, or another recording of its set-up, shows by itself.
+        reference: The recording in whose axes wrenches are stated, and what it shows.
+        names: Points of all recordings.
+    """
+    readings, cell, model = member.readings, member.cell, found.model
+    rotation, scale = model.tracker[:3, :3], found.noise.scale
+    shift = np.zeros(3) if cell.measurements.points == "displacement" else model.tracker[:3, 3]
+    m = len(readings)
+    wrench, claim, change = np.zeros((m, 6)), np.zeros((m, 6, 6)), np.tile(np.eye(6), (m, 1, 1))
+    if readings.wrench is not None:
+        change = _wrench_change(member, model, *reference)
+        wrench = np.einsum("mij,mj->mi", change, readings.wrench)
+        claim = scale**2 * change @ wrench_covariance(readings, cell) @ change.transpose(0, 2, 1)
+    seen = readings.position_covariance
+    path = readings.provenance.path
+    return dataclasses.replace(
+        readings,
+        points=names,
+        point=np.array([names.index(member.point(name)) for name in readings.points])[readings.point],
+        configuration=readings.configuration + member.first_number,
+        position=readings.position @ rotation.T + shift,
+        wrench=wrench,
+        time=readings.time - (np.nanmin(readings.time) if np.isfinite(readings.time).any() else 0.0),
+        position_covariance=None if seen is None else rotation @ seen @ rotation.T,
+        wrench_covariance=None,
+        recording=np.full(m, member.number - 1),
+        position_claim=scale**2 * rotation @ position_covariance(readings, cell) @ rotation.T,
+        wrench_claim=claim,
+        viewpoint=np.tile(model.tracker[:3, 3], (m, 1)),
+        wrench_change=change,
+        notes=tuple(dataclasses.replace(note, place=f"{path}: {note.place}") for note in readings.notes),
+    )
+
+
+def _wrench_change(member: Member, model: ModelParameters, to_member: Member, to: Identification) -> Float3D:
+    """Return what takes a wrench as recorded to axes and point of the reference, (m, 6, 6)."""
+    m = len(member.readings)
+    between = _point(member, model) - _point(to_member, to.model)
+    if member.cell.measurements.wrench_axes == "base":
+        at = posture(chain_of(member.cell).corrected(model.geometry), member.readings.q)
+        arm, turn = (at.point(between) - at.flange_origin).T, np.tile(np.eye(3), (m, 1, 1))
+    else:
+        assert model.force_torque is not None  # noqa: S101 - its identification has needed them
+        assert to.model.force_torque is not None  # noqa: S101
+        target = to.model.force_torque[:3, :3].T
+        arm = np.tile(target @ between, (m, 1))
+        turn = np.tile(target @ model.force_torque[:3, :3], (m, 1, 1))
+    change = np.zeros((m, 6, 6))
+    change[:, :3, :3] = change[:, 3:, 3:] = turn
+    change[:, 3:, :3] = _crossing(arm) @ turn
+    return change
+
+
+def _point(member: Member, model: ModelParameters) -> Float1D:
+    """Return where a recording's wrenches are reduced to, flange frame, m."""
+    if member.cell.measurements.wrench_at == "wrench_point":
+        assert model.wrench_point is not None  # noqa: S101 - its identification has needed it
+        return model.wrench_point
+    assert model.force_torque is not None  # noqa: S101 - its identification has needed it
+    return model.force_torque[:3, 3]
+
+
+def _crossing(arm: Float2D) -> Float3D:
+    """Return (m, 3, 3) matrices of the cross product from the left with `arm`, (m, 3)."""
+    x, y, z = arm.T
+    zero = np.zeros_like(x)
+    return np.stack([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+
+
+def _same_warmth(parts: Sequence[Readings]) -> list[Readings]:
+    """Return the recordings with one mean temperature: each has a thermometer, and a reference, of its own."""
+    means = [_mean(part.temperature) for part in parts]
+    common = float(np.mean(means))
+    return [
+        dataclasses.replace(part, temperature=part.temperature + (common - mean))
+        for part, mean in zip(parts, means, strict=True)
+    ]
+
+
+def _stacked(parts: Sequence[Readings]) -> Readings:
+    arrays: dict[str, Any] = {}
+    for field in dataclasses.fields(Readings):
+        values = [getattr(part, field.name) for part in parts]
+        if any(isinstance(value, np.ndarray) for value in values):
+            whole = all(value is not None for value in values)
+            arrays[field.name] = np.concatenate(values) if whole else None
+    return dataclasses.replace(
+        parts[0],
+        **arrays,
+        provenance=_provenance([part.provenance for part in parts]),
+        notes=tuple(note for part in parts for note in part.notes),
+        conditions=(),
+    )
+
+
+def _provenance(each: Sequence[Provenance]) -> Provenance:
+    return Provenance(
+        path=", ".join(one.path for one in each),
+        kind=", ".join(dict.fromkeys(one.kind for one in each)),
+        sha256={f"{one.path}: {name}": digest for one in each for name, digest in one.sha256.items()},
+        messages={f"{one.path}: {name}": count for one in each for name, count in one.messages.items()},
+        start=min((one.start for one in each if one.start), default=""),
+    )
+
+
+def _cell(members: Sequence[Member], alone: Sequence[Identification], first: int, reference: int) -> Cell:
+    cell, model = members[first].cell, alone[reference].model
+    points = {
+        one.point(name): tuple(float(x) for x in found.model.points[name])
+        for one, found in zip(members, alone, strict=True)
+        for name in one.readings.points
+    }
+    frames = cell.frames.model_copy(
+        update={
+            "tracker": Pose(),
+            "force_torque": None if model.force_torque is None else pose_of(model.force_torque),
+            "wrench_point": None if model.wrench_point is None else tuple(float(x) for x in model.wrench_point),
+            "measurement_points": points,
+            "target_normals": {},
+        }
+    )
+    measurements = members[reference].cell.measurements
+    return cell.model_copy(update={"frames": frames, "measurements": measurements, "end_effector": None})
+
+
+def pose_of(pose: Float2D) -> Pose:
+    """Return a (4, 4) pose as the cell file has it."""
+    (x, y, z), (roll, pitch, yaw) = pose[:3, 3], rpy_of(pose[:3, :3])
+    return Pose(xyz=(float(x), float(y), float(z)), rpy=(float(roll), float(pitch), float(yaw)))
+
+
+def start_of(parameters: ModelParameters, merged: Merged) -> ModelParameters:
+    """Return a model to start from with the frames and points of the merged recordings."""
+    points: Mapping[str, Sequence[float]] = merged.cell.frames.measurement_points
+    count = len(merged.readings.each())
+    return parameters.replace(
+        tracker=np.eye(4),
+        points={name: np.array(point) for name, point in points.items()},
+        setups=np.tile(np.eye(4), (count, 1, 1)),
+    )
+
+
+def _mean(values: Float1D) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else 0.0

@@ -1,0 +1,1 @@
+"""What a cell allows: postures, loads and ways between them."""

@@ -1,1 +1,0 @@
-"""Planning and running a measurement, as pure functions and state machines."""

@@ -1,0 +1,1 @@
+"""Bags: rosbag2 directories and files, read and written."""

@@ -1,0 +1,1 @@
+"""Definitions of message types as text: parsed to fields, never evaluated."""

@@ -1,0 +1,1 @@
+"""Messages: serialised by a definition, to arrays and back."""

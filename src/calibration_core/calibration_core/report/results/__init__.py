@@ -1,0 +1,1 @@
+"""result.json: what an answer says to programs."""

@@ -1,0 +1,181 @@
+"""result.json of a diagnosis: the contract's keys (section 5), further keys after them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.comparison.result import Comparison
+from calibration_core.diagnosis.location import Located
+from calibration_core.diagnosis.result.finding import Diagnosis, Finding
+from calibration_core.identification.result.estimate import Identification, JointStiffness
+from calibration_core.identification.result.stiffness_interval import joint_stiffness
+from calibration_core.report.results.result import anomaly_record, plain, result_dict, stiffness_row, tested
+from calibration_core.report.results.traffic_light import with_light
+
+
+def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
+    """Return the content of result.json; numbers that are not finite are None."""
+    content = result_dict(diagnosis.identification, cell, "diagnose", further_files(diagnosis))
+    content["stiffness"] = [stiffness_row(joint) for joint in extended_joints(diagnosis)]
+    content["fit"] = {
+        "rms_before": diagnosis.rms_before,
+        "rms_after": diagnosis.rms_after,
+        "held_out_rms_before": diagnosis.held_out_before,
+        "held_out_rms_after": diagnosis.held_out_after,
+        "noise": diagnosis.noise,
+        "unit": "m",
+        **diagnosis.further_figures,
+    }
+    content |= judgement(diagnosis)
+    content["next_measurements"] = [
+        {
+            "q": list(proposal.q),
+            "wrench": list(proposal.wrench),
+            "why": proposal.why,
+            "steps": [list(step) for step in proposal.steps],
+            "gain": proposal.gain,
+            "gain_at_random": proposal.gain_at_random,
+            "gain_unit": proposal.gain_unit,
+        }
+        for proposal in diagnosis.next_measurements
+    ]
+    content["next_text"] = diagnosis.next_text
+    content["located"] = list(diagnosis.located)
+    content["where"] = None if diagnosis.where is None else where_dict(diagnosis.where)
+    content["small_effects"] = {"signal_to_noise": diagnosis.level}
+    content["blocks"] = {kind: {"before": b, "after": a} for kind, (b, a) in diagnosis.blocks.items()}
+    content["test"] = None if diagnosis.test is None else vars(diagnosis.test)
+    content["aliases"] = list(diagnosis.aliases)
+    content["comparison"] = None if diagnosis.comparison is None else comparison_dict(diagnosis.comparison)
+    return with_light({key: plain(value) for key, value in content.items()})
+
+
+def judgement(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return verdict, findings, anomalies and what stays unexplained: the same in every result that looked for them."""
+    rest = diagnosis.rest
+    return {
+        "verdict": diagnosis.verdict,
+        "findings": [_finding(finding) for finding in diagnosis.findings],
+        "anomalies": [anomaly_record(anomaly) for anomaly in diagnosis.anomalies],
+        "unexplained": {
+            "rms": rest.rms if rest.significant else 0.0,
+            "significant": rest.significant,
+            "where": dict(rest.where) if rest.significant else {},
+            "text": rest.text,
+        },
+    }
+
+
+def identified_dict(found: Identification, searched: Diagnosis | None, cell: Cell) -> dict[str, Any]:
+    """Return the content of the result.json of `identify`, judged by the search for missing physics.
+
+    Args:
+        found: What was identified with the standard's model.
+        searched: What the search says; None where there could be none: the residual alone then judges.
+        cell: The cell.
+    """
+    content = result_dict(found, cell)
+    if searched is None:
+        return content
+    return with_light({**content, **plain(judgement(searched))})
+
+
+def extended_joints(diagnosis: Diagnosis) -> tuple[JointStiffness, ...]:
+    """Return the joints in the extended model, where nothing is left out those of the standard's."""
+    return tuple(_extended(joint, diagnosis) for joint in diagnosis.identification.stiffness)
+
+
+def _extended(joint: JointStiffness, diagnosis: Diagnosis) -> JointStiffness:
+    loads = diagnosis.identification.kind != "absolute"
+    if joint.extended is not None or (diagnosis.compliance_covariance is not None and loads):
+        return joint.extended or joint
+    value, std = diagnosis.stiffness.get(joint.joint, (np.inf, np.inf))
+    if not (np.isfinite(value) and value > 0):
+        return joint
+    return joint_stiffness(
+        joint.joint,
+        1 / value,
+        std / value**2,
+        identifiable=joint.identifiable,
+        reason=joint.reason,
+        unit=joint.unit,
+    )
+
+
+def further_files(diagnosis: Diagnosis) -> dict[str, Mapping[str, str]]:
+    """Return role -> file -> SHA-256 of second recording, given model and simulation, where there are any."""
+    files = tested(diagnosis.identification)
+    return files if diagnosis.comparison is None else {**files, "simulation": diagnosis.comparison.sha256}
+
+
+def comparison_dict(comparison: Comparison) -> dict[str, Any]:
+    """Return the comparison with a simulation as plain values."""
+    steps = comparison.steps
+    return {
+        "simulation": comparison.simulation,
+        "readings": comparison.readings,
+        "configurations": comparison.configurations,
+        "reproduction": {**vars(comparison.reproduction), "unit": "m"},
+        "differences": [vars(difference) for difference in comparison.differences],
+        "step_by_step": None
+        if steps is None
+        else {
+            "rms": steps.rms,
+            "noise": steps.noise,
+            "slope": steps.slope,
+            "unit": "m",
+            "by_configuration": [vars(part) for part in steps.by_configuration],
+            "by_step": [vars(part) for part in steps.by_step],
+            "by_point": [vars(part) for part in steps.by_point],
+        },
+        "sentences": list(comparison.sentences),
+    }
+
+
+def where_dict(where: Located) -> dict[str, Any]:
+    """Return the location without a hypothesis as plain values."""
+    return {
+        "rms": where.rms,
+        "turn": where.turn,
+        "shift": where.shift,
+        "units": {"rms": "m", "turn": "rad", "shift": "m"},
+        "joints": [vars(share) for share in where.shares],
+        "dependences": [vars(dependence) for dependence in where.dependences],
+        "levels": [vars(level) for level in where.levels],
+        "memory": {"rms": where.memory, "chance": where.memory_chance, "unit": "m"},
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    return {
+        "effect": finding.effect,
+        "family": finding.family,
+        "location": dict(finding.location),
+        "parameters": [vars(parameter) for parameter in finding.parameters],
+        "evidence": {
+            "log_bayes_factor": finding.log_bayes_factor,
+            "held_out_gain": finding.held_out_gain,
+            "magnitude": finding.magnitude,
+            "unit": "m",
+        },
+        "cannot_be_told_from": [
+            {
+                "effect": other.effect,
+                "family": other.family,
+                "location": dict(other.location),
+                "log_bayes_factor": other.log_bayes_factor,
+            }
+            for other in finding.cannot_be_told_from
+        ],
+        "explanation": finding.explanation,
+        "separate_by": finding.separate_by,
+        "variant": finding.variant,
+        "stiffness_change": dict(finding.stiffness_change),
+        "refinements": list(finding.refinements),
+        "law_settled": finding.law_settled,
+        "shared_size": None if finding.shared_size is None else vars(finding.shared_size),
+    }

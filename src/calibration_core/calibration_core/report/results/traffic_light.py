@@ -1,0 +1,122 @@
+"""The traffic light of a result: whether it can be used, why, and what to do next (contract, section 7)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from calibration_core.identification.result.stiffness_interval import DETERMINED
+from calibration_core.model.effects.words import effect_sentence
+
+BLOCKING = frozenset({
+    "wrench_sign", "wrench_unit", "wrench_frame", "position_unit", "angle_unit", "joint_order", "point_order",
+    "wrong_robot_file", "no_relation",
+})  # fmt: skip
+
+
+WORDS = {
+    "yes": "Usable",
+    "with_reservations": "Usable with reservations",
+    "no": "Not usable: the input has to be put right first",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Light:
+    """The traffic light.
+
+    Attributes:
+        usable: `yes`, `with_reservations` or `no`.
+        reason: Why, in words.
+        next_step: What to do next; empty where there is nothing to do.
+    """
+
+    usable: str
+    reason: str
+    next_step: str
+
+    @property
+    def headline(self) -> str:
+        """The first line of a report."""
+        return WORDS[self.usable]
+
+    @property
+    def rows(self) -> tuple[tuple[str, str], ...]:
+        """Reason and next step as labelled lines, as far as there are some."""
+        rows = (("Why", self.reason), ("Next step", self.next_step))
+        return tuple((label, text[0].upper() + text[1:]) for label, text in rows if text)
+
+    @property
+    def line(self) -> str:
+        """The first line on a terminal."""
+        if self.usable == "no":
+            return f"not usable: {self.next_step}"
+        step = f"; next: {self.next_step}" if self.next_step else ""
+        return f"{self.headline.lower()}: {self.reason}{step}"
+
+
+def light_of(content: Mapping[str, Any]) -> Light:
+    """Return the light of the content of a result.json."""
+    return Light(content["usable"], content["reason"], content["next_step"])
+
+
+def with_light(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of result.json with `usable`, `reason` and `next_step`.
+
+    An anomaly of the input leaves no stiffness, no finding and the verdict `unexplained`.
+
+    Args:
+        content: The contract's keys, and `preconditions` where there are some.
+    """
+    anomalies: Sequence[Mapping[str, Any]] = content["anomalies"]
+    wrong = [anomaly for anomaly in anomalies if anomaly["kind"] in BLOCKING]
+    if wrong:
+        first = wrong[0]
+        step = first.get("remedy") or "put the input right, or use the files that belong together, and run this again"
+        emptied = {"stiffness": [], "findings": [], "verdict": "unexplained"}
+        return {**content, **emptied, "usable": "no", "reason": first["text"], "next_step": step}
+    reasons = list(_reservations(content, anomalies))
+    if not reasons:
+        return {**content, "usable": "yes", "reason": "the model explains the recording to its noise", "next_step": ""}
+    step = next((step for _, step in reasons if step), "")
+    reason = "; ".join(reason for reason, _ in reasons)
+    return {**content, "usable": "with_reservations", "reason": reason, "next_step": step}
+
+
+def _reservations(content: Mapping[str, Any], anomalies: Sequence[Mapping[str, Any]]) -> Sequence[tuple[str, str]]:
+    """Return what speaks against using a result as it stands, each with what to do about it."""
+    found: list[tuple[str, str]] = [
+        (f"{anomaly['kind'].replace('_', ' ')}: {anomaly['text'].rstrip('.')}", anomaly.get("remedy", ""))
+        for anomaly in anomalies
+    ]
+    if content["verdict"] != "consistent":
+        found.append(_missing(content))
+    unmet = [one for one in content.get("preconditions", ()) if one["shall"] and one["met"] is False]
+    found += [
+        (f"not as the standard demands ({one['clause']}): {one['requirement']}", f"measure with {one['requirement']}")
+        for one in unmet
+    ]
+    unknown = [one["joint"] for one in content["stiffness"] if not _determined(one)]
+    if unknown:
+        words = ", ".join(unknown)
+        found.append((f"not identifiable: {words}", f"measure configurations in which the load turns {words}"))
+    return found
+
+
+def _determined(joint: Mapping[str, Any]) -> bool:
+    """Say whether a joint's stiffness is known, of the extended model at the least: `identify` and `diagnose` agree."""
+    extended = joint.get("extended")
+    return joint["identifiable"] or (extended is not None and extended["value"] > DETERMINED * extended["std"])
+
+
+def _missing(content: Mapping[str, Any]) -> tuple[str, str]:
+    """Return what the standard's model leaves out, and what to do about it."""
+    findings: Sequence[Mapping[str, Any]] = content["findings"]
+    if not findings:
+        text = "the residual is more than noise, and nothing in the catalogue explains it"
+        return text, "run diagnose, see where the residual is largest, and measure there again"
+    names = "; ".join(dict.fromkeys(effect_sentence(one["effect"], one["location"]) for one in findings))
+    rest = ", and a part of the residual stays unexplained" if content["verdict"] == "partly_explained" else ""
+    step = "use the extended model that diagnose writes (model.yaml)"
+    return f"the standard's model leaves something out ({names}){rest}", step

@@ -1,0 +1,1 @@
+"""Answers as files: HTML, PDF, tables, and all of them together or none."""

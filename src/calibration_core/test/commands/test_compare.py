@@ -1,0 +1,94 @@
+"""`calibration compare`: recordings and output folders of one robot beside each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from program import CELL, KEYS, result_of, run
+
+from calibration_core.files.yaml_file import read_yaml, yaml_text
+
+
+@pytest.fixture(scope="module")
+def later(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of the same robot, its second joint softer by 15 %."""
+    folder = tmp_path_factory.mktemp("later")
+    content = read_yaml(CELL, 1 << 18, "cell").data
+    content["robot"]["stiffness"][1] *= 0.85
+    (folder / "soft.cell.yaml").write_text(yaml_text(content))
+    arguments = ("--cell", folder / "soft.cell.yaml", "--plan", planned / "plan.yaml", "--seed", 3, "--no-report")
+    assert run("simulate", *arguments, "--out", folder / "made") == 0
+    return folder / "made" / "measurements.csv"
+
+
+def differences(out: Path, pair: int = 0) -> dict[tuple[str, str], dict[str, object]]:
+    rows = result_of(out)["comparisons"][pair]["differences"]
+    return {(row["quantity"], row["location"]): row for row in rows}
+
+
+def test_two_recordings(simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("compare", simulated / "measurements.csv", later, "--cell", CELL, "--out", tmp_path / "out") == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"result.json", "report.html", "report.pdf"}
+    assert set(KEYS) <= set(result_of(tmp_path / "out"))
+    rows = differences(tmp_path / "out")
+    changed = [key for key, row in rows.items() if row["verdict"] == "changed"]
+    assert changed == [("stiffness", "joint_2")]
+    assert rows["stiffness", "joint_2"]["change"] == pytest.approx(-0.15, abs=0.04)
+    assert {quantity for quantity, _ in rows} == {"stiffness", "backlash", "hysteresis"}
+    text = capsys.readouterr().out
+    assert "joint_2" in text
+    assert "changed" in text
+
+
+def test_a_folder_beside_a_recording_and_three_dates(
+    simulated: Path, identified: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("--cell", CELL, "--no-report", "--out", tmp_path / "out")
+    dates = ("--dates", "2024-01-01", "2025-01-01", "2026-01-01")
+    assert run("compare", identified, simulated / "measurements.csv", later, *arguments, *dates) == 0
+    result = result_of(tmp_path / "out")
+    assert [row["date"][:4] for row in result["measurements"]] == ["2024", "2025", "2026"]
+    assert differences(tmp_path / "out", 1)["stiffness", "joint_2"]["verdict"] == "changed"
+    trend = {row["location"]: row for row in result["trends"]}
+    assert trend["joint_2"]["slope"] < 0
+    assert result["remarks"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("{one}", "--cell", "{cell}"), "two or more"),
+        (("{one}", "{two}", "--cell", "{cell}", "--cell", "{cell}", "--cell", "{cell}"), "one for each"),
+        (("{one}", "{two}", "--cell", "{cell}", "--dates", "2024-01-01"), "--dates"),
+        (("{one}", "{two}", "--cell", "{cell}", "--dates", "2024-01-01", "yesterday"), "ISO 8601"),
+        (("{one}", "{two}", "--cell", "{cell}", "--cell", "{other}"), "robot"),
+        (("{one}", "{old}", "--cell", "{cell}"), "schema 2"),
+    ],
+)
+def test_what_it_refuses(
+    arguments: tuple[str, ...],
+    text: str,
+    simulated: Path,
+    identified: Path,
+    later: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    content = read_yaml(CELL, 1 << 18, "cell").data
+    content["robot"]["name"] = "another robot"
+    (tmp_path / "other.cell.yaml").write_text(yaml_text(content))
+    old = tmp_path / "old"
+    old.mkdir()
+    model = read_yaml(identified / "model.yaml", 1 << 24, "model").data
+    new = {"parameters", "covariance", "valid_range", "robot_sha256"}
+    (old / "model.yaml").write_text(yaml_text({**{k: v for k, v in model.items() if k not in new}, "schema": 1}))
+    (old / "result.json").write_bytes((identified / "result.json").read_bytes())
+    files = {"one": simulated / "measurements.csv", "two": later, "cell": CELL, "other": tmp_path / "other.cell.yaml",
+             "old": old}  # fmt: skip
+    placed = [word.format(**files) for word in arguments]
+    assert run("compare", *placed, "--out", tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert len(error.splitlines()) <= 3  # progress may stand before the line
+    assert not (tmp_path / "out").exists()

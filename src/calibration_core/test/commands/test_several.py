@@ -1,0 +1,180 @@
+"""Several recordings of one robot on the command line: one result, one model, one report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from program import CELL, names, result_of, run
+
+import calibration_core as cal
+from calibration_core.files.yaml_file import read_yaml, yaml_text
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cell file of a later set-up: tracker and targets elsewhere."""
+    content = read_yaml(CELL, 1 << 18, "cell").data
+    content["frames"]["tracker"]["xyz"][0] += 0.4
+    points = content["frames"]["measurement_points"]
+    content["frames"]["measurement_points"] = {name: [x, y + 0.02, z] for name, (x, y, z) in points.items()}
+    urdf = content["robot"].get("urdf")
+    if urdf is not None:
+        content["robot"]["urdf"] = str((CELL.parent / urdf).resolve())
+    path = tmp_path_factory.mktemp("moved") / "moved.cell.yaml"
+    path.write_text(yaml_text(content))
+    return path
+
+
+@pytest.fixture(scope="module")
+def later(planned: Path, moved: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording in the later set-up."""
+    out = tmp_path_factory.mktemp("later")
+    arguments = ("--cell", moved, "--plan", planned / "plan.yaml", "--seed", 7, "--no-report", "--out", out / "made")
+    assert run("simulate", *arguments) == 0
+    return out / "made"
+
+
+@pytest.fixture(scope="module")
+def found(simulated: Path, later: Path, moved: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of `identify` on a table and a bag of two set-ups, report included."""
+    out = tmp_path_factory.mktemp("several") / "out"
+    recordings = (simulated / "measurements.csv", later / "recording")
+    assert run("identify", *recordings, "--cell", CELL, "--cell", moved, "--out", out) == 0
+    return out
+
+
+def intervals(result: dict) -> dict[str, float]:
+    return {row["joint"]: row["interval_95"][1] - row["interval_95"][0] for row in result["stiffness"]}
+
+
+def test_one_result_of_two_recordings(found: Path, identified: Path, simulated: Path) -> None:
+    assert {"result.json", "model.yaml", "table2.csv", "report.html", "report.pdf"} <= names(found)
+    result = result_of(found)
+    assert result["recording"]["file"] == str(simulated / "measurements.csv")
+    first, second = result["recordings"]
+    assert first == result["recording"]
+    assert {first["number"], second["number"]} == {1, 2}
+    assert first["configurations"] == second["configurations"] == 12
+    assert first["tracker"]["xyz"][0] + 0.4 == pytest.approx(second["tracker"]["xyz"][0], abs=1e-3)
+    assert result["agreement"]["agree"] is True
+    assert len(result["agreement"]["compared"]) == len(result["stiffness"])
+    alone = intervals(result_of(identified))
+    assert all(width < alone[joint] for joint, width in intervals(result).items())
+    shown = (found / "report.html").read_text(encoding="utf-8")
+    assert "Recordings evaluated together" in shown
+    assert "the recordings agree" in shown
+    assert "Joint stiffness by recording" in shown
+
+
+def test_the_model_is_read_as_any_other(
+    found: Path, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = simulated / "measurements.csv"
+    assert run("predict", table, "--cell", CELL, "--model", found / "model.yaml", "--out", tmp_path / "p") == 0
+    fit = result_of(tmp_path / "p")["fit"]
+    assert fit["rms_after"] < 1.3 * fit["noise"]
+    assert run("compare", found, table, "--cell", CELL, "--no-report", "--out", tmp_path / "c") == 0
+    assert result_of(tmp_path / "c")["measurements"][0]["configurations"] == 24
+    capsys.readouterr()
+    assert run("describe", found) == 0
+    text = capsys.readouterr().out
+    assert "The recordings agree." in text
+    assert str(table) in text
+
+
+def test_the_library_says_the_same(found: Path, simulated: Path, later: Path, moved: Path) -> None:
+    first = cal.load_recording(simulated / "measurements.csv", cal.load_cell(CELL))
+    second = cal.load_recording(later / "recording", cal.load_cell(moved))
+    result = cal.identify([first, second])
+    expected = [row["value"] for row in result_of(found)["stiffness"]]
+    np.testing.assert_allclose(result.stiffness, expected, rtol=1e-12)
+    with pytest.raises(cal.InputError, match="at least one"):
+        cal.identify([])
+
+
+def test_a_reading_is_taken_back_by_the_name_it_has_in_the_result(
+    simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recordings = (simulated / "measurements.csv", later / "measurements.csv")
+    arguments = (*recordings, "--cell", CELL, "--no-report", "--json", "--out", tmp_path / "out")
+    assert run("identify", *arguments, "--readmit", "1001:1:mp1@2") == 0
+    assert len(json.loads(capsys.readouterr().out)["recordings"]) == 2
+    assert run("identify", *arguments, "--readmit", "1:1:mp1") == 2
+    assert "1003:1:mp1@2" in capsys.readouterr().err
+
+
+def test_one_diagnosis_of_two_recordings(
+    simulated: Path, later: Path, moved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recordings = (simulated / "measurements.csv", later / "recording")
+    cells, out = ("--cell", CELL, "--cell", moved), tmp_path / "out"
+    assert run("diagnose", *recordings, *cells, "--out", out) == 0
+    result = result_of(out)
+    assert (result["verdict"], result["findings"], result["anomalies"]) == ("consistent", [], [])
+    assert [one["file"] for one in result["recordings"]] == [str(path) for path in recordings]
+    assert result["agreement"]["agree"] is True
+    assert "agreement: the recordings agree" in capsys.readouterr().out
+    assert "Recordings evaluated together" in (out / "report.html").read_text(encoding="utf-8")
+    first, second = (
+        cal.load_recording(path, cal.load_cell(cell)) for path, cell in zip(recordings, cells[1::2], strict=True)
+    )
+    together = cal.diagnose([first, second])
+    assert together.verdict == "consistent"
+    table, model = simulated / "measurements.csv", out / "model.yaml"
+    assert run("predict", table, "--cell", CELL, "--model", model, "--no-report", "--out", tmp_path / "p") == 0
+    fit = result_of(tmp_path / "p")["fit"]
+    assert fit["rms_after"] < 1.3 * fit["noise"]
+
+
+def test_a_simulation_is_compared_with_one_recording(
+    simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = simulated / "measurements.csv"
+    recordings = (table, later / "measurements.csv")
+    assert run("diagnose", *recordings, "--cell", CELL, "--simulation", table, "--out", tmp_path / "out") == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("cells", "text"), [(3, "3 cell files, expected one for all, or 2"), (0, "the following arguments are required")]
+)
+def test_as_many_cell_files_as_recordings_or_one(
+    cells: int, text: str, simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recordings = (simulated / "measurements.csv", later / "measurements.csv")
+    arguments = ("identify", *recordings, *(("--cell", CELL) * cells), "--out", tmp_path / "out")
+    if cells == 0:
+        with pytest.raises(SystemExit) as ended:
+            run(*arguments)
+        assert ended.value.code == 2
+    else:
+        assert run(*arguments) == 2
+    error = capsys.readouterr().err.strip()
+    assert text in error
+    assert "\n" not in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_blocked_recording_is_named(
+    simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = (later / "measurements.csv").read_text().splitlines()
+    columns = rows[0].split(",")
+    turned = [rows[0]]
+    for row in rows[1:]:
+        cells = row.split(",")
+        for name in ("fx", "fy", "fz", "tx", "ty", "tz"):
+            cells[columns.index(name)] = str(-float(cells[columns.index(name)]))
+        turned.append(",".join(cells))
+    wrong = tmp_path / "turned.csv"
+    wrong.write_text("\n".join(turned) + "\n")
+    arguments = ("--cell", CELL, "--no-report", "--out", tmp_path / "out")
+    assert run("identify", simulated / "measurements.csv", wrong, *arguments) == 0
+    result = result_of(tmp_path / "out")
+    assert result["usable"] == "no"
+    assert result["recording"]["file"] == str(wrong)
+    assert result["stiffness"] == []

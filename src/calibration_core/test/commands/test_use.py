@@ -1,0 +1,106 @@
+"""`deflect` and `compensate` as users run them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from program import result_of, run
+
+ROOT = Path(__file__).resolve().parents[4]
+CELL = ROOT / "config/cells/small.cell.yaml"
+ANGLES = "0.1 0.5 0.2 0.3 0.7 0.1"
+TASK = (
+    "q1,q2,q3,q4,q5,q6,fx,fy,fz,tx,ty,tz,path\n"
+    "0.1,0.5,0.2,0.3,0.7,0.1,50,0,-60,0,0,1,a\n"
+    "0.12,0.5,0.2,0.3,0.7,0.1,50,0,-60,0,0,1,a\n"
+    "0.1,0.5,0.2,0.3,0.0,0.1,50,0,-60,0,0,1,\n"
+)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("identified")
+    assert run("identify", ROOT / "bags/small_loaded", "--cell", CELL, "--out", out, "--no-report") == 0
+    return out / "model.yaml"
+
+
+def test_deflect(model: Path, tmp_path: Path) -> None:
+    options = ("--cell", CELL, "--model", model, "--out", tmp_path / "out")
+    assert run("deflect", *options, "--q", ANGLES, "--wrench", "50 0 -60 0 0 1") == 0
+    result = result_of(tmp_path / "out")
+    points = {row["point"]: row for row in result["deflections"]}
+    assert list(points) == ["tool", "mp1", "mp2", "mp3"]
+    assert points["tool"]["moved"][2] < 0
+    assert all(0 < u < 1e-3 for u in points["tool"]["u95"])
+    spring = result["stiffness_ellipsoid"][0]
+    assert 0 < spring["stiffness"][0] < spring["stiffness"][2]
+    with (tmp_path / "out" / "deflections.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(rows[0][name]) for name in ("dx", "dy", "dz", "rx", "ry", "rz")] == points["tool"]["moved"]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Stiffness of the tool" in page
+    assert "Deflection of the tool over the xz plane" in page
+    assert page.count("<figure") == page.count("<img") == 1  # the map
+
+
+def test_compensate(model: Path, tmp_path: Path) -> None:
+    (tmp_path / "task.csv").write_text(TASK)
+    options = ("--cell", CELL, "--model", model, "--out", tmp_path / "out")
+    assert run("compensate", tmp_path / "task.csv", *options) == 0
+    result = result_of(tmp_path / "out")
+    assert (result["rows"], result["compensated"]) == (3, 2)
+    assert result["refused"] == [{"row": 3, "reason": "near a singularity"}]
+    assert 0 < result["u95"]["mean"] < 1e-3
+    trajectory = yaml.safe_load((tmp_path / "out" / "trajectory.yaml").read_text())
+    with (tmp_path / "out" / "compensated.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(rows[1][f"q{j}"]) for j in range(1, 7)] == trajectory["points"][1]["positions"]
+    assert "near a singularity" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    # what is sent, deflects to where it should be: the corrected angles under the load
+    assert (
+        run(
+            "deflect",
+            *options,
+            "--q",
+            " ".join(rows[0][f"q{j}"] for j in range(1, 7)),
+            "--wrench",
+            "50 0 -60 0 0 1",
+            "--no-report",
+        )
+        == 0
+    )
+    assert np.isfinite(result_of(tmp_path / "out")["largest"]["value"])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("deflect", "--wrench", "1 2 3 0 0 0"), "--q"),
+        (("deflect", "--q", ANGLES), "--wrench"),
+        (("deflect", "--q", ANGLES, "--wrench", "1 2 3"), "--wrench"),
+        (("deflect", "--q", "1 2", "--wrench", "1 2 3 0 0 0"), "--q"),
+        (("deflect", "--q", "9 9 9 9 9 9", "--wrench", "1 2 3 0 0 0"), "beyond the limits"),
+        (("compensate", "task.csv", "--payload", "-1 0 0 0"), "--payload"),
+        (("compensate", "task.csv", "--seed-q", "a b"), "--seed-q"),
+        (("compensate", "nothing.csv"), "nothing.csv"),
+    ],
+)
+def test_what_cannot_be_used_is_named(
+    options: tuple[str, ...],
+    words: str,
+    model: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "task.csv").write_text(TASK)
+    assert run(*options, "--cell", CELL, "--model", model, "--out", tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,125 @@
+"""`calibration verify`: decision, certificate, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from program import CELL, KEYS, result_of, run
+
+from calibration_core.cell import load_cell
+from calibration_core.files.yaml_file import read_yaml, yaml_text
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording at other places than those of the model."""
+    folder = tmp_path_factory.mktemp("other")
+    arguments = ("--cell", CELL, "--no-report")
+    assert run("plan", *arguments, "--out", folder / "plan", "--configurations", 12, "--seed", 9) == 0
+    assert (
+        run("simulate", *arguments, "--plan", folder / "plan" / "plan.yaml", "--seed", 8, "--out", folder / "made") == 0
+    )
+    return folder / "made" / "measurements.csv"
+
+
+def named_cell(folder: Path) -> Path:
+    """The cell with everything that a certificate names."""
+    content = read_yaml(CELL, 1 << 18, "cell").data
+    content["robot"] |= {"maker": "A. Maker", "serial": "SN 4711"}
+    content["instruments"]["tracker"] |= {"serial": "LT 12", "calibrated": "2026-03-01"}
+    content["instruments"]["force_torque"] |= {"serial": "FT 34", "calibrated": "2026-02-01"}
+    content["certificate"] = {
+        "laboratory": "Laboratory of Robots, 1 Main Street", "customer": "A. Customer Ltd", "place": "Hall 3",
+        "operator": "A. Operator",
+    }  # fmt: skip
+    path = folder / "named.cell.yaml"
+    path.write_text(yaml_text(content))
+    return path
+
+
+def test_a_decision_with_a_certificate(identified: Path, other: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    model = identified / "model.yaml"
+    assert run("verify", other, "--cell", CELL, "--model", model, "--tolerance", 1e-4, "--out", out) == 0
+    assert {path.name for path in out.iterdir()} == {"result.json", "report.html", "report.pdf", "certificate.pdf"}
+    for name in ("report.pdf", "certificate.pdf"):
+        assert (out / name).read_bytes().startswith(b"%PDF")
+    result = result_of(out)
+    assert set(KEYS) <= set(result)
+    assert result["decision"] == "conforming"
+    assert result["decision_rule"]["standard"] == "ISO 14253-1"
+    assert len(result["places"]) == 12
+    assert result["uncertainty"]["expanded"] == pytest.approx(2 * result["uncertainty"]["standard"])
+    assert set(result["uncertainty"]["contributions"]) == {"tracker", "wrench", "geometry", "model", "repeatability"}
+    assert result["error"]["before"]["mean"] > 0
+    tight = tmp_path / "tight"
+    arguments = ("--cell", CELL, "--model", model, "--out", tight, "--no-report")
+    assert run("verify", other, *arguments, "--tolerance", 5e-6) == 0  # exit code 0, whatever it decides
+    assert result_of(tight)["decision"] in {"undecided", "not_conforming"}
+    assert {path.name for path in tight.iterdir()} == {"result.json"}
+
+
+def test_the_certificate_says_what_iso_iec_17025_asks_for(identified: Path, other: Path, tmp_path: Path) -> None:
+    """Clauses 7.8.2 and 7.8.4: who, for whom, what, with what, when, how well, by which rule."""
+    from calibration_core.acceptance.verification import verify
+    from calibration_core.model.identified.model_file import read_calibrated
+    from calibration_core.observations.observe import observe
+    from calibration_core.report.documents.verification import certificate_document
+
+    cell = load_cell(named_cell(tmp_path))
+    readings = observe(other, cell)
+    model = read_calibrated(identified / "model.yaml", load_cell(CELL))
+    found = verify(readings, cell, model, 1e-4)
+    document = certificate_document(found, cell, b"{}", {"model": {"model.yaml": "a" * 64}})
+    text = repr(document).replace("\\xa0", " ")
+    assert document.title == "Calibration certificate"
+    assert len(document.number) > 8
+    assert len(document.signatures) == 2
+    for words in (
+        "Laboratory of Robots, 1 Main Street", "A. Customer Ltd", "Hall 3", "A. Operator", "A. Maker", "SN 4711",
+        "LT 12", "2026-03-01", "FT 34", "2026-02-01", "Date of issue", "Date of the test", "relate only to the robot",
+        "except in full", "traceable to the SI", "ISO 14253-1", "95 %", "Uncertainty budget", "(k = 2)", "Temperature",
+        "Laser tracker", "Force/torque sensor", "Geometry, frames", "Repeatability", "before: the cell file",
+        "interval of calibration",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+def test_the_recording_of_the_model_itself_is_refused(
+    identified: Path, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("--cell", CELL, "--model", identified / "model.yaml", "--tolerance", 1e-4, "--out", tmp_path / "out")
+    assert run("verify", simulated / "recording", *arguments) == 2
+    text = capsys.readouterr().err
+    assert "was identified from" in text
+    assert not (tmp_path / "out").exists()
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    shutil.copy(identified / "model.yaml", alone / "model.yaml")
+    files = ("--cell", CELL, "--model", alone / "model.yaml", "--tolerance", 1e-4, "--out", tmp_path / "out")
+    assert run("verify", simulated / "recording", *files, "--no-report") == 0
+
+
+@pytest.mark.parametrize("tolerance", ["0", "-1e-4", "nan", "inf"])
+def test_a_tolerance_that_is_none(
+    tolerance: str, identified: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("--cell", CELL, "--model", identified / "model.yaml", "--out", tmp_path / "out")
+    assert run("verify", other, *arguments, f"--tolerance={tolerance}") == 2
+    assert "--tolerance" in capsys.readouterr().err
+
+
+def test_a_model_without_intervals_says_so(
+    identified: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = read_yaml(identified / "model.yaml", 1 << 24, "model").data
+    old = {key: value for key, value in content.items() if key not in {"parameters", "covariance", "valid_range",
+                                                                       "robot_sha256"}}  # fmt: skip
+    (tmp_path / "old.yaml").write_text(yaml_text({**old, "schema": 1}))
+    arguments = ("--cell", CELL, "--model", tmp_path / "old.yaml", "--tolerance", 1e-4, "--out", tmp_path / "out")
+    assert run("verify", other, *arguments, "--no-report") == 0
+    assert "states no covariance" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["intervals_of_the_model"] is False

@@ -1,0 +1,154 @@
+"""Several recordings diagnosed together: a cause at the robot is shared, one in a set-up names its recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robots import STIFFNESS
+from several_cases import measured, setup, together
+
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.evidence.extended import loaded_state
+from calibration_core.identification.stiffness.loaded import prepare_loaded
+from calibration_core.model.effects import candidates
+from calibration_core.model.effects.words import effect_sentence
+from calibration_core.model.parameters import AppliedEffect
+from calibration_core.outcomes.together.agreement import agreement
+from calibration_core.outcomes.together.diagnose import diagnose_together
+
+SIZES = {"compliance_x": 6e-8, "compliance_y": 5e-8, "compliance_xy": 1e-8}  # rad/(N*m)
+TILT = AppliedEffect("off_axis_compliance", {"joint": "joint_2"}, "before", SIZES)
+
+
+def test_a_cause_at_the_robot_is_shared(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    recordings = [measured(cell, k, 40 + k, effects=(TILT,)) for k, cell in enumerate(cells)]
+    found = diagnose_together(together(recordings, cells))
+    (finding,) = [one for one in found.findings if one.family == "structure"]
+    assert (finding.effect, dict(finding.location)) == ("off_axis_compliance", {"joint": "joint_2"})
+    for parameter in finding.parameters:
+        assert parameter.value == pytest.approx(TILT.parameters[parameter.name], abs=4 * parameter.std)
+    assert found.model is not None
+    assert [one.effect for one in found.model.effects] == ["off_axis_compliance"]
+    assert set(found.model.points) == {"mp1", "mp2", "mp3"}
+    assert found.identification.together is not None
+
+
+def test_a_cause_in_a_set_up_names_its_recording(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(3)]
+    gain = AppliedEffect("wrench_gain", {"sensor": "force_torque"}, "fx", {"gain_fx": 0.05})
+    recordings = [measured(cell, k, 45 + k, effects=(gain,) if k == 1 else ()) for k, cell in enumerate(cells)]
+    found = diagnose_together(together(recordings, cells, test=recordings[0]))
+    (finding,) = [one for one in found.findings if one.family == "load chain"]
+    assert (finding.effect, finding.location["recording"]) == ("wrench_gain", "B.csv")
+    assert "in recording 2" in finding.explanation
+    assert found.model is not None
+    assert found.model.effects == ()  # of the set-up of A, which was named first
+    assert not [name for name in found.estimate.names if name.startswith("effects")]
+    assert found.test is not None
+
+
+def test_a_tracker_or_point_that_stands_elsewhere_than_stated_names_its_recording(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    wrong = cells[1].frames.measurement_points["mp2"]
+    points = {**cells[1].frames.measurement_points, "mp2": (wrong[0], wrong[1] + 0.02, wrong[2])}
+    stated = cells[1].model_copy(update={"frames": cells[1].frames.model_copy(update={"measurement_points": points})})
+    recordings = [measured(cell, k, 50 + k) for k, cell in enumerate(cells)]
+    found = diagnose_together(together(recordings, [cells[0], stated]))
+    expected = diagnose(recordings[1], stated).findings
+    offsets = {one.location["recording"]: one for one in found.findings if one.effect == "measurement_point_offset"}
+    finding = offsets["B.csv"]
+    assert finding.location["point"] == "mp2"
+    (alone,) = [one for one in expected if one.effect == "measurement_point_offset"]
+    assert [p.value for p in finding.parameters] == pytest.approx([p.value for p in alone.parameters], rel=1e-9)
+    assert found.verdict == "missing_physics"
+
+
+def test_a_target_that_moved_names_its_recording(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    recordings = [measured(cells[0], 0, 55), measured(cells[1], 1, 56, slipped=(8, 1.5e-3))]
+    found = diagnose_together(together(recordings, cells))
+    (anomaly,) = [one for one in found.anomalies if one.kind == "target_moved"]
+    assert anomaly.location == {"point": "mp2", "recording": "B.csv"}
+
+
+def test_effects_of_a_set_up_are_each_recordings_own(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k) for k in range(2)]
+    prepared = together([measured(cell, k, 60 + k, configurations=4) for k, cell in enumerate(cells)], cells)
+    merged = prepared.merged
+    loaded = prepare_loaded(merged.readings, merged.cell, prepared.options)
+    state = loaded_state(loaded.problem, merged.cell, loaded.fit.compliance)
+    offered = candidates(state)
+    for effect in ("wrench_gain", "tracker_drift"):
+        several = [one for one in offered if one.effect == effect]
+        assert {one.location["recording"] for one in several} == {"1", "2"}
+        for one in several:
+            own = merged.readings.recording == int(str(one.location["recording"])) - 1
+            columns = one.columns(state)
+            assert np.abs(columns[own]).max() > 0
+            assert np.all(columns[~own] == 0)
+    assert not [one for one in offered if one.family == "structure" and "recording" in one.location]
+    assert effect_sentence("tracker_drift", {"tracker": "tracker", "recording": "2"}).endswith(" in recording 2")
+
+
+def test_a_recording_at_rest_and_a_loaded_one_are_one_estimate(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    geometry = 4e-4 * np.random.default_rng(3).standard_normal((6, 6))
+    recordings = [
+        measured(cells[0], 0, 20, configurations=0, rest=30, geometry=geometry),
+        measured(cells[1], 1, 21, configurations=12, geometry=geometry),
+    ]
+    prepared = together(recordings, cells)
+    found = diagnose_together(prepared)
+    assert not found.rest.significant
+    assert {one.family for one in found.findings} <= {"point chain"}  # points stand elsewhere than stated
+    assert {"compliance.joint_2", "geometry.joint_3.rx"} <= set(found.estimate.names)
+    best = min(alone.stiffness[1].std for alone in prepared.alone if alone.stiffness)
+    value, std = found.stiffness["joint_2"]
+    assert std < best
+    assert value == pytest.approx(STIFFNESS[1], abs=4 * std)
+
+
+def test_what_is_left_out_at_rest_is_shared_too(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    wave = AppliedEffect("transmission_error", {"joint": "joint_3"}, "order 2", {"cosine": 4e-4, "sine": -2e-4})
+    recordings = [measured(cell, k, 30 + k, configurations=0, rest=60, effects=(wave,)) for k, cell in enumerate(cells)]
+    found = diagnose_together(together(recordings, cells))
+    assert [(one.effect, dict(one.location)) for one in found.findings] == [
+        ("transmission_error", {"joint": "joint_3"})
+    ]
+    assert found.model is not None
+    assert found.model.effects[0].parameters["cosine"] == pytest.approx(4e-4, abs=4e-5)
+    assert found.identification.together is not None
+    assert found.identification.together.disagreements == ()
+
+
+def test_what_the_standard_leaves_out_is_no_difference_between_recordings(tmp_path: Path) -> None:
+    """Each recording's own postures turn one gear error into other parameters of the standard's model."""
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(3)]
+    wave = AppliedEffect("transmission_error", {"joint": "joint_3"}, "order 2", {"cosine": 4e-4, "sine": -2e-4})
+    recordings = [
+        measured(cell, k, 140 + k, configurations=0, rest=60, effects=(wave,)) for k, cell in enumerate(cells)
+    ]
+    prepared = together(recordings, cells)
+    _, differing = agreement([one.file for one in prepared.members], [one.estimate for one in prepared.alone])
+    assert differing
+    found = diagnose_together(prepared)
+    assert [one.effect for one in found.findings] == ["transmission_error"]
+    assert found.identification.together is not None
+    assert "geometry.joint_3.rz" in found.identification.together.compared
+    assert found.identification.together.disagreements == ()
+    assert not [one for one in found.anomalies if one.kind == "recordings_differ"]
+
+
+def test_a_joint_that_has_changed_is_said_beside_what_is_left_out(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(3)]
+    softer = [value * (0.85 if joint == 1 else 1.0) for joint, value in enumerate(STIFFNESS)]
+    recordings = [
+        measured(cell, k, 40 + k, effects=(TILT,), stiffness=softer if k == 2 else None) for k, cell in enumerate(cells)
+    ]
+    found = diagnose_together(together(recordings, cells))
+    differing = [one for one in found.anomalies if one.kind == "recordings_differ"]
+    assert {"joint": "joint_2", "recording": "C.csv"} in [dict(one.location) for one in differing]

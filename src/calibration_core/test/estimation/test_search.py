@@ -1,0 +1,107 @@
+"""The search on small linear models: one cause rather than two, and what a recording shows of a hypothesis counts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.estimation.blocks import Blocks
+from calibration_core.estimation.field import Field
+from calibration_core.estimation.hypotheses import Offered, offer
+from calibration_core.estimation.search import Search
+from calibration_core.model.effects.candidate import Candidate, Parameter
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float2D, Float3D
+
+READINGS, BLOCKS = 120, 10
+FLAT = 3
+
+
+def nothing(state: State) -> Float3D:
+    return np.zeros((state.m, 3, 0))
+
+
+def candidate(effect: str, joint: str, variant: str, count: int, *, positive: bool = False) -> Candidate:
+    parameters = tuple(Parameter(f"p{k}", "1", 1.0, positive=positive) for k in range(count))
+    return Candidate(effect, "structure", {"joint": joint}, variant, parameters, nothing)
+
+
+def searched(residual: np.ndarray, flat: Float2D, columns: Float2D, candidates: list[Candidate]) -> list[str]:
+    """Return the variants that are accepted."""
+    offered: Offered = offer(candidates)
+    label = np.arange(READINGS) * BLOCKS // READINGS
+    partitions = (Blocks("time", label), Blocks("posture", np.arange(READINGS) % BLOCKS))
+    field = Field.of(residual, flat, np.zeros((len(residual), 0)), columns, offered, partitions)
+    selection = Search(field, lambda _: "").run()
+    return [offered.hypotheses[i].variant for i in selection.accepted]
+
+
+def drawn(seed: int, count: int) -> tuple[np.random.Generator, Float2D, Float2D]:
+    rng = np.random.default_rng(seed)
+    return rng, rng.standard_normal((3 * READINGS, FLAT)), rng.standard_normal((3 * READINGS, count))
+
+
+def test_the_wider_form_of_one_cause_is_preferred_to_two_causes() -> None:
+    """A simple form of the first joint enters first; the other joint resembles what it leaves."""
+    rng, flat, columns = drawn(1, 5)
+    simple, wide, noise = columns[:, :1], columns[:, :3].copy(), rng.standard_normal(3 * READINGS)
+    wide[:, 0] = simple[:, 0]
+    truth = wide @ np.array([1.0, 0.5, 0.4])
+    near = wide[:, 1:] @ np.array([0.5, 0.4]) + 0.1 * columns[:, 4]
+    every = np.column_stack([simple, wide, near])
+    candidates = [
+        candidate("bending", "joint_1", "simple", 1),
+        candidate("bending", "joint_1", "wide", 3),
+        candidate("bending", "joint_2", "near", 1),
+    ]
+    assert searched(truth + noise, flat, every, candidates) == ["wide"]
+
+
+def test_a_hypothesis_is_judged_though_the_null_model_takes_up_one_of_its_columns() -> None:
+    rng, flat, columns = drawn(2, 3)
+    columns[:, 2] = flat[:, 0]  # as the turn of a tool about the last joint's axis
+    truth = columns @ np.array([0.6, -0.5, 0.7])
+    candidates = [candidate("bending", "joint_1", "three springs", 3)]
+    assert searched(truth + rng.standard_normal(3 * READINGS), flat, columns, candidates) == ["three springs"]
+    candidates = [candidate("bending", "joint_1", "one spring", 1)]
+    assert searched(truth, flat, columns[:, 2:], candidates) == []
+
+
+def test_a_large_cause_is_told_from_what_resembles_it() -> None:
+    """At the noise of a model without it, a large cause and what resembles it would gain alike."""
+    rng, flat, columns = drawn(3, 2)
+    true, like = columns[:, 0], columns[:, 0] + 0.3 * columns[:, 1]
+    candidates = [candidate("bending", "joint_1", "like", 1), candidate("bending", "joint_2", "true", 1)]
+    residual = 100.0 * true + rng.standard_normal(3 * READINGS)
+    assert searched(residual, flat, np.column_stack([like, true]), candidates) == ["true"]
+
+
+def test_nothing_is_accepted_of_noise() -> None:
+    rng, flat, columns = drawn(4, 6)
+    candidates = [candidate("bending", f"joint_{k}", "one", 1) for k in range(6)]
+    assert searched(rng.standard_normal(3 * READINGS), flat, columns, candidates) == []
+
+
+def test_what_a_later_cause_turns_negative_goes() -> None:
+    """Alone the first compliance takes up most of the second, which resembles it; beside it, it would be negative."""
+    rng, flat, columns = drawn(5, 2)
+    second = columns[:, 0]
+    first = second + 0.4 * columns[:, 1]
+    truth = 30.0 * second - 2.0 * first
+    candidates = [
+        candidate("bending", "joint_1", "first", 1, positive=True),
+        candidate("bending", "joint_2", "second", 1, positive=True),
+    ]
+    residual = truth + rng.standard_normal(3 * READINGS)
+    assert searched(residual, flat, np.column_stack([first, second]), candidates) == ["second"]
+    free = [candidate("bending", f"joint_{k}", name, 1) for k, name in ((1, "first"), (2, "second"))]
+    assert searched(residual, flat, np.column_stack([first, second]), free) == ["second", "first"]
+
+
+def test_neither_a_family_nor_what_stands_in_its_stead_holds_a_negative_member() -> None:
+    rng, flat, columns = drawn(6, 3)
+    residual = columns @ np.array([1.5, 1.2, -0.9]) + rng.standard_normal(3 * READINGS)
+    candidates = [candidate("bending", f"joint_{k}", "one", 1, positive=True) for k in range(3)]
+    assert searched(residual, flat, columns, candidates) == ["one", "one"]  # of joint_0 and joint_1
+    assert searched(residual, flat, columns, [candidate("bending", f"joint_{k}", "one", 1) for k in range(3)]) == [
+        "one"
+    ]

@@ -1,0 +1,43 @@
+"""Effects in people's words."""
+
+from __future__ import annotations
+
+import pytest
+
+from calibration_core.model.effects import catalogue
+from calibration_core.model.effects.words import SENTENCES, effect_sentence, people_unit, plain_name
+from calibration_core.report.sections.diagnosis import _parameter
+
+
+def test_every_effect_of_the_catalogue_has_a_sentence() -> None:
+    assert {effect.name for effect in catalogue()} <= set(SENTENCES)
+
+
+@pytest.mark.parametrize(
+    ("effect", "location", "sentence"),
+    [
+        ("link_bending", {"link": "link_2"}, "link 2 bends"),
+        ("joint_coupling", {"joints": ["joint_2", "joint_3"]}, "joint 2 and joint 3 are coupled elastically"),
+        ("backlash", {"joint": "joint_a1"}, "joint_a1 has backlash"),
+        ("tool_compliance", {"tool": "tool"}, "the tool gives way"),
+        ("joint_zero_offset", {"joints": "all"}, "the zero of every joint is off"),
+        ("thermal_growth", {}, "the robot grows with its temperature"),
+        ("measurement_point_offset", {"point": "mp1"}, "target mp1 is at another place than stated"),
+        ("something_new", {"joint": "joint_4"}, "something new at joint 4"),
+    ],
+)
+def test_sentences(effect: str, location: dict[str, str | list[str]], sentence: str) -> None:
+    assert effect_sentence(effect, location) == sentence
+
+
+def test_names_and_units() -> None:
+    assert plain_name("shoulder_pan_joint") == "shoulder_pan_joint"
+    assert people_unit("N*m/rad") == "N·m/rad"
+
+
+def test_a_compliance_is_printed_as_the_stiffness_that_it_is() -> None:
+    name, value, interval, unit = _parameter("compliance x", 2.0e-7, 1.0e-8, "rad/(N*m)")
+    assert (name, value, unit) == ("stiffness x", "5.00·10⁶", "N·m/rad")
+    assert interval == "4.55·10⁶ to 5.54·10⁶"
+    assert _parameter("compliance x", 2.0e-8, 2.0e-8, "rad/(N*m)")[2].startswith("above ")
+    assert _parameter("gain", 0.02, 0.001, "1")[1] == "0.0200"

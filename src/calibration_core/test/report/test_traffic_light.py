@@ -1,0 +1,28 @@
+"""The light is the same from `identify` and `diagnose`: a joint that the extended model determines is none to name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from calibration_core.report.results.traffic_light import with_light
+
+
+def content(**stiffness: Any) -> dict[str, Any]:
+    return {"anomalies": [], "findings": [], "verdict": "consistent", "stiffness": [{"joint": "joint_5", **stiffness}]}
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "named"),
+    [
+        ({"identifiable": True}, False),
+        ({"identifiable": False}, True),
+        ({"identifiable": False, "extended": {"value": 18877.0, "std": 4460.0}}, False),
+        ({"identifiable": False, "extended": {"value": 31664.0, "std": 36580.0}}, True),
+    ],
+)
+def test_a_joint_is_named_where_neither_model_determines_it(stiffness: dict[str, Any], *, named: bool) -> None:
+    light = with_light(content(**stiffness))
+    assert ("not identifiable: joint_5" in light["reason"]) is named
+    assert light["usable"] == ("with_reservations" if named else "yes")
