@@ -6,7 +6,7 @@ setup(
     name="calibration_sim",
     version="0.1.0",
     packages=find_packages(include=["calibration_sim", "calibration_sim.*"]),
-    entry_points={"console_scripts": ["simulated_cell = calibration_sim.node:main"]},
+    entry_points={"console_scripts": ["simulated_cell = calibration_sim.executable:simulated_cell"]},
     python_requires=">=3.11",
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/calibration_sim"]),

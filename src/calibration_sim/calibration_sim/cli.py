@@ -9,13 +9,14 @@ from pathlib import Path
 
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError, RecordingError
-from calibration_core.recording.bag_writer import write_bag
-from calibration_core.recording.table import write_table
-from calibration_sim.configurations import random_protocol
-from calibration_sim.protocol import read_plan
-from calibration_sim.streams import simulate_recording
-from calibration_sim.table import simulate_readings
-from calibration_sim.truth import ROUGH, WORKSHOP, draw_truth, write_truth
+from calibration_core.recording.bags.writer import write_bag
+from calibration_core.recording.tables.table import write_table
+from calibration_sim.cell.configurations import random_protocol
+from calibration_sim.cell.protocol import read_plan
+from calibration_sim.cell.streams import simulate_recording
+from calibration_sim.cell.table import simulate_readings
+from calibration_sim.cell.truth import ROUGH, WORKSHOP, draw_truth, write_truth
+from calibration_sim.plant import DAYS, plant, write_plant
 
 UNUSABLE_INPUT = 2
 
@@ -24,10 +25,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; return 0, or 2 with one line on stderr where the input cannot be used."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    if options.storage == "sqlite3" and options.compression == "lz4":
+    if options.action is _record and options.storage == "sqlite3" and options.compression == "lz4":
         parser.error("--compression lz4 exists for mcap alone")
     try:
-        _record(options)
+        options.action(options)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return UNUSABLE_INPUT
@@ -67,7 +68,9 @@ def _compression(options: argparse.Namespace) -> str | None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="calibration-sim", description="A simulated measurement cell.")
-    record = parser.add_subparsers(required=True, metavar="COMMAND").add_parser(
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _plant_arguments(commands)
+    record = commands.add_parser(
         "record", help="record a measurement of a simulated cell", description="Writes a rosbag2 directory."
     )
     record.add_argument("--cell", type=Path, required=True, help="cell file (YAML)")
@@ -81,7 +84,30 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("--imperfect", action="store_true", help="frames, points and geometry differ from the cell's")
     record.add_argument("--table", type=Path, metavar="FILE.csv", help="write a measurement table besides")
     record.add_argument("--truth-out", type=Path, metavar="FILE.yaml", help="write down what is hidden")
+    record.set_defaults(action=_record)
     return parser
+
+
+def _plant_arguments(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser(
+        "plant", help="measure the robots of a simulated plant", description="Writes plant.csv for calibration fleet."
+    )
+    parser.add_argument("--out", type=Path, required=True, help="directory to write, must not exist yet")
+    parser.add_argument("--robots", type=_positive, default=600, help="how many, of six types (default 600)")
+    parser.add_argument("--dates", type=_positive, choices=range(1, len(DAYS) + 1), default=3, metavar="N",
+                        help="how many, half a year apart (default 3)")  # fmt: skip
+    parser.add_argument("--spread", type=float, default=0.03, help="between sisters, of ln stiffness (default 0.03)")
+    parser.add_argument("--seed", type=_natural, default=0, help="of everything (default 0)")
+    parser.add_argument("--jobs", type=_positive, default=1, help="processes (default 1)")
+    parser.set_defaults(action=_plant)
+
+
+def _plant(options: argparse.Namespace) -> None:
+    if options.out.exists():
+        raise RecordingError(options.out, "", "something", "a path that does not exist yet")
+    recordings = plant(options.seed, options.robots, options.dates, options.spread)
+    manifest = write_plant(recordings, options.out, options.jobs)
+    sys.stdout.write(f"{manifest}: {len(recordings)} recordings of {options.robots} robots\n")
 
 
 def _natural(text: str) -> int:

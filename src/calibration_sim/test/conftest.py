@@ -11,8 +11,8 @@ import yaml
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.files.yaml_file import yaml_text
-from calibration_sim.chain import Chain, Link
-from calibration_sim.transforms import translation
+from calibration_sim.mechanics.chain import Chain, Link
+from calibration_sim.mechanics.transforms import translation
 
 CELLS = Path(__file__).resolve().parents[3] / "config" / "cells"
 

@@ -10,12 +10,12 @@ import pytest
 
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError
-from calibration_sim.chain import read_chain
-from calibration_sim.configurations import random_protocol
-from calibration_sim.protocol import Configuration, Protocol
-from calibration_sim.statics import Mechanism
-from calibration_sim.table import solve
-from calibration_sim.truth import nominal_truth
+from calibration_sim.cell.configurations import random_protocol
+from calibration_sim.cell.protocol import Configuration, Protocol
+from calibration_sim.cell.table import solve
+from calibration_sim.cell.truth import nominal_truth
+from calibration_sim.mechanics.chain import read_chain
+from calibration_sim.mechanics.statics import Mechanism
 
 Changed = Callable[..., Cell]
 

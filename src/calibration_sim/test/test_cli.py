@@ -12,13 +12,13 @@ from rosbags.rosbag2 import Reader
 
 from calibration_core.cell import Cell
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.recording.bag import read_bag
-from calibration_core.recording.table import read_table
+from calibration_core.recording.bags.bag import read_bag
+from calibration_core.recording.tables.table import read_table
+from calibration_sim.cell.configurations import random_protocol
+from calibration_sim.cell.streams import simulate_recording
+from calibration_sim.cell.table import simulate_readings
+from calibration_sim.cell.truth import draw_truth
 from calibration_sim.cli import main
-from calibration_sim.configurations import random_protocol
-from calibration_sim.streams import simulate_recording
-from calibration_sim.table import simulate_readings
-from calibration_sim.truth import draw_truth
 
 TOPICS = {
     "/joint_states": "sensor_msgs/msg/JointState",

@@ -8,20 +8,20 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from calibration_sim.chain import Chain
-from calibration_sim.influence import background, signal_to_noise
-from calibration_sim.laws.effect import At, Label, Session
-from calibration_sim.laws.joints import DeadZone, Hardening, LogCreep, MaxwellSlip, SoftZone
-from calibration_sim.laws.load_chain import SensorHysteresis
-from calibration_sim.laws.structure import Base, Beam, Bearing, Compensator, Tool
-from calibration_sim.makers import ANOMALIES, CATALOGUE, MAKERS, OUTSIDE
-from calibration_sim.makers.draw import Draw
-from calibration_sim.protocol import Protocol
-from calibration_sim.protocols import make_protocol
-from calibration_sim.robots import MAGNITUDES, ROBOTS, robot_cell
-from calibration_sim.statics import Mechanism
-from calibration_sim.truth import draw_truth
-from calibration_sim.world import World, play
+from calibration_sim.cell.protocol import Protocol
+from calibration_sim.cell.truth import draw_truth
+from calibration_sim.effect_models.effect import At, Label, Session
+from calibration_sim.effect_models.joints import DeadZone, Hardening, LogCreep, MaxwellSlip, SoftZone
+from calibration_sim.effect_models.load_chain import SensorHysteresis
+from calibration_sim.effect_models.structure import Base, Beam, Bearing, Compensator, Tool
+from calibration_sim.generators import ANOMALIES, CATALOGUE, GENERATORS, OUTSIDE
+from calibration_sim.generators.draw import Draw
+from calibration_sim.generators.robots import MAGNITUDES, ROBOTS, robot_cell
+from calibration_sim.mechanics.chain import Chain
+from calibration_sim.mechanics.statics import Mechanism
+from calibration_sim.scenarios.influence import background, signal_to_noise
+from calibration_sim.scenarios.protocols import make_protocol
+from calibration_sim.scenarios.world import World, play
 
 Planar = Callable[[list[float], list[float]], Chain]
 ANY = Label("structure", "any", {})
@@ -212,7 +212,7 @@ def _loudness(robot: str, kind: str, names: Sequence[str], draws: int) -> dict[s
         for k in range(draws):
             place = k % 3 if name == "off_axis_compliance" else None  # the arm's bearings, as in the study
             rng = np.random.default_rng((5, k))
-            effects.append(MAKERS[name](Draw(MAGNITUDES[robot], np.array(cell.robot.stiffness), 1.0, rng, place)))
+            effects.append(GENERATORS[name](Draw(MAGNITUDES[robot], np.array(cell.robot.stiffness), 1.0, rng, place)))
         ratios = [signal_to_noise(known, play(world.with_effects(effect), protocol)) for effect in effects]
         found[name] = float(np.median(ratios))
     return found
@@ -240,7 +240,7 @@ def test_labels_speak_the_vocabulary(name: str) -> None:
     cell = robot_cell("heavy")
     draw = Draw(MAGNITUDES["heavy"], np.array(cell.robot.stiffness), 1.0, np.random.default_rng(0))
     again = dataclasses.replace(draw, rng=np.random.default_rng(0), amplitude=2.0)
-    label, other = MAKERS[name](draw).label, MAKERS[name](again).label
+    label, other = GENERATORS[name](draw).label, GENERATORS[name](again).label
     assert label.effect == name
     assert label.location == other.location  # the amplitude does not touch what is drawn
     expected = "anomaly" if name in ANOMALIES else "outside" if name in OUTSIDE else None

@@ -9,17 +9,17 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from calibration_core.cell import Cell
-from calibration_sim.chain import read_chain
-from calibration_sim.faults import Fault, Faults, Kind
-from calibration_sim.live import BRAKING, LiveCell, Path, Refused
-from calibration_sim.live_sensors import LiveNoise, LiveSensors
-from calibration_sim.mjcf import Spring
-from calibration_sim.motion_log import MotionLog, true_speeds
-from calibration_sim.schedule import Schedule
-from calibration_sim.sensors import stream_noise
-from calibration_sim.streams import Rates
-from calibration_sim.table import build_mechanism, solve_states
-from calibration_sim.truth import Truth, nominal_truth
+from calibration_sim.cell.sensors import stream_noise
+from calibration_sim.cell.streams import Rates
+from calibration_sim.cell.table import build_mechanism, solve_states
+from calibration_sim.cell.truth import Truth, nominal_truth
+from calibration_sim.living_cell.faults import Fault, Faults, Kind
+from calibration_sim.living_cell.live import BRAKING, LiveCell, Path, Refused
+from calibration_sim.living_cell.live_sensors import LiveNoise, LiveSensors
+from calibration_sim.living_cell.motion_log import MotionLog, TruthLog, true_places, true_speeds
+from calibration_sim.living_cell.schedule import Schedule
+from calibration_sim.mechanics.chain import read_chain
+from calibration_sim.mechanics.mjcf import Spring
 
 START = np.array([0.1, -0.4, 0.5, 0.2, -0.3, 0.1])
 GOAL = START + np.array([0.2, 0.1, -0.1, 0.3, 0.2, -0.2])
@@ -176,6 +176,25 @@ def test_motion_log_tells_the_true_speed(live: LiveCell, tmp_path: FilePath) -> 
     at = found[np.argmin(np.abs(found[:, 0] - 1.0)), 1]
     assert at == pytest.approx(speed, rel=0.05)
     assert at >= speed * 0.999
+
+
+def test_truth_log_tells_where_the_points_are(live: LiveCell, tmp_path: FilePath) -> None:
+    log = TruthLog(tmp_path / "truth.log")
+    live.pull([0.0, 0.0, -1000.0, 0.0, 0.0, 0.0], 0.5)
+    seen = []
+    for _ in range(6):
+        live.advance(live.time + 0.1)
+        log.add(live)
+        seen.append(live.points())
+    log.close()
+    with (tmp_path / "truth.log").open("ab") as file:
+        file.write(b"half a row")
+    time, q, load, points = true_places(tmp_path / "truth.log", len(live.q), len(live.truth.points))
+    np.testing.assert_allclose(time, 0.1 * np.arange(1, 7))
+    np.testing.assert_array_equal(q, np.tile(live.q, (6, 1)))
+    np.testing.assert_allclose(load[:, 2], [-200.0, -400.0, -600.0, -800.0, -1000.0, -1000.0])
+    np.testing.assert_array_equal(points, seen)
+    assert np.linalg.norm(points[-1] - points[0], axis=1).max() > 1e-4
 
 
 def test_noise_is_that_of_the_streams() -> None:

@@ -11,11 +11,12 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
 from calibration_core.files.yaml_file import yaml_text
-from calibration_sim.chain import read_chain
-from calibration_sim.configurations import random_protocol
-from calibration_sim.protocol import FOUR_STEPS, NINE_STEPS, oblique_direction, pull, rated_force, read_plan
-from calibration_sim.statics import Mechanism
-from calibration_sim.transforms import placement
+from calibration_sim.cell import configurations
+from calibration_sim.cell.configurations import random_protocol
+from calibration_sim.cell.protocol import FOUR_STEPS, NINE_STEPS, oblique_direction, pull, rated_force, read_plan
+from calibration_sim.mechanics.chain import read_chain
+from calibration_sim.mechanics.statics import Mechanism
+from calibration_sim.mechanics.transforms import placement
 
 ROW = {"number": 1, "q": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "spare": False, "steps": [[0] * 6, [0, 0, -500.0, 0, 0, 0]]}
 
@@ -132,3 +133,14 @@ def test_a_cell_that_sees_nothing_is_refused(demo: Cell, changed: Callable[..., 
     )
     with pytest.raises(PlanError, match="0 configurations"):
         random_protocol(narrow, 2, 0)
+
+
+def test_configurations_do_not_depend_on_how_many_are_looked_at_together(
+    demo: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not only the configurations: the directions of the pulls are drawn from the same numbers after them."""
+    together = random_protocol(demo, 12, 5)
+    monkeypatch.setattr(configurations, "BLOCK", 1)
+    for one, other in zip(together.configurations, random_protocol(demo, 12, 5).configurations, strict=True):
+        np.testing.assert_array_equal(one.q, other.q)
+        np.testing.assert_array_equal(one.wrenches, other.wrenches)

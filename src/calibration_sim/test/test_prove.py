@@ -1,59 +1,18 @@
-"""The proof: what is written, what the diagnosis is told, how it is scored, and what the table says."""
+"""The proof: how a diagnosis is scored, and what the table says."""
 
 from __future__ import annotations
 
 import dataclasses
-import io
-import json
-import os
-import shlex
-import sys
-import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from calibration_sim.proving import batch
-from calibration_sim.proving.cli import main
+from calibration_sim.proving.diagnosing import Run
 from calibration_sim.proving.measures import PLACES, Case, Measure, markdown, measures, power, wrong
-from calibration_sim.proving.running import Run, Settings, read_run, result_path, run_all
 from calibration_sim.proving.scoring import same_place, score
-from calibration_sim.proving.writing import open_labels, recording_digest, write_recordings
-from calibration_sim.scenarios import grid
 
 CONSISTENT: dict[str, Any] = {"schema": 1, "verdict": "consistent", "findings": [], "anomalies": [], "stiffness": []}
-# A stand-in for the diagnosis: notes what it was told, says "consistent", fails where asked to.
-PROGRAM = f"""
-import json, pathlib, sys, time
-args = sys.argv[1:]
-out = pathlib.Path(args[args.index("--out") + 1])
-with open(pathlib.Path(__file__).with_name("calls.txt"), "a") as calls:
-    calls.write(json.dumps(args) + "\\n")
-mode = pathlib.Path(__file__).with_name("mode.txt").read_text()
-if mode == "fail":
-    sys.exit("measurements.csv: line 3: found 'x', expected a number")
-if mode == "hang":
-    time.sleep(60)
-(out / "result.json").write_text(json.dumps({CONSISTENT!r}))
-"""
-
-
-@pytest.fixture
-def program(tmp_path: Path) -> Path:
-    path = tmp_path / "program.py"
-    path.write_text(PROGRAM)
-    (tmp_path / "mode.txt").write_text("well")
-    return path
-
-
-def _command(program: Path) -> tuple[str, ...]:
-    return sys.executable, str(program)
-
-
-def _calls(program: Path) -> list[list[str]]:
-    return [json.loads(line) for line in program.with_name("calls.txt").read_text().splitlines()]
 
 
 def _effect(effect: str = "off_axis_compliance", **changes: Any) -> dict[str, Any]:
@@ -124,9 +83,9 @@ def test_an_exact_alias_counts_as_the_effect() -> None:
     outcome = score(_label(effect), _result(finding))
     assert outcome.first_right is True
     assert outcome.place_right == (True,)
-    assert not outcome.aliases_said
+    assert not outcome.aliases_named
     said = {**finding, "cannot_be_told_from": [{"effect": effect["effect"], "location": effect["location"]}]}
-    assert score(_label(effect), _result(said)).aliases_said
+    assert score(_label(effect), _result(said)).aliases_named
 
 
 def test_a_wrong_name_is_wrong_and_a_second_one_is_false() -> None:
@@ -240,118 +199,6 @@ def test_a_recording_without_a_result_counts_against() -> None:
     assert _measure(cases, "nothing missing: a finding").value == pytest.approx(1.0)
     assert _measure(cases, "effect right, typical, with unloading").value == pytest.approx(0.0)
     assert _measure(cases, "diagnoses that failed").value == pytest.approx(1.0)
-
-
-def test_end_to_end_with_a_stand_in(tmp_path: Path, program: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The hash comes first, the diagnosis is told two files and a folder, a second call runs nothing again."""
-    out = tmp_path / "proof"
-    command = shlex.join(_command(program))
-    arguments = ["--seed", "5", "--out", str(out), "--count", "3", "--jobs", "1", "--command", command]
-    assert main(arguments) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("SHA-256 of the labels: ")
-    digest = said.splitlines()[0].rsplit(" ", 1)[1]
-    assert set(open_labels(out, digest)) == {path.name for path in (out / "recordings").iterdir()}
-    calls = _calls(program)
-    assert len(calls) == 3
-    for recording, key, cell, option, folder in calls:
-        assert (key, option) == ("--cell", "--out")
-        assert {path.name for path in Path(recording).parent.iterdir()} == {"measurements.csv", "cell.yaml"}
-        assert Path(cell).parent == Path(recording).parent
-        assert Path(folder).name == Path(recording).parent.name
-    assert json.loads((out / "table.json").read_text())["labels"] == digest
-    assert (out / "table.md").read_text() in said
-    assert main(arguments) == 0
-    assert len(_calls(program)) == 3
-    cell = next((out / "recordings").iterdir()) / "cell.yaml"
-    cell.write_text(cell.read_text() + "\n")
-    assert main(arguments) == 0  # that recording is written anew, the same as before, and its result still holds
-    assert len(_calls(program)) == 3
-    assert capsys.readouterr().out.count(digest) == 4
-
-
-def test_labels_that_were_touched_are_refused(tmp_path: Path) -> None:
-    scenarios = grid(5)
-    _, digest = write_recordings(scenarios[:1], len(scenarios), tmp_path, jobs=1)
-    (tmp_path / "labels.json").write_text("{}")
-    with pytest.raises(ValueError, match="sealed as"):
-        open_labels(tmp_path, digest)
-
-
-def _recorded(tmp_path: Path) -> tuple[Path, str]:
-    folder = tmp_path / "proof" / "recordings" / "r0001"
-    folder.mkdir(parents=True)
-    (folder / "measurements.csv").write_text("a table")
-    (folder / "cell.yaml").write_text("a cell")
-    return tmp_path / "proof", recording_digest(folder)
-
-
-def test_failures_and_time_limits_are_recorded_and_tried_again(tmp_path: Path, program: Path) -> None:
-    out, digest = _recorded(tmp_path)
-    mode = program.with_name("mode.txt")
-    mode.write_text("fail")
-    run_all(["r0001"], out, Settings(_command(program), jobs=1))
-    failed = read_run(out, "r0001")
-    assert failed is not None
-    assert (failed.exit, failed.sha256) == (1, digest)
-    assert failed.error.startswith("measurements.csv: line 3")
-    mode.write_text("hang")
-    run_all(["r0001"], out, Settings(_command(program), jobs=1, limit=1.0))
-    hung = read_run(out, "r0001")
-    assert hung is not None
-    assert hung.exit == -1
-    assert hung.seconds < 10.0
-    mode.write_text("well")
-    run_all(["r0001"], out, Settings(_command(program), jobs=1))
-    well = read_run(out, "r0001")
-    assert well is not None
-    assert well.exit == 0
-    assert well.megabytes > 3.0
-    assert well.processor is not None
-    assert 0.0 < well.processor <= well.seconds * (os.cpu_count() or 1)
-    assert result_path(out, "r0001").is_file()
-
-
-def test_one_process_takes_many_recordings(tmp_path: Path) -> None:
-    """`os.path:join` stands in for the diagnosis: it answers without being a program, so every call is a defect."""
-    out, _ = _recorded(tmp_path)
-    run_all(["r0001"], out, Settings(("calibration", "diagnose"), entry="os.path:join", jobs=1))
-    run = read_run(out, "r0001")
-    assert run is not None
-    assert run.exit == 1
-    assert "TypeError" in run.error
-
-
-def test_batch_answers_every_line() -> None:
-    def call(arguments: list[str]) -> int:
-        if arguments == ["exit"]:
-            sys.exit(2)
-        if arguments == ["fault"]:
-            raise ValueError("a defect")
-        sys.stderr.write("one\ntwo\n")
-        return 0
-
-    answers = io.StringIO()
-    batch.serve(call, io.StringIO('["well"]\n["exit"]\n["fault"]\n'), answers)
-    replies = [json.loads(line) for line in answers.getvalue().splitlines()]
-    assert [reply["exit"] for reply in replies] == [0, 2, 1]
-    assert replies[0]["error"] == "two"
-    assert replies[2]["error"] == "ValueError: a defect"
-    assert replies[0]["megabytes"] > 3.0
-
-
-def test_batch_counts_the_processor_time_of_the_call_alone() -> None:
-    def call(arguments: list[str]) -> int:
-        begun = time.process_time()
-        while time.process_time() - begun < float(arguments[0]):
-            pass
-        return 0
-
-    answers = io.StringIO()
-    batch.serve(call, io.StringIO('["0.3"]\n["0.0"]\n'), answers)
-    busy, idle = (json.loads(line)["processor"] for line in answers.getvalue().splitlines())
-    assert 0.29 < busy < 1.0
-    assert idle < 0.2
 
 
 def test_the_table_holds_processor_time_against_the_bar() -> None:

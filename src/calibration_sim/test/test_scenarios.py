@@ -11,17 +11,17 @@ import pytest
 
 from calibration_core.cell import load_cell
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.recording.table import read_table, write_table
-from calibration_sim.influence import background, signal
-from calibration_sim.look import Noise, look
-from calibration_sim.makers import MAKERS
-from calibration_sim.makers.draw import Draw
-from calibration_sim.protocols import KINDS, make_protocol, points_of
-from calibration_sim.realise import realise
-from calibration_sim.robots import MAGNITUDES, ROBOTS, robot_cell
-from calibration_sim.scenarios import ALIAS_SNR, AMPLITUDES, SINGLES, Scenario, grid, recording_name, sample
-from calibration_sim.truth import draw_truth
-from calibration_sim.world import World, play
+from calibration_core.recording.tables.table import read_table, write_table
+from calibration_sim.cell.truth import draw_truth
+from calibration_sim.generators import GENERATORS
+from calibration_sim.generators.draw import Draw
+from calibration_sim.generators.robots import MAGNITUDES, ROBOTS, robot_cell
+from calibration_sim.scenarios.generate import generate
+from calibration_sim.scenarios.grid import ALIAS_SNR, AMPLITUDES, SINGLES, Scenario, grid, recording_name, sample
+from calibration_sim.scenarios.influence import background, signal
+from calibration_sim.scenarios.measure import Noise, look
+from calibration_sim.scenarios.protocols import KINDS, make_protocol, points_of
+from calibration_sim.scenarios.world import World, play
 
 
 def test_the_grid_is_the_one_that_is_promised() -> None:
@@ -75,7 +75,7 @@ def _one(group: str, **changes: object) -> Scenario:
 
 def test_a_recording_is_reproduced_to_the_bit_and_read_by_the_core(tmp_path: Path) -> None:
     scenario = _one("pair")
-    first, again = realise(scenario), realise(scenario)
+    first, again = generate(scenario), generate(scenario)
     assert np.array_equal(first.readings.position, again.readings.position)
     assert first.label == again.label
     write_table(tmp_path / "measurements.csv", first.readings)
@@ -88,7 +88,7 @@ def test_a_recording_is_reproduced_to_the_bit_and_read_by_the_core(tmp_path: Pat
 
 
 def test_the_truth_differs_from_the_file_as_promised() -> None:
-    made = [realise(dataclasses.replace(_one("nothing"), seed=seed)) for seed in range(12)]
+    made = [generate(dataclasses.replace(_one("nothing"), seed=seed)) for seed in range(12)]
     stated = np.array(robot_cell(made[0].label["robot"]).robot.stiffness)
     ratio = np.log(np.array([m.label["stiffness"] for m in made]) / stated)
     assert float(np.std(ratio)) == pytest.approx(0.15, rel=0.25)
@@ -97,12 +97,12 @@ def test_the_truth_differs_from_the_file_as_promised() -> None:
 
 def test_outside_and_alias_effects_are_scaled_to_be_seen() -> None:
     outside = _one("outside")
-    assert realise(outside).label["snr"][0] == pytest.approx(outside.planned[0].snr, rel=0.15)
-    assert realise(_one("alias")).label["snr"][0] == pytest.approx(ALIAS_SNR, rel=0.15)
+    assert generate(outside).label["snr"][0] == pytest.approx(outside.planned[0].snr, rel=0.15)
+    assert generate(_one("alias")).label["snr"][0] == pytest.approx(ALIAS_SNR, rel=0.15)
 
 
 def test_absolute_recordings_have_no_load_and_no_sensor() -> None:
-    made = realise(next(s for s in grid(2) if s.protocol == "A"))
+    made = generate(next(s for s in grid(2) if s.protocol == "A"))
     assert made.readings.wrench is None
     assert "wrench_point" not in made.cell["frames"]
     assert len(np.unique(made.readings.configuration)) == len(made.readings) // 3 == 60
@@ -130,7 +130,7 @@ def test_exact_aliases_cannot_be_told_apart(one: int, other: int | None) -> None
         def column(name: str, place: int | None) -> np.ndarray:
             stiffness = np.array(robot_cell(robot).robot.stiffness)  # noqa: B023
             draw = Draw(MAGNITUDES[robot], stiffness, 1.0, np.random.default_rng(0), place, plain=True)  # noqa: B023
-            return signal(known, play(world.with_effects(MAKERS[name](draw)), protocol))  # noqa: B023
+            return signal(known, play(world.with_effects(GENERATORS[name](draw)), protocol))  # noqa: B023
 
         a = column("off_axis_compliance", one)
         b = column("base_compliance", None) if other is None else column("off_axis_compliance", other)
@@ -142,9 +142,9 @@ def test_exact_aliases_cannot_be_told_apart(one: int, other: int | None) -> None
 def test_fifty_small_effects_are_as_loud_as_asked() -> None:
     """Together fifty effects of equal loudness add up in squares, within what the few that are capped leave."""
     scenario = next(s for s in grid(2) if s.group == "clutter" and s.clutter == 3.0 and s.protocol == "L")
-    made = realise(scenario)
+    made = generate(scenario)
     cell = robot_cell(scenario.robot)
-    without = realise(dataclasses.replace(scenario, clutter=0.0, group="nothing"))
+    without = generate(dataclasses.replace(scenario, clutter=0.0, group="nothing"))
     change = made.readings.position - without.readings.position
     sigma = float(cell.instruments.tracker.sigma or 0.0)
     steps = change.reshape(18, 9, 3, 3)

@@ -11,32 +11,33 @@ import pytest
 import yaml
 
 from calibration_core.cell import load_cell
-from calibration_core.recording.table import read_table, write_table
-from calibration_sim.influence import background, beyond, signal_to_noise
-from calibration_sim.laws.effect import At, Effect, Label
-from calibration_sim.laws.joints import JointLaw
-from calibration_sim.laws.other_shapes import (
+from calibration_core.recording.tables.table import read_table, write_table
+from calibration_sim.cell.truth import draw_truth
+from calibration_sim.effect_models.effect import At, Effect, Label
+from calibration_sim.effect_models.joints import JointLaw
+from calibration_sim.effect_models.other_shapes import (
     DahlFriction,
     LostPreload,
     OneSided,
     OtherWave,
     PowerLaw,
+    UnevenFriction,
     WedgeFriction,
 )
-from calibration_sim.laws.structure import Base, Beam, Bearing, Coupling, Modulated, Tool
-from calibration_sim.look_alikes import look_alikes
-from calibration_sim.makers import CATALOGUE, EVERYWHERE, OTHER_SHAPES
-from calibration_sim.makers.draw import Draw
-from calibration_sim.makers.farther_out import farther_out
-from calibration_sim.names import NAMES, renamed
-from calibration_sim.protocols import make_protocol
-from calibration_sim.realise import realise
-from calibration_sim.robots import MAGNITUDES, MORE_ROBOTS, robot_cell
-from calibration_sim.scenarios import Planned
-from calibration_sim.second_grid import ALL_ROBOTS, KINDS, LOUD, second_grid
-from calibration_sim.truth import draw_truth
-from calibration_sim.world import World, play
-from calibration_sim.yielding import yielding
+from calibration_sim.effect_models.structure import Base, Beam, Bearing, Coupling, Modulated, Tool
+from calibration_sim.generators import CATALOGUE, EVERYWHERE, OTHER_SHAPES
+from calibration_sim.generators.draw import Draw
+from calibration_sim.generators.farther_out import farther_out
+from calibration_sim.generators.robots import MAGNITUDES, MORE_ROBOTS, robot_cell
+from calibration_sim.scenarios.generate import generate
+from calibration_sim.scenarios.grid import Planned
+from calibration_sim.scenarios.influence import background, beyond, signal_to_noise
+from calibration_sim.scenarios.look_alikes import look_alikes
+from calibration_sim.scenarios.names import NAMES, renamed
+from calibration_sim.scenarios.protocols import make_protocol
+from calibration_sim.scenarios.second_grid import ALL_ROBOTS, KINDS, LOUD, second_grid
+from calibration_sim.scenarios.world import World, play
+from calibration_sim.scenarios.yielding import yielding
 
 ANY = Label("structure", "any", {})
 GRID = second_grid(3)
@@ -61,7 +62,7 @@ def test_the_grid_has_every_kind_robot_and_name_and_at_most_600_recordings() -> 
 @pytest.mark.parametrize("robot", MORE_ROBOTS)
 def test_a_recording_of_every_robot_is_read_by_the_core(robot: str, tmp_path: Path) -> None:
     scenario = next(s for s in GRID if s.robot == robot and s.group == "mixed")
-    made = realise(dataclasses.replace(scenario, protocol="L3A40"))
+    made = generate(dataclasses.replace(scenario, protocol="L3A40"))
     write_table(tmp_path / "measurements.csv", made.readings)
     (tmp_path / "cell.yaml").write_text(yaml.safe_dump(made.cell))
     back = read_table(tmp_path / "measurements.csv", load_cell(tmp_path / "cell.yaml"))
@@ -74,13 +75,22 @@ def test_a_recording_of_every_robot_is_read_by_the_core(robot: str, tmp_path: Pa
 def test_names_change_nothing_else() -> None:
     plain = _first("other_robot", names="plain", protocol="L3")
     other = dataclasses.replace(plain, names="odd")  # type: ignore[type-var]
-    a, b = realise(plain), realise(other)  # type: ignore[arg-type]
+    a, b = generate(plain), generate(other)  # type: ignore[arg-type]
     assert np.array_equal(a.readings.position, b.readings.position)
     assert np.array_equal(a.readings.q, b.readings.q)
     assert a.cell["robot"]["joints"] != b.cell["robot"]["joints"]
     assert tuple(b.cell["frames"]["measurement_points"]) == b.readings.points != a.readings.points
     assert renamed(a.label, "odd") == b.label
     assert "joint_1" not in str(b.label)
+
+
+def test_gross_errors_do_not_count_as_noise_and_everything_else_does() -> None:
+    scenario = _first("nothing_else", protocol="L3")
+    seen = []
+    for rate in (0.0, 0.05):
+        noise = dataclasses.replace(scenario.noise, outlier_rate=rate, outlier_size=5e-3)  # type: ignore[attr-defined]
+        seen.append(generate(dataclasses.replace(scenario, noise=noise)).label["noise_seen"])  # type: ignore[type-var]
+    assert 0.75 * seen[0] < seen[1] < 1.05 * seen[0]
 
 
 @pytest.mark.parametrize(
@@ -99,7 +109,7 @@ def test_protocols_that_are_none_are_refused(kind: str) -> None:
 
 def test_a_first_axis_that_slides_is_counted(tmp_path: Path) -> None:
     plan = (Planned("backlash", 3.0, 0), Planned("joint_coupling", 1.0, 3), Planned("link_bending", 1.0, 1))
-    made = realise(_first("prismatic", protocol="L2", planned=plan))  # type: ignore[arg-type]
+    made = generate(_first("prismatic", protocol="L2", planned=plan))  # type: ignore[arg-type]
     write_table(tmp_path / "measurements.csv", made.readings)
     (tmp_path / "cell.yaml").write_text(yaml.safe_dump(made.cell))
     cell = load_cell(tmp_path / "cell.yaml")
@@ -201,6 +211,11 @@ def test_dahl_friction_approaches_its_width() -> None:
     assert seen[3] == pytest.approx(5e-5, rel=1e-3)
 
 
+def test_uneven_friction_holds_back_more_in_one_direction() -> None:
+    law = UnevenFriction(ANY, 0, 200.0, 1, (5e-5, 2e-5))
+    assert _walk(law, [0.0, 500.0, 400.0, 300.0, 0.0])[1:] == pytest.approx([-5e-5, -2.5e-5, 0.0, 2e-5], abs=1e-12)
+
+
 def test_other_knees_and_waves_follow_their_formulas() -> None:
     at = At(0, 1, 0, 0.0, 20.0, np.array([0.4, 0, 0, 0, 0, 0]), np.zeros(6), np.full(6, 1e-6))
     assert PowerLaw(ANY, 0, 0.1, 1000.0, 2.0).extra(None, -500.0, at) == pytest.approx(-0.1 * 1e-3 * 0.25)
@@ -247,6 +262,6 @@ def test_an_effect_is_drawn_elsewhere_before_its_size_becomes_absurd() -> None:
     """The last joint's bearing carries next to nothing at rest: no recording tells of it."""
     scenario = _first("rest", robot="heavy", planned=(Planned("off_axis_compliance", 1.0, snr=LOUD, at_least=True),))
     for seed in range(3):
-        (effect,) = realise(dataclasses.replace(scenario, seed=seed)).label["effects"]  # type: ignore[type-var]
+        (effect,) = generate(dataclasses.replace(scenario, seed=seed)).label["effects"]  # type: ignore[type-var]
         assert effect["amplitude"] <= 5.0
         assert effect["location"] != {"joint": "joint_6"}

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from calibration_sim.proving.diagnosing import Run
 from calibration_sim.proving.measures import Case
-from calibration_sim.proving.running import Run
 from calibration_sim.proving.scoring import score
 from calibration_sim.proving.second_measures import second_markdown, second_measures
 

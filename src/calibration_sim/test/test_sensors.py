@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Tracker
-from calibration_sim.sensors import (
+from calibration_sim.cell.sensors import (
     ForceTorqueFaults,
     TrackerFaults,
     quantise,

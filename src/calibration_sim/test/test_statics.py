@@ -11,11 +11,11 @@ from scipy.optimize import brentq
 
 from calibration_core.cell import Cell
 from calibration_core.errors import EquilibriumError
-from calibration_sim.chain import Chain, read_chain
-from calibration_sim.configurations import random_protocol
-from calibration_sim.statics import Mechanism
-from calibration_sim.table import build_mechanism
-from calibration_sim.truth import draw_truth
+from calibration_sim.cell.configurations import random_protocol
+from calibration_sim.cell.table import build_mechanism
+from calibration_sim.cell.truth import draw_truth
+from calibration_sim.mechanics.chain import Chain, read_chain
+from calibration_sim.mechanics.statics import Mechanism
 
 G = 9.80665
 GRAVITY = np.array([0.0, 0.0, -G])

@@ -10,14 +10,14 @@ import pytest
 
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError
-from calibration_core.timeseries import NANOSECONDS, Phase, Recording
-from calibration_sim.configurations import random_protocol
-from calibration_sim.protocol import FOUR_STEPS, Configuration, Protocol
-from calibration_sim.sensors import ForceTorqueFaults, Sensors
-from calibration_sim.streams import START, Rates, observe, simulate_recording
-from calibration_sim.table import solve
-from calibration_sim.timeline import Pace, Timeline, play, sample
-from calibration_sim.truth import draw_truth
+from calibration_core.timeseries import NANOSECONDS, Phase, Streams
+from calibration_sim.cell.configurations import random_protocol
+from calibration_sim.cell.protocol import FOUR_STEPS, Configuration, Protocol
+from calibration_sim.cell.sensors import ForceTorqueFaults, Sensors
+from calibration_sim.cell.streams import START, Rates, observe, simulate_recording
+from calibration_sim.cell.table import solve
+from calibration_sim.cell.timeline import Pace, Timeline, play, sample
+from calibration_sim.cell.truth import draw_truth
 
 SPEED_BOUND = 0.250  # m/s, CWA 17384
 
@@ -89,7 +89,7 @@ def test_ramps_lie_on_the_equilibria(demo: Cell, timeline: Timeline) -> None:
     assert swing[-30:].max() < 0.02 * swing.max()
 
 
-def _windows(recording: Recording) -> list[tuple[int, int, int, int]]:
+def _windows(recording: Streams) -> list[tuple[int, int, int, int]]:
     steps = recording.steps
     assert steps is not None
     return [

@@ -10,11 +10,11 @@ import pytest
 
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError
-from calibration_sim.configurations import random_protocol
-from calibration_sim.protocol import Configuration, Protocol
-from calibration_sim.sensors import ForceTorqueFaults, Sensors, TrackerFaults
-from calibration_sim.table import build_mechanism, measure, simulate_readings, solve
-from calibration_sim.truth import WORKSHOP, draw_truth, nominal_truth
+from calibration_sim.cell.configurations import random_protocol
+from calibration_sim.cell.protocol import Configuration, Protocol
+from calibration_sim.cell.sensors import ForceTorqueFaults, Sensors, TrackerFaults
+from calibration_sim.cell.table import build_mechanism, measure, simulate_readings, solve
+from calibration_sim.cell.truth import WORKSHOP, draw_truth, nominal_truth
 
 Changed = Callable[..., Cell]
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calibration_core.cell import Pose
-from calibration_sim.transforms import fixed_axes, placement, quaternion, rotation_vector
+from calibration_sim.mechanics.transforms import fixed_axes, placement, quaternion, rotation_vector
 
 SEEDS = range(20)
 

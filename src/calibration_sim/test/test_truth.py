@@ -11,7 +11,7 @@ import yaml
 
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError
-from calibration_sim.truth import WORKSHOP, draw_truth, nominal_truth, write_truth
+from calibration_sim.cell.truth import WORKSHOP, draw_truth, nominal_truth, write_truth
 
 
 def test_nominal_truth_is_the_cell_file(demo: Cell) -> None:

@@ -35,16 +35,16 @@ def _processor_time() -> float:
 
 
 def _called(call: Callable[[list[str]], Any], arguments: list[str]) -> tuple[int, str]:
-    said = io.StringIO()
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(printed):
         try:
             code = int(call(arguments) or 0)
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else 1
         except Exception:  # noqa: BLE001  the process serves on; the defect is reported with exit code 1
-            said.write(traceback.format_exc())
+            printed.write(traceback.format_exc())
             code = 1
-    lines = said.getvalue().strip().splitlines()
+    lines = printed.getvalue().strip().splitlines()
     return code, lines[-1][:300] if lines else ""
 
 

@@ -6,19 +6,21 @@ import argparse
 import dataclasses
 import json
 import shlex
-import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from calibration_core.engine.arguments import cluster_arguments
+from calibration_core.engine.cluster import Cluster, require
 from calibration_core.errors import CalibrationError
+from calibration_sim.proving.diagnosing import Settings
 from calibration_sim.proving.measures import Case, markdown, measures, power, wrong
-from calibration_sim.proving.running import Settings, read_run, result_path, run_all
+from calibration_sim.proving.running import read_run, result_path, run_all
 from calibration_sim.proving.scoring import score
 from calibration_sim.proving.second_measures import second_markdown, second_measures
 from calibration_sim.proving.writing import open_labels, write_recordings
-from calibration_sim.scenarios import grid, sample
-from calibration_sim.second_grid import KINDS, second_grid
+from calibration_sim.scenarios.grid import grid, sample
+from calibration_sim.scenarios.second_grid import KINDS, second_grid
 
 ENTRY = "calibration_core.cli:main"
 
@@ -35,6 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _prove(options: argparse.Namespace) -> str:
+    if not options.report:
+        require("calibration-prove")
     scenarios = second_grid(options.seed) if options.kinds else grid(options.seed)
     kinds = [] if options.kinds == ["all"] else options.kinds
     chosen = sample(scenarios, options.count, [*options.only, *kinds])
@@ -44,7 +48,7 @@ def _prove(options: argparse.Namespace) -> str:
     sys.stdout.write(f"SHA-256 of the labels: {digest}\n")
     sys.stdout.flush()
     if not options.report:
-        run_all(names, options.out, _settings(options))
+        run_all(names, options.out, _settings(options), Cluster(options.cluster, options.jobs, options.tls))
     labels = open_labels(options.out, digest)
     cases = []
     for name in names:
@@ -68,13 +72,8 @@ def _prove(options: argparse.Namespace) -> str:
 
 
 def _settings(options: argparse.Namespace) -> Settings:
-    command = tuple(shlex.split(options.command)) if options.command else (_program(), "diagnose", "--no-report")
-    return Settings(command, ENTRY if options.batch else "", options.jobs, options.limit)
-
-
-def _program() -> str:
-    beside = Path(sys.executable).with_name("calibration")
-    return str(beside) if beside.is_file() else str(shutil.which("calibration") or "calibration")
+    command = tuple(shlex.split(options.command)) if options.command else ("calibration", "diagnose", "--no-report")
+    return Settings(command, ENTRY if options.batch else "", options.limit)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -83,7 +82,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=1, help="of the whole grid (default 1)")
     parser.add_argument("--out", type=Path, default=Path("build/prove"), help="directory (default build/prove)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes at a time (default 2)")
+    parser.add_argument("--jobs", type=int, default=2, help="processes of this machine (default 2)")
+    cluster_arguments(parser)
     parser.add_argument("--count", type=int, help="so many recordings, spread over the grid (default: all)")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="groups or effects alone")
     parser.add_argument(

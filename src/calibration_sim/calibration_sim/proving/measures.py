@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from calibration_sim.proving.running import Run
+from calibration_sim.proving.diagnosing import Run
 from calibration_sim.proving.scoring import Outcome
 
 
@@ -84,7 +84,7 @@ def measures(cases: Sequence[Case]) -> list[Measure]:
         most("triples: a false fourth", cases, of_group("triple"), false_beside, None),
         least("outside: flagged, nothing wrongly named", cases, of_group("outside"), _outside, 0.95),
         least("outside: flagged", cases, of_group("outside"), lambda _, o: [o.flagged], None),
-        least("aliases: cannot be told apart, said", cases, of_group("alias"), lambda _, o: [o.aliases_said], 1.0),
+        least("aliases: confounded, reported as such", cases, of_group("alias"), lambda _, o: [o.aliases_named], 1.0),
         least("anomalies: found, located, no physics claimed", cases, of_group("anomaly"), _anomaly, 0.97),
         _within("parameters in their 95 % intervals, same law", cases, of_group("single"), lambda _, o: o.covered),
         _within("stiffnesses in their 95 % intervals, single effects", cases, _named_right, _stiff),
@@ -210,9 +210,9 @@ def _limit(text: str, cases: Sequence[Case], chosen: Chosen) -> Measure:
     """
     threshold = norm.isf(FALSE_ALARM / PLACES)
     effects = [(case.label["effects"][0]["effect"], float(case.label["snr"][0])) for case in cases if chosen(case)]
-    told = [1.0 if effect in BESIDES_LOADS else float(norm.cdf(ratio - threshold)) for effect, ratio in effects]
+    detected = [1.0 if effect in BESIDES_LOADS else float(norm.cdf(ratio - threshold)) for effect, ratio in effects]
     words = f"{text}, {100 * FALSE_ALARM:g} % false alarms among {PLACES} places"
-    return Measure(words, float(np.mean(told)) if told else None, "", None, len(told))
+    return Measure(words, float(np.mean(detected)) if detected else None, "", None, len(detected))
 
 
 def _within(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags) -> Measure:

@@ -1,7 +1,7 @@
 """Holds what a diagnosis said against what was in the recording; one recording at a time.
 
 An effect is right if its name is that of a label or of a label's exact alias.  A place is right if it is the label's,
-an exact alias's, or if the label's own effect and place stand among what the finding cannot be told from.
+an exact alias's, or if the label's own effect and place stand among what the finding is confounded with.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Outcome:
         effect_right: Per label: some finding names it.
         place_right: Per label: and places it; None: nothing names it, or the effect has but one place.
         first_right: Whether the first finding names a label; None: no finding.
-        aliases_said: Whether every label's exact aliases stand beside it in one finding.
+        aliases_named: Whether every label's exact aliases stand beside it in one finding.
         flagged: Whether the verdict or an anomaly says that something is left.
         anomaly_right: Per label: kind and place of an anomaly.
         covered: Per parameter that can be compared: whether the 95 percent interval holds it.
@@ -45,7 +45,7 @@ class Outcome:
     effect_right: tuple[bool, ...]
     place_right: tuple[bool | None, ...]
     first_right: bool | None
-    aliases_said: bool
+    aliases_named: bool
     flagged: bool
     anomaly_right: tuple[bool, ...]
     covered: tuple[bool, ...]
@@ -77,7 +77,7 @@ def score(label: Item, result: Item) -> Outcome:
             for hit, place, effect in zip(hits, placed, effects, strict=True)
         ),
         first_right=_names_any(findings[0], label) if findings else None,
-        aliases_said=all(_aliases_said(findings, effect) for effect in effects),
+        aliases_named=all(_aliases_named(findings, effect) for effect in effects),
         flagged=result.get("verdict") in {"partly_explained", "unexplained"} or bool(result.get("anomalies")),
         anomaly_right=tuple(_anomaly(result, effect) for effect in effects),
         covered=tuple(
@@ -148,10 +148,10 @@ def _places(finding: Item, effect: Item) -> bool:
     return any(_is(finding, item) for item in _accepted(effect)) or any(_is(other, effect) for other in beside)
 
 
-def _aliases_said(findings: list[Item], effect: Item) -> bool:
+def _aliases_named(findings: list[Item], effect: Item) -> bool:
     for finding in findings:
-        said = [finding, *finding.get("cannot_be_told_from", ())]
-        if all(any(_is(one, item) for one in said) for item in _accepted(effect)):
+        alternatives = [finding, *finding.get("cannot_be_told_from", ())]
+        if all(any(_is(one, item) for one in alternatives) for item in _accepted(effect)):
             return True
     return False
 

@@ -16,9 +16,9 @@ from typing import Any
 from tqdm import tqdm
 
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.recording.table import write_table
-from calibration_sim.realise import realise
-from calibration_sim.scenarios import Scenario, recording_name
+from calibration_core.recording.tables.table import write_table
+from calibration_sim.scenarios.generate import generate
+from calibration_sim.scenarios.grid import Scenario, recording_name
 
 TABLE, CELL, LABELS = "measurements.csv", "cell.yaml", "labels.json"
 
@@ -102,7 +102,7 @@ def _is_written(name: str, scenario: Scenario, out: Path) -> bool:
 
 def _write(task: tuple[str, Scenario, Path]) -> None:
     name, scenario, out = task
-    made = realise(scenario)
+    made = generate(scenario)
     folder = folder_of(out, name)
     folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / TABLE, made.readings)

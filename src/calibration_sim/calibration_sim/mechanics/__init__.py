@@ -1,0 +1,1 @@
+"""The robot as a mechanism: tree of links, MuJoCo model, static equilibrium."""

@@ -1,0 +1,277 @@
+"""Static equilibrium of the elastic robot, on MuJoCo's own forces.
+
+The drive holds the motor side of every joint at the commanded angle; the link side gives way against the joint's
+spring until spring, weight and external wrench balance:
+
+    qfrc_passive(x) - qfrc_bias(x) + J(x)^T w = 0,    x = commanded angle + deflection,
+
+with the wrench w acting at the deflected wrench point.  Springs are MuJoCo's (`qfrc_passive`, reference = commanded
+angle), weight is MuJoCo's (`qfrc_bias` at rest), the wrench goes in through `mj_applyFT`.  Springs besides the joints
+(`mjcf.Spring`), pushes on links and torques beside the joints take part in the same balance.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calibration_core.errors import EquilibriumError
+from calibration_core.timeseries import Float1D, Float2D, Float3D
+from calibration_sim.mechanics.chain import Chain
+from calibration_sim.mechanics.mjcf import Spring, build_mjcf
+from calibration_sim.mechanics.transforms import Placement
+
+RELATIVE_TOLERANCE = 1e-12  # of the largest torque at work
+SLOW = 0.1  # a step that removes less than nine tenths of the residual asks for a new derivative
+MAX_ITERATIONS = 50
+DIFFERENCE_STEP = 1e-6  # rad
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A robot at rest under load.
+
+    Attributes:
+        deflection: (n,) rad, link side minus commanded angle.
+        torque: (n,) N*m, what the springs exert on the links.
+        flange: Flange frame in the base frame.
+        rest: (nv,) rad and m, all coordinates; what a next solution nearby may start from.
+        residual: Largest unbalanced torque, relative to the largest torque at work.
+    """
+
+    deflection: Float1D
+    torque: Float1D
+    flange: Placement
+    rest: Float1D
+    residual: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Push:
+    """A force on a link that no sensor knows of.
+
+    Attributes:
+        link: Name of the link.
+        place: (3,) m, where it acts, in the link's frame.
+        force: Position (3,) m of that place -> force (3,) N, both in base axes.
+    """
+
+    link: str
+    place: Float1D
+    force: Callable[[Float1D], Float1D]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SideTorque:
+    """A torque that acts on a link about its joint, beside the drive.
+
+    Attributes:
+        joint: Index in the order of q.
+        torque: Joint angle on the link side, rad -> N*m.
+    """
+
+    joint: int
+    torque: Callable[[float], float]
+
+
+class Mechanism:
+    """A robot of hinges with springs, held by MuJoCo; the only object here that has a state, and it is scratch."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        stiffness: ArrayLike,
+        gravity: ArrayLike,
+        *,
+        joint_frame_errors: Float2D | None = None,
+        joint_zero: ArrayLike | None = None,
+        wrench_point: ArrayLike = (0.0, 0.0, 0.0),
+        springs: Sequence[Spring] = (),
+    ) -> None:
+        """Compile the model.
+
+        Args:
+            chain: The robot as stated.
+            stiffness: (n,) N*m/rad.
+            gravity: (3,) m/s^2, base axes.
+            joint_frame_errors: (n, 6) m and rad, see `build_mjcf`.
+            joint_zero: (n,) rad, true angle minus encoder angle.
+            wrench_point: (3,) m, flange frame.
+            springs: What gives way besides the joints.
+        """
+        stiffness = np.asarray(stiffness, dtype=np.float64)
+        self.chain = chain
+        text = build_mjcf(chain, stiffness, np.asarray(gravity, dtype=np.float64), joint_frame_errors, springs)
+        self.model = mujoco.MjModel.from_xml_string(text)
+        self.data = mujoco.MjData(self.model)
+        self._zero = np.zeros(len(chain.joints)) if joint_zero is None else np.asarray(joint_zero, dtype=np.float64)
+        self._wrench_point = np.asarray(wrench_point, dtype=np.float64)
+        self._dofs = np.array([self.model.joint(name).dofadr[0] for name in chain.joints], dtype=np.int64)
+        self._flange = int(self.model.body(chain.links[chain.flange].name).id)
+        self._links = [int(self.model.body(link.name).id) for link in chain.links]
+        self._origins = np.array(self.model.body_pos)
+        self._pushes: Sequence[Push] = ()
+        self._sides: Sequence[SideTorque] = ()
+
+    def forward(self, angles: ArrayLike) -> Placement:
+        """Return the flange frame in the base frame with the links (not the motors) at `angles` (n,) rad."""
+        self.data.qpos[:] = 0.0
+        self.data.qpos[self._dofs] = np.asarray(angles) + self._zero
+        mujoco.mj_kinematics(self.model, self.data)
+        return self._flange_placement()
+
+    def jacobian(self, angles: ArrayLike, point: ArrayLike = (0.0, 0.0, 0.0)) -> Float2D:
+        """Return the Jacobian (6, n) of a point of the flange frame (m): translation above rotation, base axes."""
+        place = self.forward(angles)
+        mujoco.mj_comPos(self.model, self.data)
+        linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
+        mujoco.mj_jac(self.model, self.data, linear, angular, place.apply(point), self._flange)
+        return np.asarray(np.vstack([linear, angular])[:, self._dofs])
+
+    def freedoms(self, angles: ArrayLike, wrench: ArrayLike, points: Float2D) -> tuple[Float3D, Float1D]:
+        """Return how points move with every coordinate, joint or spring, and what loads each, nothing having given way.
+
+        Args:
+            angles: (n,) rad, of the links.
+            wrench: (6,) N and N*m, base axes, at the wrench point.
+            points: (p, 3) m, flange frame.
+
+        Returns:
+            (p, 3, nv) m/rad or m/m, base axes, and (nv,) N*m or N of weight and wrench, coordinates from the base on.
+        """
+        place = self.forward(angles)
+        model, data = self.model, self.data
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+        load = np.zeros(model.nv)
+        w = np.asarray(wrench, dtype=np.float64)
+        mujoco.mj_applyFT(model, data, w[:3], w[3:], place.apply(self._wrench_point), self._flange, load)
+        motion = np.empty((len(points), 3, model.nv))
+        for row, point in zip(motion, points, strict=True):
+            mujoco.mj_jac(model, data, row, None, place.apply(point), self._flange)
+        return motion, load - np.array(data.qfrc_bias)
+
+    def origins(self, angles: ArrayLike) -> Float2D:
+        """Return the origins (links, 3) of all links in the base frame, m, with the links at `angles` (n,) rad."""
+        self.forward(angles)
+        return np.array(self.data.xpos[self._links])
+
+    def postures(self, angles: Float2D) -> tuple[Float3D, Float3D, Float2D]:
+        """Return what `origins` and `forward` say, for link angles (k, n) rad at once.
+
+        Returns:
+            Origins (k, links, 3) m, rotations (k, 3, 3) and origins (k, 3) m of the flange, base frame.
+        """
+        data = self.data
+        qpos, positions, rotations = data.qpos, data.xpos, data.xmat  # views, of which each row is copied
+        at, turned = np.empty((len(angles), *positions.shape)), np.empty((len(angles), 9))
+        q = np.zeros((len(angles), self.model.nq))
+        q[:, self._dofs] = np.asarray(angles) + self._zero
+        for row, each in enumerate(q):
+            qpos[:] = each
+            mujoco.mj_kinematics(self.model, data)
+            at[row], turned[row] = positions, rotations[self._flange]
+        return at[:, self._links], turned.reshape(-1, 3, 3), at[:, self._flange]
+
+    def places(self) -> Float2D:
+        """Return the origins (links, 3) of all links in the base frame, m, where the last solution left them."""
+        return np.array(self.data.xpos[self._links])
+
+    def grow(self, share: float) -> None:
+        """Make all links longer by a share of their length, as heat does."""
+        self.model.body_pos[:] = (1.0 + share) * self._origins
+
+    def equilibrium(
+        self,
+        q: ArrayLike,
+        wrench: ArrayLike | None = None,
+        *,
+        shift: ArrayLike | None = None,
+        pushes: Sequence[Push] = (),
+        sides: Sequence[SideTorque] = (),
+        start: Float1D | None = None,
+    ) -> Equilibrium:
+        """Solve for the rest position.
+
+        Args:
+            q: (n,) rad, commanded angles (the encoder sits on the motor side and reads these).
+            wrench: (6,) N and N*m, base axes, acting on the flange at the wrench point; None: no external load.
+            shift: (n,) rad, how far each link stands from its commanded angle with no torque on its spring.
+            pushes: Forces on links.
+            sides: Torques beside the drives.
+            start: (nv,) where to start from; None: the springs' rest.
+
+        Raises:
+            EquilibriumError: Newton's method did not converge: the load is beyond what the springs can carry.
+        """
+        w = np.zeros(6) if wrench is None else np.asarray(wrench, dtype=np.float64)
+        reference = np.zeros(self.model.nv)
+        commanded = np.asarray(q, dtype=np.float64) + self._zero
+        reference[self._dofs] = commanded if shift is None else commanded + np.asarray(shift)
+        self._pushes, self._sides = pushes, sides
+        self.model.qpos_spring[:] = reference
+        spring = np.array(self.model.jnt_stiffness, dtype=np.float64).reshape(self.model.nv, -1)[:, 0]
+        rounding = 8.0 * np.finfo(np.float64).eps * spring * np.maximum(1.0, np.abs(reference))
+
+        x = np.array(reference if start is None else start, dtype=np.float64)
+        slope = np.diag(-spring)
+        unbalanced, scale = self._unbalanced(x, w)
+        step = np.zeros_like(x)
+        for _ in range(MAX_ITERATIONS):
+            if np.all(np.abs(unbalanced) <= np.maximum(RELATIVE_TOLERANCE * scale, rounding)):
+                size = float(np.max(np.abs(unbalanced)))
+                deflection = x[self._dofs] - commanded
+                torque = np.array(self.data.qfrc_passive)[self._dofs]
+                place = self._flange_placement()
+                return Equilibrium(deflection, torque, place, x, size / scale if scale > 0.0 else 0.0)
+            try:
+                step = np.asarray(np.linalg.solve(slope, -unbalanced), dtype=np.float64)
+            except np.linalg.LinAlgError:  # the springs buckle here
+                break
+            before = float(np.max(np.abs(unbalanced)))
+            x = x + step
+            unbalanced, scale = self._unbalanced(x, w)
+            if not np.all(np.isfinite(unbalanced)):
+                break
+            if float(np.max(np.abs(unbalanced))) > SLOW * before:
+                slope = self._slope(x, w)
+        raise EquilibriumError(float(np.max(np.abs(step))), MAX_ITERATIONS)
+
+    def _unbalanced(self, x: Float1D, wrench: Float1D) -> tuple[Float1D, float]:
+        """Return the unbalanced torque (nv,) at rest at x, and the largest single torque in it."""
+        model, data = self.model, self.data
+        data.qpos[:] = x
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_passive(model, data)
+        mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+        load = np.zeros(model.nv)
+        point = self._flange_placement().apply(self._wrench_point)
+        mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], point, self._flange, load)
+        for push in self._pushes:
+            body = model.body(push.link).id
+            place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ push.place
+            mujoco.mj_applyFT(model, data, push.force(place), np.zeros(3), place, body, load)
+        for side in self._sides:
+            load[self._dofs[side.joint]] += side.torque(float(x[self._dofs[side.joint]]))
+        parts = np.array([data.qfrc_passive, data.qfrc_bias, load])
+        return parts[0] - parts[1] + parts[2], float(np.max(np.abs(parts)))
+
+    def _slope(self, x: Float1D, wrench: Float1D) -> Float2D:
+        """Return the derivative (nv, nv) of the unbalanced torque by central differences."""
+        columns = []
+        for i in range(len(x)):
+            shift = np.zeros_like(x)
+            shift[i] = DIFFERENCE_STEP
+            forces = self._unbalanced(x + shift, wrench)[0] - self._unbalanced(x - shift, wrench)[0]
+            columns.append(forces / (2.0 * DIFFERENCE_STEP))
+        self._unbalanced(x, wrench)
+        return np.array(columns).T
+
+    def _flange_placement(self) -> Placement:
+        rotation = np.array(self.data.xmat[self._flange]).reshape(3, 3)
+        return Placement(rotation, np.array(self.data.xpos[self._flange]))
