@@ -2,7 +2,17 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-NODES = ("force_torque", "guard", "identification", "manager", "recorder", "sequencer", "tracker")
+NODES = (
+    "compensation",
+    "force_torque",
+    "guard",
+    "identification",
+    "manager",
+    "panel",
+    "recorder",
+    "sequencer",
+    "tracker",
+)
 CONFIG = [f"../../config/{name}" for name in ("ros.yaml", "simulation.yaml", "cell.rviz", "foxglove.json")]
 
 setup(
@@ -14,7 +24,7 @@ setup(
     maintainer_email="maintainers@users.noreply.github.com",
     python_requires=">=3.11",
     packages=find_packages(include=["calibration", "calibration.*"]),
-    package_data={"calibration": ["py.typed"]},
+    package_data={"calibration": ["py.typed", "loopback.xml", "web/static/*", "web/static/words/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/calibration"]),
         ("share/calibration", ["package.xml"]),
@@ -25,5 +35,5 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
-    entry_points={"console_scripts": [f"{name} = calibration.{name}:main" for name in NODES]},
+    entry_points={"console_scripts": [f"{name} = calibration.executables:{name}" for name in NODES]},
 )

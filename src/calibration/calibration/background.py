@@ -7,6 +7,7 @@ callbacks of the same group would wait as well.
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Callable, Generator
 from typing import Generic, TypeVar
@@ -26,6 +27,15 @@ def in_executor(node: Node, work: Callable[[], object]) -> None:
         work()
     else:
         executor.create_task(work)
+
+
+def in_loop(loop: asyncio.AbstractEventLoop, work: Callable[[], object]) -> None:
+    """Do something short in the thread of a loop; nothing where the loop has ended, also while this is called."""
+    try:
+        loop.call_soon_threadsafe(work)
+    except RuntimeError:
+        if not loop.is_closed():
+            raise
 
 
 class Background(Generic[T]):

@@ -30,9 +30,9 @@ def started(context: Any, tree: Tree) -> list[Any]:
     Raises:
         SystemError: A value cannot be used; launch says so in one line and ends with exit code 1.
     """
-    said = {argument.name: context.launch_configurations[argument.name] for argument in tree.arguments}
+    asked = {argument.name: context.launch_configurations[argument.name] for argument in tree.arguments}
     try:
-        values = values_of(tree, said)
+        values = values_of(tree, asked)
     except InputError as error:
         raise SystemError(str(error)) from None
     share = get_package_share_directory("calibration")

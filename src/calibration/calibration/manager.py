@@ -44,7 +44,8 @@ from calibration.topics import (
 from calibration_core.cell import load_cell
 
 # The guard is the first to come and the last to go; the sequencer comes when everything that it needs is there.
-NAMES = ("guard", "recorder", "tracker", "force_torque", "identification", "sequencer")
+# What puts a result to use is needed by nobody, and keeps nobody waiting.
+NAMES = ("guard", "recorder", "tracker", "force_torque", "identification", "sequencer", "compensation")
 LOOK = 0.1  # s of wall time between two looks, and at least between two messages
 PERIOD = 1.0  # s of wall time between two messages that tell nothing new
 ANSWER = 30.0  # s of wall time, that a transition may take
@@ -92,15 +93,18 @@ class ManagerNode(CalibrationNode):
         self.order = Order(names, LEASE, time.monotonic())
         self.order.up = self.value("bring_up")
         self.whole = Whole(names, self.value("permission_age"))
-        self._changers = {name: self.create_client(ChangeState, f"{name}/change_state") for name in names}
+        self._changers = {name: self._changer(name) for name in names}
         self._asked: _Asked | None = None
-        self._said: dict[str, object] = {}
+        self._reported: dict[str, object] = {}
         self._sent = -math.inf
         self._publisher = self.create_publisher(STATE.message, STATE.relative, STATE.qos)
         group = ReentrantCallbackGroup()
         self.create_service(Trigger, "~/startup", self._on_startup, callback_group=group)
         self.create_service(Trigger, "~/shutdown", self._on_shutdown, callback_group=group)
         self.create_service(Trigger, "~/is_active", self._on_is_active)
+
+    def _changer(self, name: str) -> Any:
+        return self.create_client(ChangeState, f"{name}/change_state")
 
     def on_activate(self) -> None:
         """Listen to every node, and to what they say of the cell."""
@@ -135,7 +139,8 @@ class ManagerNode(CalibrationNode):
             self.get_logger().info(f"{name} is heard: process {message.process}, {message.lifecycle.label}")
 
     def _on_liveliness(self, name: str, event: Any) -> None:
-        if event.alive_count == 0 and event.not_alive_count_change > 0 and self.order.lose(name):
+        now = time.monotonic()
+        if event.alive_count == 0 and event.not_alive_count_change > 0 and self.order.lose(name, now):
             self._miss(name)
 
     def _miss(self, name: str) -> None:
@@ -152,7 +157,7 @@ class ManagerNode(CalibrationNode):
             step = self.order.next(now)
             if step is not None:
                 self._ask(*step, now)
-        self._tell(now)
+        self._report(now)
 
     def _ask(self, name: str, transition: int, now: float) -> None:
         client = self._changers[name]
@@ -173,17 +178,18 @@ class ManagerNode(CalibrationNode):
         if refused or (lost and member.alive):
             self.get_logger().error(f"{asked.name} does not become {machine.LABELS[GOALS[asked.transition]]}")
             self.order.fail(asked.name, now)
-        if not asked.future.done():
-            self._changers[asked.name].remove_pending_request(asked.future)
+        if not asked.future.done():  # the client may know a dead server alone, whatever its successor does
+            self.destroy_client(self._changers[asked.name])
+            self._changers[asked.name] = self._changer(asked.name)
         self._asked = None
 
-    def _tell(self, now: float) -> None:
+    def _report(self, now: float) -> None:
         """Send the state if it is news, and once a period."""
         message = self.whole.message(self.order, now)
-        said = self.whole.news(message)
-        if said == self._said and now - self._sent < PERIOD:
+        news = self.whole.news(message)
+        if news == self._reported and now - self._sent < PERIOD:
             return
-        self._said, self._sent = said, now
+        self._reported, self._sent = news, now
         message.header = to_header(self.now_ns())
         self._publisher.publish(message)
         gravest = max((int(one.level) for one in message.faults), default=0)

@@ -34,11 +34,13 @@ from calibration.lifecycle import machine
 from calibration.lifecycle.heartbeat import Heartbeat
 from calibration.lifecycle.managed import ManagedNode
 from calibration.presence import Presence, refuse_second
+from calibration.transport import sockets_only
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.yaml_file import read_yaml
 
 NODE_NAMES = (
-    "force_torque", "guard", "identification", "manager", "recorder", "sequencer", "simulated_cell", "tracker",
+    "compensation", "force_torque", "guard", "identification", "manager", "panel", "recorder", "sequencer",
+    "simulated_cell", "tracker",
 )  # fmt: skip
 BUILT_IN = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 MAX_PARAMETER_BYTES = 1 << 20
@@ -336,6 +338,7 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
     given = list(sys.argv[1:] if arguments is None else arguments)
+    shared = sockets_only(os.environ)
     try:
         try:
             rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
@@ -344,6 +347,8 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
             if owner:
                 refuse_second(owner)
             node = make()
+            if shared:
+                node.get_logger().warning(shared)
         except InputError as error:
             print(error, file=sys.stderr)
             return 2

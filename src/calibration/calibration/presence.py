@@ -1,4 +1,4 @@
-"""One owner: a second guard, sequencer or recorder in the same namespace is refused by the first one's presence.
+"""One owner: a second node of a kind in the same namespace is refused by the first one's presence.
 
 Each says several times a second that it is there, with a number of its own.  Whoever starts listens first, and does not
 begin where it hears another of its kind.  Two that start at the same moment hear each other later: the younger one
@@ -19,6 +19,7 @@ from calibration_interfaces.msg import Presence as PresenceMessage
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 from calibration_core.errors import InputError
@@ -26,6 +27,7 @@ from calibration_core.errors import InputError
 TOPIC = "calibration/presence"
 PERIOD = 0.1  # s, between two signs
 LISTEN = 0.8  # s of wall time, for another one before the start
+FOUND = 0.5  # s, likewise, from when another one is found in the graph: its sign is on its way, or it is dead
 QOS = QoSProfile(depth=10)
 
 Second = Callable[[str, bool], None]
@@ -74,17 +76,20 @@ def refuse_second(role: str, listen: float = LISTEN) -> None:
     Raises:
         InputError: There is one.
     """
-    node = rclpy.create_node(f"{role}_looks_around")
+    quiet = [Parameter("start_type_description_service", value=False)]  # it may do no more than the node to come
+    node = rclpy.create_node(f"{role}_looks_around", start_parameter_services=False, parameter_overrides=quiet)
     heard: list[Any] = []
     node.create_subscription(
         PresenceMessage, TOPIC, lambda message: heard.append(message) if message.role == role else None, QOS
     )
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    end = time.monotonic() + listen
+    end, found = time.monotonic() + listen, False
     try:
         while not heard and (left := end - time.monotonic()) > 0.0:
-            executor.spin_once(timeout_sec=left)
+            executor.spin_once(timeout_sec=min(left, PERIOD))
+            if not found and any(one.node_name == role for one in node.get_publishers_info_by_topic(TOPIC)):
+                found, end = True, max(end, time.monotonic() + FOUND)
         if heard:
             raise InputError(role, f"namespace {node.get_namespace()}", words(heard[0]), "one")
     finally:

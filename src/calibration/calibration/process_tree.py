@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from calibration_core.cell import load_cell
 from calibration_core.errors import InputError, quoted
 
 Scalar = bool | int | float | str
@@ -127,6 +128,9 @@ TRANSFORMS = "Whether robot_state_publisher is started, where it is installed"
 OF_DRIVER = Argument("transforms", f"{TRANSFORMS}; the drivers of most robots bring it.", "false", choices=SWITCH)
 OF_US = Argument("transforms", f"{TRANSFORMS}.", "true", choices=SWITCH)
 
+HOST = Argument("host", "Address at which the operator's panel is served; 0.0.0.0: at every one of this machine.",
+                "127.0.0.1")  # fmt: skip
+PORT = Argument("port", "Its port, or the next one that is free; 0: any.", "8420", type=int)
 CELL_FILE = {"cell": Given("cell")}
 BAG = {"recording": Given("session", "bag")}
 
@@ -145,13 +149,15 @@ def _suite(everywhere: Mapping[str, Value], motion: Mapping[str, Value], adapter
         Process("guard", {**managed, **motion, "robot_state.adapter": adapter}, sigterm_after=OUTLIVES),
         Process("sequencer", {**managed, **motion, **load}),
         Process("identification", {**CELL_FILE, **BAG, "autostart": False}),
+        Process("compensation", {**CELL_FILE, "autostart": False}),
         Process("manager", everywhere),
+        Process("panel", {**everywhere, "session": Given("session"), "host": Given("host"), "port": Given("port")}),
     )
 
 
 REAL_CELL = Tree(
-    (CELL, SESSION, PARAMETERS_FILE, NAMESPACE, LOG_LEVEL, USE_SIM_TIME, BACKEND, INTERFACE, ADAPTER, RVIZ,
-     OF_DRIVER),
+    (CELL, SESSION, PARAMETERS_FILE, NAMESPACE, LOG_LEVEL, USE_SIM_TIME, BACKEND, INTERFACE, ADAPTER, HOST,
+     PORT, RVIZ, OF_DRIVER),
     _suite({**CELL_FILE, "use_sim_time": Given("use_sim_time")},
            {"motion.backend": Given("backend"), "motion.interface": Given("interface")}, Given("adapter"), {}),
 )  # fmt: skip
@@ -164,6 +170,8 @@ SIMULATED_CELL = Tree(
         LOG_LEVEL,
         SPEED,
         Argument("seed", "Of the hidden truth and of the noise.", "1", type=int),
+        HOST,
+        PORT,
         RVIZ,
         OF_US,
     ),
@@ -194,23 +202,26 @@ REPLAY = Tree(
 )
 
 
-def values_of(tree: Tree, said: Mapping[str, str]) -> dict[str, str]:
+def values_of(tree: Tree, asked: Mapping[str, str]) -> dict[str, str]:
     """Return the values of a tree's arguments, what is not said by default.
 
     Args:
         tree: The tree.
-        said: Values by name, in place of the defaults.
+        asked: Values by name, in place of the defaults.
 
     Raises:
-        InputError: One that must be said is not, is none of the choices or no number, or its file is not there.
+        InputError: One that must be said is not, is none of the choices or no number, its file is not there, or the
+            cell file cannot be used.
     """
     values = {}
     for argument in tree.arguments:
-        value = said.get(argument.name, argument.default)
+        value = asked.get(argument.name, argument.default)
         found, expected = _fault(argument, value)
         if value is None or found:
             raise InputError("arguments", argument.name, found, expected)
         values[argument.name] = value
+    if CELL.name in values:
+        load_cell(values[CELL.name])  # what is wrong in it is said once, and not by every node
     return values
 
 
@@ -251,12 +262,12 @@ def parameters_of(tree: Tree, process: Process, values: Mapping[str, str]) -> di
     found: dict[str, Scalar] = {}
     for name, value in process.parameters.items():
         if isinstance(value, Given):
-            said = values[value.argument]
-            found[name] = f"{said}/{value.inside}" if value.inside else _typed(said, types[value.argument])
+            asked = values[value.argument]
+            found[name] = f"{asked}/{value.inside}" if value.inside else _typed(asked, types[value.argument])
         else:
             found[name] = value
     return found
 
 
-def _typed(said: str, kind: type[Scalar]) -> Scalar:
-    return said == SWITCH[0] if kind is bool else kind(said)
+def _typed(asked: str, kind: type[Scalar]) -> Scalar:
+    return asked == SWITCH[0] if kind is bool else kind(asked)

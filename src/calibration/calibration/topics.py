@@ -16,8 +16,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.qos import QoSCompatibility as Compatibility
 
 from calibration_core.cell import Cell
-from calibration_core.recording.definitions import CONDITIONS_TYPE, STEP_TYPE, TEXT_TYPE
-from calibration_core.recording.kinds import Kind
+from calibration_core.recording.definitions.own import CONDITIONS_TYPE, STEP_TYPE, TEXT_TYPE
+from calibration_core.recording.messages.kinds import StreamKind
 
 SAMPLES_DEPTH = 2000  # two seconds at 1 kHz: a keep-last history overwrites without a word
 EVENTS_DEPTH = 1000
@@ -84,7 +84,7 @@ MARKERS = Topic("/calibration/markers", "visualization_msgs/msg/MarkerArray", Qu
 PLAN_MARKERS = Topic("/calibration/plan_markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
 PROCEDURE = Topic("/calibration/procedure", "calibration_interfaces/msg/ProcedureState", Quality.STATE)
 STATE = Topic("/calibration/state", "calibration_interfaces/msg/State", Quality.STATE)
-RAW_WRENCH = Topic("/force_torque/raw", Kind.WRENCH.value, Quality.SAMPLES)
+RAW_WRENCH = Topic("/force_torque/raw", StreamKind.WRENCH.value, Quality.SAMPLES)
 
 PROGRESS = Topic("/calibration/progress", "calibration_interfaces/msg/MeasurementProgress", Quality.EVENTS)
 CONDITIONS_QUALITY = Quality.EVENTS
@@ -96,10 +96,10 @@ def contract_topics(cell: Cell) -> tuple[Topic, ...]:
     """Return the topics of which a recording is made (contract, section 3)."""
     names = cell.topics
     return (
-        Topic(names.joint_states, Kind.JOINTS.value, Quality.SAMPLES, optional=False),
-        *(Topic(names.point(point), Kind.POINT.value, Quality.SAMPLES, optional=False) for point in cell.points),
-        Topic(names.wrench, Kind.WRENCH.value, Quality.SAMPLES),
-        Topic(names.temperature, Kind.TEMPERATURE.value, Quality.SAMPLES),
+        Topic(names.joint_states, StreamKind.JOINTS.value, Quality.SAMPLES, optional=False),
+        *(Topic(names.point(point), StreamKind.POINT.value, Quality.SAMPLES, optional=False) for point in cell.points),
+        Topic(names.wrench, StreamKind.WRENCH.value, Quality.SAMPLES),
+        Topic(names.temperature, StreamKind.TEMPERATURE.value, Quality.SAMPLES),
         Topic(names.robot_description, TEXT_TYPE, Quality.STATE),
         Topic(names.step, STEP_TYPE, Quality.EVENTS),
         Topic(names.conditions, CONDITIONS_TYPE, CONDITIONS_QUALITY),
@@ -152,12 +152,13 @@ def subscription_profile(node: Node, name: str, depth: int = SAMPLES_DEPTH) -> Q
 def several_publishers(node: Node, name: str) -> str:
     """Return the names of a topic's publishers where there are more than one; empty otherwise.
 
-    One that was killed is counted for 20 s more.
+    One that was killed is counted for 20 s more, but for one of the node's own name: its presence is watched.
     """
-    found = node.get_publishers_info_by_topic(name)
-    if len(found) < 2:
+    names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                   for info in node.get_publishers_info_by_topic(name))  # fmt: skip
+    own = node.get_fully_qualified_name()
+    if sum(one != own for one in names) + (own in names) < 2:
         return ""
-    names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found)
     return f"{node.resolve_topic_name(name)} is published by {', '.join(names)}"
 
 

@@ -13,10 +13,10 @@ from xml.etree import ElementTree as ET
 
 from calibration import node as nodes
 from calibration import process_tree, topics
-from calibration.acquisition import COMMON
+from calibration.instruments.acquisition import COMMON
 from calibration.node import Declared
 from calibration_core.cell import load_cell
-from calibration_sim.node_messages import PARAMETERS as OF_SIMULATED_CELL
+from calibration_sim.living_cell.messages import PARAMETERS as OF_SIMULATED_CELL
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
@@ -27,7 +27,15 @@ TREES = {
     "simulated_cell": process_tree.SIMULATED_CELL,
     "replay": process_tree.REPLAY,
 }
-MODULES = {"sequencer": "sequencer_parameters", "guard": "guard_parameters"}
+MODULES = {
+    "compensation": "compensation.compensation",
+    "force_torque": "instruments.force_torque",
+    "guard": "guard.parameters",
+    "identification": "evaluation.identification",
+    "recorder": "recorder.recorder",
+    "sequencer": "sequencer.parameters",
+    "tracker": "instruments.tracker",
+}
 HEAD = """# Reference
 
 Made by `reference.py` from the tables of the code; a test compares. What to do with it stands in [nodes.md](nodes.md).

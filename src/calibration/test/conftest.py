@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import importlib.util
 import os
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +19,42 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 INTERFACES = ROOT / "install" / "calibration_interfaces"
-DOMAIN = 1 + os.getpid() % 100  # beyond 101 the ports of DDS meet those that the system gives away
+FOLDER = Path(tempfile.gettempdir()) / f"calibration-{os.getuid()}"  # locks of this user
+DOMAINS = 100  # beyond 101 the ports of DDS meet those that the system gives away
+
+
+class Domain:
+    """A ROS domain that no other tests on this machine are in: it is locked while this process holds it.
+
+    Attributes:
+        number: 1 to 100.
+    """
+
+    def __init__(self, first: int) -> None:
+        """Take the first free domain from a number on.
+
+        Raises:
+            OSError: All of them are taken.
+        """
+        FOLDER.mkdir(exist_ok=True)
+        for number in (1 + (first - 1 + further) % DOMAINS for further in range(DOMAINS)):
+            with contextlib.ExitStack() as stack:
+                lock = stack.enter_context((FOLDER / f"test-domain-{number}.lock").open("ab"))
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    continue
+                self.number, self._held = number, stack.pop_all()
+                return
+        raise OSError("every ROS domain of tests is taken on this machine")
+
+    def leave(self) -> None:
+        """Let others take it."""
+        self._held.close()
+
+
+OWN = Domain(1 + os.getpid() % DOMAINS)
+DOMAIN = OWN.number
 
 
 def _find_messages() -> None:
@@ -44,11 +81,14 @@ def _find_messages() -> None:
 
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
 os.environ.setdefault("RCUTILS_LOGGING_USE_STDOUT", "0")
 if "calibration_interfaces" not in sys.modules:
     _find_messages()
+if importlib.util.find_spec("calibration"):
+    from calibration.transport import sockets_only
+
+    sockets_only(os.environ)  # what is killed in a test leaves no shared memory behind
 
 
 @pytest.fixture
@@ -162,3 +202,24 @@ def source_environment() -> dict[str, str]:
     answer = subprocess.run(command, capture_output=True, check=True, timeout=60)
     pairs = (item.split("=", 1) for item in answer.stdout.decode().split("\0") if "=" in item)
     return {**dict(pairs), "ROS_DOMAIN_ID": str(DOMAIN)}
+
+
+@pytest.fixture
+def panel(spinning: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Iterator[Any]:
+    """A panel node of this process; `panel.where()` is its address and present token."""
+    from panel_client import parameters, printed
+
+    from calibration.panel import PanelNode
+
+    given = parameters(
+        cell=str(ROOT / "config" / "cells" / "demo.cell.yaml"), session=str(tmp_path / "session"), port=0
+    )
+    node = spinning.add(PanelNode(context=spinning.context, parameter_overrides=given))
+    text = [capsys.readouterr().out]
+
+    def where() -> tuple[str, str]:
+        text.append(capsys.readouterr().out)
+        return printed("".join(text))
+
+    node.where = where
+    return node

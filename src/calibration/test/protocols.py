@@ -9,8 +9,8 @@ import numpy as np
 
 from calibration_core.cell import load_cell
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.simulate import simulate_plan
-from calibration_core.recording.table import write_table
+from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.recording.tables.table import write_table
 
 HOME = np.array([0.2, 0.3, 0.4, 0.3, 0.9, -0.2])
 POSES = 25  # of one sweep

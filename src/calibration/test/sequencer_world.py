@@ -20,19 +20,22 @@ from calibration_interfaces.msg import (
     MeasurementStep,
     Outcome,
     Permission,
+    ProcedureState,
     Reading,
     SessionEvent,
 )
 from calibration_interfaces.srv import LoadApplied, OverrideCondition, ResumeMotion
-from rclpy.action import ActionClient, ActionServer
+from goals import GoalClient
+from rclpy.action import ActionServer
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from calibration.conversions import Mean, to_average, to_outcome
-from calibration.topics import EVENT, PERMISSION, READING, Quality, profile
+from calibration.topics import EVENT, PERMISSION, PROCEDURE, READING, Quality, profile
 from calibration_core.observations.average import Average
 
 CELL = str(Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml")
@@ -59,6 +62,7 @@ class World:
         self.temperatures = self.node.create_publisher(Temperature, "cell/temperature", 10)
         self.q = np.zeros(6)
         self.permitted, self.hears, self.temperature = True, True, 21.5
+        self.average = 0.0  # s that an average takes
         self.tracker = ActionServer(self.node, Measure, "tracker/measure", self._measure)
         self.timer = self.node.create_timer(0.02, self._live)
 
@@ -71,12 +75,22 @@ class World:
         self.joints.publish(JointState(header=now(), name=JOINTS, position=self.q.tolist()))
         self.temperatures.publish(Temperature(temperature=self.temperature))
 
-    def _measure(self, goal: Any) -> Any:
+    async def _measure(self, goal: Any) -> Any:
+        if self.average:
+            await self._half_way(goal)
         at = time.time_ns()
         one = Average(np.array([1.0, 2.0, 3.0]), 1e-10 * np.eye(3), 20, 20.0, 0)
         means = [Mean(name, "tracker", at - 10**8, at, one) for name in goal.request.names]
         goal.succeed()
         return Measure.Result(outcome=to_outcome(Outcome.OK, ""), averages=[to_average(mean) for mean in means])
+
+    async def _half_way(self, goal: Any) -> None:
+        """Say that half of the window is there, and take some time for the rest."""
+        ready = Future(executor=self.node.executor)
+        timer = self.node.create_timer(0.5 * self.average, lambda: ready.set_result(None))
+        goal.publish_feedback(Measure.Feedback(share_done=0.5, text="waiting for samples"))
+        await ready
+        self.node.destroy_timer(timer)
 
 
 def now() -> Header:
@@ -93,11 +107,13 @@ class Operator:
         self.load = node.create_client(LoadApplied, "sequencer/load_applied")
         self.motion = node.create_client(ResumeMotion, "sequencer/resume_motion")
         self.condition = node.create_client(OverrideCondition, "sequencer/override_condition")
-        self.plan = ActionClient(node, RunPlan, "sequencer/run")
+        self.plan = GoalClient(node, RunPlan, "sequencer/run")
         self.readings: list[Any] = []
         self.steps: list[Any] = []
+        self.states: list[Any] = []
         self.conditions: list[Any] = []
         self.events: list[Any] = []
+        node.create_subscription(ProcedureState, PROCEDURE.relative, self.states.append, PROCEDURE.qos)
         node.create_subscription(Conditions, "calibration/conditions", self.conditions.append, profile(Quality.EVENTS))
         node.create_subscription(SessionEvent, EVENT.relative, self.events.append, EVENT.qos)
         node.create_subscription(Reading, READING.relative, self.readings.append, READING.qos)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration_interfaces.action import Measure
-from rclpy.action import ActionClient
+from goals import GoalClient
 from rclpy.parameter import Parameter
 
 CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml"
@@ -64,7 +64,7 @@ def finish(future: Any, timeout: float = 40.0) -> Any:
 
 
 def measure(node: Any, name: str, goal: Any) -> Any:
-    client = ActionClient(node, Measure, name)
+    client = GoalClient(node, Measure, name)
     assert client.wait_for_server(15.0)
     handle = finish(client.send_goal_async(goal))
     assert handle.accepted

@@ -17,18 +17,18 @@ from calibration_interfaces.action import RunPlan
 from calibration_interfaces.msg import MeasurementProgress
 from rclpy.parameter import Parameter
 
-from calibration.advisor import Advisor
-from calibration.sequencer import SequencerNode
+from calibration.evaluation.worker import worked_out
+from calibration.sequencer.advisor import Advisor
+from calibration.sequencer.sequencer import SequencerNode
 from calibration.topics import PROGRESS
-from calibration.worker import worked_out
 from calibration_core.cell import load_cell
-from calibration_core.commands.progress import progress_record, session_progress
+from calibration_core.commands.evaluation.progress import progress_record, session_progress
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.session import Session
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.simulate import simulate_plan
-from calibration_core.procedure import messages as m
-from calibration_core.procedure.plan import Plan, PlannedConfiguration
-from calibration_core.procedure.plan_file import plan_text
-from calibration_core.procedure.session import Session
+from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
+from calibration_core.planning.plans.plan_file import plan_text
 from calibration_core.recording.session_values import ConfirmedReading
 
 CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml"
@@ -146,7 +146,7 @@ def test_enough_ends_the_run_only_if_that_was_asked_for(
     runner = Runner()
     goal = SimpleNamespace(request=RunPlan.Goal(stop_when_enough=stop, wanted_accuracy=10.0))
     node.feedback.begin(goal, runner)
-    node.feedback._tell(progress_record(str(session), str(CELL), 10.0))
+    node.feedback._on_progress(progress_record(str(session), str(CELL), 10.0))
     until(lambda: heard)
     assert heard[0].enough
     assert heard[0].configuration == DONE

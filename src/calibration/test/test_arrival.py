@@ -33,6 +33,18 @@ def test_arrival_is_nearness_and_standstill() -> None:
     assert Joints(ArrivalRules()).latest is None
 
 
+def test_motion_is_seen_in_few_joint_states_and_rest_is_not() -> None:
+    assert not Joints(ArrivalRules()).moving()
+    assert not standing([0.5]).moving()
+    assert not standing([0.5] * 10).moving()
+    assert standing([0.5, 0.5 + 4e-4]).moving()  # more than 0.3 mrad, in 20 ms
+    assert not standing([0.5, 0.5 + 2e-4]).moving()
+    assert standing([0.4] * 20 + [0.4 + 1e-4 * i for i in range(20)]).moving()
+    assert not standing([0.4 + 1e-4 * i for i in range(20)] + [0.402] * 20).moving()  # it moved, and stands
+    assert standing([0.5, 0.5, 0.6], rate=1.0).moving()
+    assert not standing([0.5, 0.5, 0.5006], rate=1.0).moving()  # 0.6 mrad in one second
+
+
 def test_slow_joint_states_are_judged_by_what_there_is() -> None:
     assert standing([0.5, 0.5, 0.5], rate=1.0).standing()
     assert not standing([0.5, 0.5, 0.6], rate=1.0).standing()

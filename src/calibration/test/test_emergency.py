@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 
 from action_msgs.srv import CancelGoal
 
-from calibration.emergency import MOVES, UNHEARD, WATCHED, Emergency
+from calibration.guard.emergency import MOVES, UNHEARD, WATCHED, Emergency
 from calibration.motion.stop_path import CancelGoals
 from calibration.node import CalibrationNode
 from calibration.topics import MOTION_PULSE

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
 from calibration_interfaces.action import Measure
-from calibration_interfaces.msg import Outcome, TareEvent
+from calibration_interfaces.msg import Outcome, SampleCheck, TareEvent
 from calibration_interfaces.srv import SelfTest, Tare
 from geometry_msgs.msg import (
     Wrench,
@@ -22,9 +22,9 @@ from sensor_msgs.msg import JointState
 from stand_ins import CELL, Feed, call, finish, measure, overrides
 
 from calibration.conversions import stamp_ns, to_header, to_wrench, wrench_values
-from calibration.force_torque import ForceTorqueNode
+from calibration.instruments.force_torque import ForceTorqueNode
 from calibration_core.cell import load_cell
-from calibration_core.identification.sensor_test import gravity_in_sensor
+from calibration_core.identification.checks.sensor_test import gravity_in_sensor
 
 LOAD = np.array([100.0, -200.0, -1500.0, 10.0, 20.0, -30.0])
 
@@ -66,6 +66,26 @@ def test_the_wrench_comes_out_in_si_with_the_contracts_sign(
 def noisy(node: Any, level: np.ndarray, rng: np.random.Generator) -> WrenchStamped:
     wrench = to_wrench(level + 0.1 * rng.standard_normal(6))
     return WrenchStamped(header=to_header(node.now_ns(), "ft"), wrench=wrench)
+
+
+@pytest.mark.parametrize("topic", ["input/wrench", "force_torque/wrench"])
+def test_of_two_that_publish_the_wrench_none_is_read(
+    spinning: Any, feeds: list[Feed], until: Callable[..., None], topic: str
+) -> None:
+    node = spinning.add(ForceTorqueNode(context=spinning.context, parameter_overrides=overrides()))
+    first, second = (spinning.plain(name) for name in ("driver", "old_driver"))
+    heard: list[SampleCheck] = []
+    first.create_subscription(SampleCheck, "/calibration/sample_check", heard.append, 100)
+    rng = np.random.default_rng(4)
+    publisher = first.create_publisher(WrenchStamped, "input/wrench", 100)
+    feeds.append(Feed(publisher, lambda _: noisy(node, LOAD, rng)))
+    until(lambda: heard and heard[-1].problem == SampleCheck.FINE)
+    second.create_publisher(WrenchStamped, topic, 100)
+    until(lambda: heard[-1].problem == SampleCheck.TWO_SOURCES)
+    result = measure(first, "/force_torque/measure", Measure.Goal())
+    assert result.outcome.code == Outcome.NOT_AVAILABLE
+    assert f"/{topic} is published by " in result.outcome.text
+    assert "/old_driver" in result.outcome.text
 
 
 def test_tare_is_subtracted_logged_and_taken_back(spinning: Any, feeds: list[Feed], until: Callable[..., None]) -> None:

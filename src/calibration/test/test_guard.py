@@ -25,7 +25,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Header
 from std_msgs.msg import String as Text
 
-from calibration.guard import GuardNode
+from calibration.guard.guard import GuardNode
+from calibration.process_tree import STANDSTILL
 from calibration.topics import GUARD_EVIDENCE, MOTION_PULSE, PERMISSION
 from calibration_core.errors import InputError
 
@@ -219,6 +220,7 @@ def test_over_speed(spinning: Any, until: Any) -> None:
 def test_the_clock_of_the_messages(spinning: Any, until: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     cell = Cell(spinning)
     until(cell.permitted)
+    until(lambda: len(cell.heard) > 3)  # the first word may come before the guard has looked at its clock at all
     usual = cell.guard.now_ns
     monkeypatch.setattr(cell.guard, "now_ns", lambda: usual() - 10**10)
     until(lambda: any(Permission.CLOCK_JUMPED in p.reasons for p in cell.heard))
@@ -295,6 +297,30 @@ def test_the_last_word_is_no(spinning: Any, until: Any) -> None:
     cell = Cell(spinning)
     until(cell.permitted)
     cell.guard.stop()
+    until(cell.why(Permission.STOPPING))
+
+
+def ends_after(cell: Cell) -> float:
+    began = time.monotonic()
+    cell.guard.stop()
+    return time.monotonic() - began
+
+
+def test_a_robot_that_was_hardly_seen_and_is_gone_is_not_awaited(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(lambda: cell.guard._joints.until > 0)
+    cell.robot.timer.cancel()  # its driver has ended: what was heard of it is shorter than any standstill
+    assert not cell.guard._joints.standing()
+    assert ends_after(cell) < 3.0
+
+
+def test_a_robot_that_moved_and_is_gone_is_awaited(spinning: Any, until: Any) -> None:
+    cell = Cell(spinning)
+    until(cell.permitted)
+    cell.robot.rate = np.full(6, 0.01)
+    until(cell.guard._joints.moving)
+    cell.robot.timer.cancel()
+    assert ends_after(cell) > STANDSTILL
     until(cell.why(Permission.STOPPING))
 
 

@@ -16,11 +16,11 @@ pytest.importorskip("calibration_interfaces.msg", reason="the messages are not b
 from calibration_interfaces import srv
 from calibration_interfaces.action import Identify
 from calibration_interfaces.msg import Outcome
-from rclpy.action import ActionClient
+from goals import GoalClient
 from rclpy.parameter import Parameter
 from test_identification import BAG, CELL, ask, finish
 
-from calibration.identification import IdentificationNode
+from calibration.evaluation.identification import IdentificationNode
 
 SAME = ("result.json", "model.yaml", "table2.csv")
 
@@ -63,12 +63,12 @@ def test_the_service_answers_as_the_command_line(
 def test_the_action_tells_its_progress_and_can_be_cancelled(
     spinning: Any, node: Any, offline: Path, until: Callable[..., None], tmp_path: Path
 ) -> None:
-    client = ActionClient(spinning.plain(), Identify, "/identification/identify")
+    client = GoalClient(spinning.plain(), Identify, "/identification/identify")
     assert client.wait_for_server(20.0)
     told: list[Any] = []
     goal = Identify.Goal(what=Identify.Goal.DIAGNOSIS, test=str(BAG), simulation=str(BAG), out=str(tmp_path / "out"))
     handle = finish(client.send_goal_async(goal, feedback_callback=told.append))
-    until(lambda: any("looking for what is left out" in one.feedback.text for one in told), timeout=120.0)
+    until(lambda: any("looking for missing physics" in one.feedback.text for one in told), timeout=120.0)
     assert finish(handle.cancel_goal_async()).goals_canceling
     assert finish(handle.get_result_async()).result.outcome.code == Outcome.CANCELLED
     assert not (tmp_path / "out").exists()
@@ -94,7 +94,7 @@ def test_what_cannot_be_diagnosed(spinning: Any, node: Any, tmp_path: Path) -> N
 
 
 def test_only_a_diagnosis_compares_with_a_simulation(spinning: Any, node: Any, tmp_path: Path) -> None:
-    client = ActionClient(spinning.plain(), Identify, "/identification/identify")
+    client = GoalClient(spinning.plain(), Identify, "/identification/identify")
     assert client.wait_for_server(20.0)
     goal = Identify.Goal(what=Identify.Goal.STIFFNESS, simulation=str(BAG), out=str(tmp_path / "out"))
     result = finish(finish(client.send_goal_async(goal)).get_result_async()).result

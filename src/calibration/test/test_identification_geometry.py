@@ -16,12 +16,12 @@ pytest.importorskip("calibration_interfaces.msg", reason="the messages are not b
 from calibration_interfaces import srv
 from calibration_interfaces.action import Identify
 from calibration_interfaces.msg import Outcome
+from goals import GoalClient
 from protocols import everywhere, record, sweeps, wrist
-from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
 from test_identification import BAG, CELL, ask, finish
 
-from calibration.identification import IdentificationNode
+from calibration.evaluation.identification import IdentificationNode
 
 SIGMA = "sigma: 1.0e-5"
 TRACKER = (2.5, -0.4, 0.6)
@@ -134,7 +134,7 @@ def test_wrist_centre_as_a_service_and_as_an_action(
     assert place_of(answer.centre) == column(rows, "value")
     assert list(answer.std) == column(rows, "std")
     np.testing.assert_allclose(place_of(answer.centre), WRIST_CENTRE, atol=OFF)
-    client = ActionClient(live.client, Identify, "/identification/identify")
+    client = GoalClient(live.client, Identify, "/identification/identify")
     assert client.wait_for_server(20.0)
     out = tmp_path / "action"
     goal = Identify.Goal(what=Identify.Goal.WRIST_CENTRE, recording=str(tables["base"]), out=str(out))

@@ -15,18 +15,16 @@ import yaml
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from calibration import (
-    force_torque,
-    guard,
-    identification,
-    manager,
-    process_tree,
-    recorder,
-    sequencer_parameters,
-    tracker,
-)
-from calibration.acquisition import COMMON
+import calibration.executables as entry_points
+from calibration import manager, panel, process_tree
+from calibration.compensation import compensation
+from calibration.evaluation import identification
+from calibration.guard import guard
+from calibration.instruments import force_torque, tracker
+from calibration.instruments.acquisition import COMMON
 from calibration.node import NODE_NAMES, OF_ALL, Declared
+from calibration.recorder import recorder
+from calibration.sequencer import parameters as sequencer_parameters
 from calibration_core.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -41,7 +39,9 @@ TABLES: dict[str, tuple[Declared, ...]] = {
     "sequencer": (*OF_ALL, *sequencer_parameters.PARAMETERS),
     "recorder": (*OF_ALL, *recorder.PARAMETERS),
     "manager": (*OF_ALL, *manager.PARAMETERS),
+    "panel": (*OF_ALL, *panel.PARAMETERS),
     "identification": (*OF_ALL, *identification.PARAMETERS),
+    "compensation": (*OF_ALL, *compensation.PARAMETERS),
 }
 
 
@@ -117,11 +117,15 @@ def executables(package: str) -> set[str]:
             if isinstance(one, ast.Assign) and one.targets[0].id == "NODES"
         ]
         return set(ast.literal_eval(names))
-    return set(re.findall(r'"(\w+) = [\w.]+:main"', code))
+    return set(re.findall(r'"(\w+) = [\w.]+:\w+"', code))
+
+
+def test_every_executable_has_an_entry_point() -> None:
+    assert all(callable(getattr(entry_points, name)) for name in executables("calibration"))
 
 
 def simulated_cell() -> set[str]:
-    from calibration_sim.node_messages import PARAMETERS
+    from calibration_sim.living_cell.messages import PARAMETERS
 
     return set(PARAMETERS)
 
@@ -222,6 +226,18 @@ def test_values_of_a_tree(tmp_path: Path) -> None:
 def test_what_cannot_be_used_is_one_line_before_anything_starts(said: dict[str, str], words: str) -> None:
     with pytest.raises(InputError, match=re.escape(words)) as error:
         process_tree.values_of(process_tree.SIMULATED_CELL, said)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [("name: [", "cell.yaml:2:1: found "), ("name: x\nrobot: 3\n", "cell.yaml: ")]
+)
+def test_a_broken_cell_file_starts_nothing(tmp_path: Path, content: str, words: str) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(content, "utf-8")
+    with pytest.raises(InputError, match=words) as error:
+        process_tree.values_of(process_tree.SIMULATED_CELL, {"cell": str(path), "session": "s"})
+    assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
 
 

@@ -11,12 +11,14 @@ import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
+from action_msgs.msg import GoalStatus
 from calibration_interfaces.action import Measure
 from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import Tare
+from goals import GoalClient
 from lifecycle_msgs.msg import State, Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
-from rclpy.action import ActionClient
+from rclpy.event_handler import EventHandler, PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -81,6 +83,28 @@ class Probe(CalibrationNode):
     def _on_goal(self, goal: Any) -> Any:
         goal.succeed()
         return Measure.Result()
+
+
+class Slow:
+    """The handle of an action client that is slow to tell the number of what it has sent."""
+
+    def __init__(self, handle: Any) -> None:
+        self._handle = handle
+        self.requests = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._handle, name)
+
+    def _slowly(self, number: int) -> int:
+        self.requests += 1
+        time.sleep(0.3)
+        return number
+
+    def send_goal_request(self, request: Any) -> int:
+        return self._slowly(self._handle.send_goal_request(request))
+
+    def send_result_request(self, request: Any) -> int:
+        return self._slowly(self._handle.send_result_request(request))
 
 
 class Remote:
@@ -271,7 +295,7 @@ def test_inactive_is_inactive(probe: Probe, remote: Remote, until: Callable[...,
     words.publish(String(data="kept for latecomers"))
     ask = remote.node.create_client(Trigger, "probe/ask")
     judge = remote.node.create_client(Tare, "probe/judge")
-    do = ActionClient(remote.node, Measure, "probe/do")
+    do = GoalClient(remote.node, Measure, "probe/do")
     assert remote.change(1)
 
     def refused() -> None:
@@ -296,6 +320,28 @@ def test_inactive_is_inactive(probe: Probe, remote: Remote, until: Callable[...,
     assert finish(do.send_goal_async(Measure.Goal())).accepted
     assert remote.change(4)
     refused()
+
+
+def test_an_answer_that_comes_at_once_is_not_lost(probe: Probe, remote: Remote) -> None:
+    """Slow filing: the answers are taken in by the thread that spins while the thread of the test still sends."""
+    do = GoalClient(remote.node, Measure, "probe/do")
+    assert remote.change(1)
+    assert remote.change(3)
+    assert do.wait_for_server(15.0)
+    slow = Slow(do._client_handle)
+    do._client_handle = slow
+    handle = finish(do.send_goal_async(Measure.Goal()))
+    assert handle.accepted
+    assert finish(handle.get_result_async()).status == GoalStatus.STATUS_SUCCEEDED
+    assert slow.requests == 2
+
+
+def test_a_wake_carries_no_events_that_nobody_asked_for(spinning: Any) -> None:
+    """The executor looks at every event of every topic each time it wakes; rclpy makes two for each by itself."""
+    node = spinning.add(Probe(autostart=True, context=spinning.context))
+    assert [one for one in node.waitables if isinstance(one, EventHandler)] == []
+    heard = node.create_publisher(String, "w", 1, event_callbacks=PublisherEventCallbacks(matched=lambda _: None))
+    assert heard.event_handlers
 
 
 def test_by_itself_a_node_becomes_active(spinning: Any) -> None:

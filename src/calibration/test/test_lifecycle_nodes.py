@@ -15,11 +15,11 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from stand_ins import CELL, Feed, call
 
-from calibration.guard import GuardNode
+from calibration.guard.guard import GuardNode
 from calibration.lifecycle.machine import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE
-from calibration.sequencer import SequencerNode
-from calibration.sequencer_parameters import FREE, PARAMETERS
-from calibration_core.procedure.robot_status import Reason
+from calibration.sequencer.parameters import FREE, PARAMETERS
+from calibration.sequencer.sequencer import SequencerNode
+from calibration_core.motion.robot_status import Reason
 
 JOINTS = [f"joint_{i}" for i in range(1, 7)]
 

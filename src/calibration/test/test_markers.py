@@ -16,21 +16,21 @@ from calibration_interfaces import srv
 from calibration_interfaces.action import RunPlan
 from calibration_interfaces.msg import Outcome
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.action import ActionClient
+from goals import GoalClient
 from rclpy.parameter import Parameter
 from test_identification import BAG, CELL, ask, finish
 from visualization_msgs.msg import Marker, MarkerArray
 
-from calibration import identification
-from calibration.identification import IdentificationNode
-from calibration.markers import Look, to_markers
-from calibration.sequencer import SequencerNode
+from calibration.evaluation import identification
+from calibration.evaluation.identification import IdentificationNode
+from calibration.evaluation.markers import Look, to_markers
+from calibration.sequencer.sequencer import SequencerNode
 from calibration.topics import MARKERS, PLAN_MARKERS
 from calibration_core.cell import load_cell
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
-from calibration_core.report.scene import Scene
+from calibration_core.report.results.scene import Scene
 
 DEMO = CELL.with_name("demo.cell.yaml")
 POSES = [[0.1, 0.2, 0.1, 0.0, 0.3, 0.0], [0.4, -0.1, 0.2, 0.3, -0.5, 0.2]]
@@ -118,7 +118,7 @@ def test_a_plan_is_shown_when_its_measurement_begins(spinning: Any, until: Calla
     overrides = [Parameter(name, value=value) for name, value in (given | {"markers.size": 0.05}).items()]
     spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides))
     client = spinning.plain()
-    run = ActionClient(client, RunPlan, "/sequencer/run")
+    run = GoalClient(client, RunPlan, "/sequencer/run")
     assert run.wait_for_server(20.0)
     goal = RunPlan.Goal(plan=str(a_plan(tmp_path)), session=str(tmp_path / "session"))
     finish(finish(run.send_goal_async(goal)).get_result_async())  # nothing else of the cell is there

@@ -1,4 +1,4 @@
-"""Back ends, arrival, the stop ladder: against drivers that accept, refuse, fail, are silent, or lie."""
+"""Back ends, arrival, the staged stop: against drivers that accept, refuse, fail, are silent, or lie."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from calibration.background import in_executor
+from calibration.cell.permission import SILENT, PermissionWatch
 from calibration.motion import action_motion, follow_joint_trajectory
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.base import End
@@ -31,13 +32,12 @@ from calibration.motion.catalogue import make_backend
 from calibration.motion.external import ExternalMotion
 from calibration.motion.follow_joint_trajectory import decoded
 from calibration.motion.joint_trajectory_topic import TopicMotion
-from calibration.motion.ladder import StopLadder
 from calibration.motion.messages import hold, to_duration, to_joint_trajectory
 from calibration.motion.simulated import simulated
-from calibration.permission import SILENT, PermissionWatch
+from calibration.motion.stop_stages import StopStages
 from calibration.process_tree import BACKENDS
 from calibration_core.errors import InputError
-from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import NANOSECONDS
 
 JOINTS = ("joint_1", "joint_2", "joint_3")
@@ -111,23 +111,23 @@ def standing(values: list[float], rate: float = 50.0) -> Joints:
     return joints
 
 
-# --- the stop ladder -------------------------------------------------------------------------------------------------
+# --- the staged stop -------------------------------------------------------------------------------------------------
 
 
-def test_the_ladder_is_climbed_until_the_robot_stands() -> None:
-    ladder = StopLadder(4, patience=0.5)
-    assert not ladder.climbing
-    assert ladder.climb(0.0, standing=False) is None
-    assert ladder.begin(10.0) == 0
-    assert ladder.climb(10.4, standing=False) is None
-    assert ladder.climb(10.5, standing=False) == 1
-    assert ladder.begin(10.6) == 0  # told again: cancelled again, and no step back
-    assert ladder.climb(11.0, standing=False) == 2
-    assert ladder.climb(11.5, standing=False) == 3
-    assert ladder.climb(20.0, standing=False) is None
-    assert ladder.climbing
-    assert ladder.climb(20.1, standing=True) is None
-    assert not ladder.climbing
+def test_the_next_stage_is_taken_until_the_robot_stands() -> None:
+    stop = StopStages(4, patience=0.5)
+    assert not stop.under_way
+    assert stop.advance(0.0, standing=False) is None
+    assert stop.begin(10.0) == 0
+    assert stop.advance(10.4, standing=False) is None
+    assert stop.advance(10.5, standing=False) == 1
+    assert stop.begin(10.6) == 0  # asked again: cancelled again, and no step back
+    assert stop.advance(11.0, standing=False) == 2
+    assert stop.advance(11.5, standing=False) == 3
+    assert stop.advance(20.0, standing=False) is None
+    assert stop.under_way
+    assert stop.advance(20.1, standing=True) is None
+    assert not stop.under_way
 
 
 def test_the_guards_silence_is_no() -> None:

@@ -70,8 +70,8 @@ def test_a_node_that_comes_back_as_another_process_is_brought_up(order: Order) -
     hear(order, guard=UNCONFIGURED, tracker=UNCONFIGURED, sequencer=UNCONFIGURED)
     walk(order)
     assert not order.hear("tracker", 11, ACTIVE, 1.0)
-    assert order.lose("tracker")
-    assert not order.lose("tracker")
+    assert order.lose("tracker", 1.0)
+    assert not order.lose("tracker", 1.0)
     assert not order.all_active
     assert order.hear("tracker", 99, UNCONFIGURED, 2.0)
     assert walk(order, 2.0) == [("tracker", CONFIGURE), ("tracker", ACTIVATE)]
@@ -93,6 +93,23 @@ def test_silence_is_noticed_once_and_ends(order: Order) -> None:
     assert order.silent(LEASE + 0.2) == []
     assert order.hear("tracker", 11, ACTIVE, LEASE + 0.3)  # it was stopped, and goes on
     assert order.all_active
+
+
+def test_a_node_that_is_being_brought_up_is_given_time(order: Order) -> None:
+    hear(order, guard=machine.CONFIGURING, tracker=machine.ACTIVATING, sequencer=UNCONFIGURED)
+    order.silent(LEASE)
+    assert not order.lose("guard", 2.0 * LEASE)
+    assert order.silent(LEASE + 0.1) == ["sequencer"]
+    order.silent(PATIENCE)
+    assert order.silent(PATIENCE + 0.1) == ["guard", "tracker"]
+
+
+def test_a_manager_that_was_busy_itself_hears_the_others_before_it_misses_them(order: Order) -> None:
+    hear(order, guard=ACTIVE, tracker=ACTIVE, sequencer=ACTIVE)
+    assert order.silent(0.1) == []
+    assert order.silent(4.0) == []
+    hear(order, 4.0, guard=ACTIVE, sequencer=ACTIVE)
+    assert order.silent(4.1) == ["tracker"]
 
 
 def test_what_fails_is_tried_again_later_and_holds_nobody_up(order: Order) -> None:

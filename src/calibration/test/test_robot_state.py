@@ -13,7 +13,7 @@ from calibration.robot_state import abb, fanuc, generic, industrial, kuka_fri, k
 from calibration.robot_state.adapter import Received, assemble
 from calibration.robot_state.catalogue import ADAPTERS
 from calibration_core.errors import InputError
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 from calibration_core.timeseries import NANOSECONDS
 
 TRI = {-1: None, 0: False, 1: True, 7: None}
@@ -51,7 +51,7 @@ def test_industrial_tri_states(value: int) -> None:
     state = industrial.translate({"status": industrial_status(**{name: val(value) for name in names})})
     assert (state.motion_possible, state.in_motion, state.in_error) == (TRI[value],) * 3
     assert state.drives is {True: Drives.ON, False: Drives.OFF, None: Drives.UNKNOWN}[TRI[value]]
-    expected = {True: Safety.EMERGENCY_STOP, False: Safety.NORMAL, None: Safety.UNKNOWN}
+    expected = {True: SafetyState.EMERGENCY_STOP, False: SafetyState.NORMAL, None: SafetyState.UNKNOWN}
     assert state.safety is expected[TRI[value]]
 
 
@@ -78,10 +78,11 @@ def test_ur_needs_its_program(running: bool | None) -> None:
 @pytest.mark.parametrize("mode", range(15))
 def test_ur_safety_modes(mode: int) -> None:
     expected = {
-        1: Safety.NORMAL, 2: Safety.REDUCED, 3: Safety.PROTECTIVE_STOP, 4: Safety.FAULT, 5: Safety.SAFEGUARD_STOP,
-        6: Safety.EMERGENCY_STOP, 7: Safety.EMERGENCY_STOP, 8: Safety.FAULT, 9: Safety.FAULT, 10: Safety.FAULT,
-        12: Safety.SAFEGUARD_STOP, 13: Safety.ENABLING_STOP,
-    }.get(mode, Safety.UNKNOWN)  # fmt: skip
+        1: SafetyState.NORMAL, 2: SafetyState.REDUCED, 3: SafetyState.PROTECTIVE_STOP, 4: SafetyState.FAULT,
+        5: SafetyState.SAFEGUARD_STOP, 6: SafetyState.EMERGENCY_STOP, 7: SafetyState.EMERGENCY_STOP,
+        8: SafetyState.FAULT, 9: SafetyState.FAULT, 10: SafetyState.FAULT, 12: SafetyState.SAFEGUARD_STOP,
+        13: SafetyState.ENABLING_STOP,
+    }.get(mode, SafetyState.UNKNOWN)  # fmt: skip
     assert ur.translate({"safety_mode": Message(mode=mode)}).safety is expected
 
 
@@ -127,7 +128,7 @@ def test_kss_modes(mode: int) -> None:
 @pytest.mark.parametrize(("emergency", "guard"), list(itertools.product([False, True], repeat=2)))
 def test_kss_safety(emergency: bool, guard: bool) -> None:
     state = kuka_kss.translate({"status": kss(emergency_stop=emergency, guard_stop=guard)})
-    expected = Safety.EMERGENCY_STOP if emergency else Safety.SAFEGUARD_STOP if guard else Safety.NORMAL
+    expected = SafetyState.EMERGENCY_STOP if emergency else SafetyState.SAFEGUARD_STOP if guard else SafetyState.NORMAL
     assert state.safety is expected
 
 
@@ -151,8 +152,8 @@ def test_fri(mode: int, drive: int, safety: int) -> None:
     modes = {0: OperatingMode.MANUAL_REDUCED, 1: OperatingMode.MANUAL_HIGH, 2: OperatingMode.AUTOMATIC}
     assert state.operating_mode is modes.get(mode, OperatingMode.UNKNOWN)
     assert state.drives is {0: Drives.OFF, 1: Drives.OFF, 2: Drives.ON}.get(drive, Drives.UNKNOWN)
-    assert (state.safety is Safety.NORMAL) == (safety == 0)
-    assert (state.safety is Safety.UNKNOWN) == (safety not in range(4))
+    assert (state.safety is SafetyState.NORMAL) == (safety == 0)
+    assert (state.safety is SafetyState.UNKNOWN) == (safety not in range(4))
 
 
 @pytest.mark.parametrize("session", range(5))
@@ -167,7 +168,7 @@ def test_abb(motors: bool | None, auto: bool | None, rapid: bool | None) -> None
     modes = {None: OperatingMode.UNKNOWN, False: OperatingMode.MANUAL_UNSPECIFIED, True: OperatingMode.AUTOMATIC}
     assert state.operating_mode is modes[auto]
     assert state.drives is {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}[motors]
-    assert state.safety is (Safety.NORMAL if motors else Safety.UNKNOWN)
+    assert state.safety is (SafetyState.NORMAL if motors else SafetyState.UNKNOWN)
     assert state.motion_possible is rapid
 
 
@@ -178,7 +179,10 @@ def test_fanuc(pendant: bool | None, stopped: bool | None, powered: bool | None)
     state = fanuc.translate({"status": status, "extended": extended})
     modes = {None: OperatingMode.UNKNOWN, True: OperatingMode.MANUAL_UNSPECIFIED, False: OperatingMode.AUTOMATIC}
     assert state.operating_mode is modes[pendant]
-    assert state.safety is {None: Safety.UNKNOWN, False: Safety.NORMAL, True: Safety.EMERGENCY_STOP}[stopped]
+    assert (
+        state.safety
+        is {None: SafetyState.UNKNOWN, False: SafetyState.NORMAL, True: SafetyState.EMERGENCY_STOP}[stopped]
+    )
     assert state.drives is {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}[powered]
     assert (state.motion_possible, state.in_error, state.in_motion) == (True, False, False)
     assert state.speed_scaling == pytest.approx(0.5)
@@ -205,13 +209,15 @@ def test_staubli_modes(mode: float) -> None:
 )
 def test_staubli_safety(pressed: float, status: float) -> None:
     words = {
-        0.0: Safety.NORMAL,
-        1.0: Safety.PROTECTIVE_STOP,
-        2.0: Safety.SAFEGUARD_STOP,
-        3.0: Safety.SAFEGUARD_STOP,
-        4.0: Safety.ENABLING_STOP,
+        0.0: SafetyState.NORMAL,
+        1.0: SafetyState.PROTECTIVE_STOP,
+        2.0: SafetyState.SAFEGUARD_STOP,
+        3.0: SafetyState.SAFEGUARD_STOP,
+        4.0: SafetyState.ENABLING_STOP,
     }
-    expected = {0.0: words.get(status, Safety.UNKNOWN), 1.0: Safety.EMERGENCY_STOP, 0.5: Safety.UNKNOWN}[pressed]
+    expected = {0.0: words.get(status, SafetyState.UNKNOWN), 1.0: SafetyState.EMERGENCY_STOP, 0.5: SafetyState.UNKNOWN}[
+        pressed
+    ]
     state = staubli.translate({"states": staubli_states(estop_pressed=pressed, safety_status=status)})
     assert state.safety is expected
 
@@ -234,7 +240,7 @@ def own(**changes: Any) -> Message:
 def test_native_numbers(number: int) -> None:
     state = native.translate({"state": own(operating_mode=number, drives=number, safety=number, in_error=number)})
     for word, kind in zip(
-        (state.operating_mode, state.drives, state.safety), (OperatingMode, Drives, Safety), strict=True
+        (state.operating_mode, state.drives, state.safety), (OperatingMode, Drives, SafetyState), strict=True
     ):
         assert word == (number if number in list(map(int, kind)) else 0)
     assert state.in_error is {0: False, 1: True}.get(number)
@@ -267,7 +273,7 @@ def test_generic(mode: Any, power: Any, word: str) -> None:
     modes = {"3": OperatingMode.MANUAL_REDUCED, "4": OperatingMode.AUTOMATIC}
     assert state.operating_mode is modes.get(str(mode), OperatingMode.UNKNOWN)
     assert state.drives is (Drives.UNKNOWN if power == 1 and power is not True else Drives.ON if power else Drives.OFF)
-    assert state.safety is (Safety.NORMAL if word == "ok" else Safety.UNKNOWN)
+    assert state.safety is (SafetyState.NORMAL if word == "ok" else SafetyState.UNKNOWN)
     assert state.in_error is None
 
 
@@ -333,7 +339,7 @@ def test_topics_sent_at_changes_do_not_age() -> None:
         "operational_mode": Received(Message(success=True, operational_mode=Message(mode="MANUAL")), 99 * NANOSECONDS),
     }
     state = assemble(ur.ADAPTER, received, 100 * NANOSECONDS)
-    assert (state.status.drives, state.status.safety) == (Drives.ON, Safety.NORMAL)
+    assert (state.status.drives, state.status.safety) == (Drives.ON, SafetyState.NORMAL)
     assert state.received_time == 99 * NANOSECONDS
 
 

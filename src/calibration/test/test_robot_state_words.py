@@ -11,7 +11,7 @@ from calibration.robot_state.adapter import Report
 from calibration.robot_state.catalogue import ADAPTERS, NAMES, adapter_of, load_type
 from calibration.robot_state.confirmation import LONGEST, Confirmation, checked, confirmed
 from calibration_core.errors import InputError
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 # --- the operator's word ---------------------------------------------------------------------------------------------
 
@@ -31,7 +31,7 @@ def test_an_operators_word_ends() -> None:
     nothing_heard = Report(adapter_of("manual_confirm").translate({}))
     status = confirmed(nothing_heard, word, 9.0).status
     assert (status.operating_mode, status.drives) == (OperatingMode.MANUAL_REDUCED, Drives.ON)
-    assert status.safety is Safety.NORMAL
+    assert status.safety is SafetyState.NORMAL
     ended = confirmed(nothing_heard, word, 10.0)
     assert ended.status.operating_mode is OperatingMode.UNKNOWN
     assert (ended.status.operator_confirmed, ended.status.confirmed_until) == (True, 10.0)

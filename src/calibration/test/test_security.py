@@ -23,6 +23,8 @@ from tree_runner import INSTALL, TreeRunner
 
 from calibration.process_tree import SIMULATED_CELL
 
+pytestmark = pytest.mark.alone
+
 ROOT = Path(__file__).resolve().parents[3]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 POLICIES = ROOT / "src" / "calibration" / "security" / "policies.xml"
@@ -52,21 +54,25 @@ Access = dict[str, set[str]]
 # Allowed, and not seen in the simulated cell: what the back ends and adapters of real cells need.
 REAL: dict[tuple[str, str], set[str]] = {
     ("guard", "subscribe"): {  # adapter industrial, and a driver's goals
-        "/robot_status",
-        "/joint_trajectory_controller/follow_joint_trajectory/_action/status",
+        "robot_status",
+        "joint_trajectory_controller/follow_joint_trajectory/_action/status",
     },
-    ("guard", "request"): {"/joint_trajectory_controller/follow_joint_trajectory/_action/cancel_goal"},
-    ("guard", "publish"): {"/joint_trajectory_controller/joint_trajectory"},
-    ("sequencer", "call"): {"/joint_trajectory_controller/follow_joint_trajectory"},
-    ("sequencer", "publish"): {"/joint_trajectory_controller/joint_trajectory"},
+    ("guard", "request"): {"joint_trajectory_controller/follow_joint_trajectory/_action/cancel_goal"},
+    ("guard", "publish"): {"joint_trajectory_controller/joint_trajectory"},
+    ("sequencer", "call"): {"joint_trajectory_controller/follow_joint_trajectory"},
+    ("sequencer", "publish"): {"joint_trajectory_controller/joint_trajectory"},
     ("tracker", "subscribe"): {"/tf"},  # input_type: tf
-    ("identification", "subscribe"): {"/clock"},  # use_sim_time, which its launch files leave alone
+    ("panel", "call"): {"sequencer/run", "identification/identify"},  # while what was asked for there is under way
+    ("identification", "subscribe"): {"clock"},  # use_sim_time, which its launch files leave alone
+    ("compensation", "subscribe"): {"clock"},  # likewise
 }
 
 
-def policy() -> ET.Element:
-    """The policy with what it includes."""
-    root = ET.parse(POLICIES).getroot()
+def policy(namespace: str = "") -> ET.Element:
+    """The policy with what it includes, for a namespace changed as its documentation says."""
+    command = ["sed", f's#ns="/"#ns="/{namespace}"#', str(POLICIES)]
+    assert 'sed \'s#ns="/"#ns="/NAMESPACE"#\'' in POLICIES.read_text("utf-8")
+    root = ET.fromstring(subprocess.run(command, capture_output=True, check=True).stdout)
     for profile in root.iter("profile"):
         for place in profile.findall(INCLUDE):
             assert place.get("xpointer") == "xpointer(/profile/*)"
@@ -84,10 +90,10 @@ def full(name: str, profile: ET.Element) -> str:
     return f"{space}/{profile.get('node')}{name[1:]}" if name.startswith("~") else f"{space}/{name}"
 
 
-def allowed() -> dict[str, Access]:
+def allowed(namespace: str = "") -> dict[str, Access]:
     """What each node may do."""
     found = {}
-    for profile in policy().iter("profile"):
+    for profile in policy(namespace).iter("profile"):
         access: Access = {kind: set() for kind in KINDS}
         for group in profile:
             for kind in group.attrib:
@@ -96,9 +102,9 @@ def allowed() -> dict[str, Access]:
     return found
 
 
-def done(client: Any, name: str) -> Access:
+def done(client: Any, name: str, namespace: str) -> Access:
     """What a node does, as the graph shows it."""
-    at = (name, "/")
+    at = (name, f"/{namespace}")
 
     def names(found: list[tuple[str, list[str]]]) -> set[str]:
         return {one for one, _ in found}
@@ -115,6 +121,12 @@ def done(client: Any, name: str) -> Access:
         for of in access.values():
             of -= {one for one in of if one.startswith(f"{action}/_action/")}
     return {**access, "call": calls, "execute": executes}
+
+
+def real(node: str, kind: str, namespace: str) -> set[str]:
+    """What real cells alone need, as it stands in the graph."""
+    space = f"/{namespace}" if namespace else ""
+    return {name if name.startswith("/") else f"{space}/{name}" for name in REAL.get((node, kind), set())}
 
 
 def lines(node: str, access: Access) -> str:
@@ -154,11 +166,17 @@ def test_nobody_but_the_sequencer_may_move_the_robot() -> None:
     assert movers == {"sequencer"}
 
 
+@pytest.fixture(params=["", pytest.param("left", marks=pytest.mark.slow)])
+def namespace(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
 @pytest.fixture
-def running(spinning: Any, source_environment: dict[str, str], tmp_path: Path) -> Iterator[Any]:
+def running(spinning: Any, source_environment: dict[str, str], tmp_path: Path, namespace: str) -> Iterator[Any]:
     """A client that sees the shipped tree."""
     client = spinning.plain("outside")
-    runner = TreeRunner(SIMULATED_CELL, source_environment, tmp_path, cell=CELL, session=tmp_path / "session")
+    said = {"cell": CELL, "session": tmp_path / "session", "namespace": namespace}
+    runner = TreeRunner(SIMULATED_CELL, source_environment, tmp_path, **said)
     try:
         runner.start()
         yield client
@@ -166,12 +184,12 @@ def running(spinning: Any, source_environment: dict[str, str], tmp_path: Path) -
         runner.shutdown()
 
 
-def test_it_allows_what_the_nodes_do_and_no_more(running: Any) -> None:
-    may = allowed()
+def test_it_allows_what_the_nodes_do_and_no_more(running: Any, namespace: str) -> None:
+    may = allowed(namespace)
     end, since, seen = time.monotonic() + PATIENCE, time.monotonic(), {}
     while time.monotonic() < end:
         there = set(running.get_node_names())
-        before, seen = seen, {node: done(running, node) for node in may if node in there}
+        before, seen = seen, {node: done(running, node, namespace) for node in may if node in there}
         since = since if seen == before else time.monotonic()
         if set(seen) == set(may) and time.monotonic() - since > STABLE:
             break
@@ -180,7 +198,7 @@ def test_it_allows_what_the_nodes_do_and_no_more(running: Any) -> None:
     missing = "".join(beyond(seen[node], may[node], node) for node in may)
     assert missing == "", f"add to security/policies.xml (or, if every node does it, to common.xml): {missing}"
     idle = "".join(
-        beyond({kind: names - REAL.get((node, kind), set()) for kind, names in may[node].items()}, seen[node], node)
+        beyond({kind: names - real(node, kind, namespace) for kind, names in may[node].items()}, seen[node], node)
         for node in may
     )
     assert idle == "", f"take out of security/policies.xml, for no node does it: {idle}"

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import sys
+import threading
 import time
+import types
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +17,26 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("calibration_interfaces")
 
+from calibration_interfaces.action import RunPlan
 from calibration_interfaces.msg import (
     Condition,
     ConditionOverride,
     MeasurementStep,
     Outcome,
+    ProcedureState,
+    SampleCheck,
     SessionEvent,
 )
 from sequencer_world import CELL, GOAL, JOINTS, PULL, Operator, World, ended, overrides
 
-from calibration.runner import Call
-from calibration.sequencer import SequencerNode
-from calibration.sequencer_parameters import PARAMETERS, motion_limits
+from calibration.sequencer.parameters import PARAMETERS, motion_limits
+from calibration.sequencer.runner import Call
+from calibration.sequencer.sequencer import SequencerNode
+from calibration.topics import SAMPLE_CHECK
 from calibration_core.cell import Safety, load_cell
 from calibration_core.errors import InputError
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.procedure.session import Session
+from calibration_core.measurement.session import Session
 
 
 @pytest.mark.parametrize(("asked", "planned"), [(0.25, 0.2), (0.1, 0.1)])
@@ -97,6 +105,22 @@ def test_the_operator_moves_and_loads(
         assert any(decision.permitted for decision in session.decisions)
 
 
+def test_it_is_told_how_far_an_average_is(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    world.average = 1.0
+    handle = operator.measure(plan, tmp_path / "session")
+    world.q = np.array(GOAL)
+    until(lambda: operator.loaded(7, 1).code == Outcome.OK)
+    until(lambda: operator.loaded(7, 1).code == Outcome.OK)
+    assert ended(handle).outcome.code == Outcome.OK
+    told = [one.averaged for one in operator.states if one.state == ProcedureState.READING]
+    assert 0.5 in told
+    assert all(share in (0.0, 0.5) or math.isnan(share) for share in told)  # by its end nothing is averaged
+    assert all(math.isnan(one.averaged) for one in operator.states if one.state != ProcedureState.READING)
+
+
 def test_stop_and_resume_later(
     spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
 ) -> None:
@@ -110,25 +134,85 @@ def test_stop_and_resume_later(
     assert "resume to continue" in operator.rejected(until, plan, tmp_path / "session")
     handle = operator.measure(plan, tmp_path / "session", resume=True)
     world.q = np.array(GOAL)
+    until(lambda: "release the load that another run may have left on" in operator.states[-1].waiting)
+    assert math.isnan(operator.states[-1].band_force)  # nothing is known against which the sensor could be held
+    until(lambda: operator.loaded(7, 0).code == Outcome.OK)
     for _ in range(2):
         until(lambda: operator.loaded(7, 1).code == Outcome.OK)
     assert ended(handle).outcome.code == Outcome.OK
 
 
+@pytest.fixture
+def slow_disk() -> Iterator[threading.Event]:
+    """What waits for it goes on when it is set."""
+    one = threading.Event()
+    yield one
+    one.set()
+
+
 def test_a_silent_guard_stops_a_motion_even_while_a_disk_is_slow(
-    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+    slow_disk: Any, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
 ) -> None:
     trace = tmp_path / "trace.csv"
     node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
     handle = operator.measure(plan, tmp_path / "session")
     until(lambda: node.runner is not None and node.runner.moving)
-    node.runner.post(Call(lambda: time.sleep(3.0)))  # what a disk does that others keep busy
+    node.runner.post(Call(slow_disk.wait))  # what a disk does that others keep busy
     time.sleep(0.1)
     world.timer.cancel()
-    until(trace.exists, timeout=1.5)
+    until(trace.exists)
+    slow_disk.set()
     assert "stop" in trace.read_text()
     handle.cancel_goal_async()
     assert ended(handle).outcome.code == Outcome.CANCELLED
+
+
+def test_the_operator_stops_a_motion_even_while_a_disk_is_slow(
+    slow_disk: Any, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    trace = tmp_path / "trace.csv"
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: node.runner is not None and node.runner.moving)
+    node.runner.post(Call(slow_disk.wait))
+    time.sleep(0.1)
+    assert operator.says("stop").success
+    assert "stop" in trace.read_text()
+    slow_disk.set()
+    assert ended(handle).outcome.code == Outcome.STOPPED
+
+
+def test_a_lost_instrument_stops_a_motion_even_while_a_disk_is_slow(
+    slow_disk: Any, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    """It is stopped before the runner can look, which then pauses: nothing moves before the operator says so."""
+    trace = tmp_path / "trace.csv"
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
+    check = world.node.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: node.runner is not None and node.runner.moving)
+    node.runner.post(Call(slow_disk.wait))
+    time.sleep(0.1)
+    check.publish(SampleCheck(name="mp1", problem=SampleCheck.TWO_SOURCES, text="two publishers"))
+    until(trace.exists)
+    time.sleep(0.2)
+    assert trace.read_text().count("stop") == 1
+    check.publish(SampleCheck(name="mp1", problem=SampleCheck.FINE))
+    time.sleep(0.2)
+    slow_disk.set()  # the runner looks when nothing is lost any more
+    until(lambda: node.runner.sequence.paused)
+    handle.cancel_goal_async()
+    assert ended(handle).outcome.code == Outcome.CANCELLED
+
+
+def test_a_run_that_outlives_its_node_ends_without_a_word(context: Any, plan: Path, tmp_path: Path) -> None:
+    """The interpreter closes what still waits when the process ends; what it would publish with is gone by then."""
+    node = SequencerNode(context=context, parameter_overrides=overrides())
+    goal = types.SimpleNamespace(request=RunPlan.Goal(plan=str(plan), session=str(tmp_path / "session")))
+    run = node._action._on_run(goal)
+    run.send(None)  # under way
+    node.destroy_node()
+    run.close()
 
 
 HOT = 25.0  # degrees Celsius

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("rclpy")
-from calibration_sim import node as simulated
+from calibration_sim.living_cell import process as simulated
 
 
 def cell(stops_after: float) -> Any:

@@ -22,7 +22,9 @@ pytest.importorskip("calibration_interfaces.msg", reason="the messages are not b
 from calibration_interfaces.msg import SampleCheck
 
 from calibration_core.cell import load_cell
-from calibration_core.recording.bag import read_bag
+from calibration_core.recording.bags.bag import read_bag
+
+pytestmark = pytest.mark.alone
 
 ROOT = Path(__file__).resolve().parents[3]
 BIN = ROOT / "install" / "calibration" / "lib" / "calibration"
@@ -32,11 +34,13 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 PUBLISH = """
 import sys, time
 import numpy as np, rclpy
+from granted import Granted
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 seconds, names = float(sys.argv[1]), sys.argv[2].split(",")
 skipped = {int(one) for one in sys.argv[3].split(",")}
+receivers = [int(one) for one in sys.argv[4:]]
 rclpy.init()
 node = rclpy.create_node("publisher")
 qos = QoSProfile(depth=2000)
@@ -48,9 +52,13 @@ while min(p.get_subscription_count() for p in (wrench, direct, joints, *points))
     rclpy.spin_once(node, timeout_sec=0.05)
 time.sleep(0.5)
 W, J, P = WrenchStamped(), JointState(name=names, position=[0.0] * len(names)), PointStamped()
-start = time.monotonic()
+start, waited = time.monotonic(), 0.0
+watches = [Granted(one) for one in receivers]
 for k in range(int(1000 * seconds)):
-    pause = start + k * 1e-3 - time.monotonic()
+    if k % 100 == 0:
+        # While a receiver has no core, nothing is sent: its queues hold two seconds.
+        waited = max(watch.waited for watch in watches)
+    pause = start + waited + k * 1e-3 - time.monotonic()
     if pause > 0:
         time.sleep(pause)
     sec, nanosec = 1700000000 + k // 1000, k % 1000 * 1000000
@@ -67,7 +75,7 @@ for k in range(int(1000 * seconds)):
         P.point.x = float(k)
         for publisher in points:
             publisher.publish(P)
-print("late", time.monotonic() - start - seconds, flush=True)
+print("late", time.monotonic() - start - waited - seconds, "waited", waited, flush=True)
 time.sleep(1.0)
 """
 
@@ -95,16 +103,18 @@ def soak(
          "-p", "publish_raw:=false", "-p", "largest_force:=1.0e9"], env=environment,
     )  # fmt: skip
     names = ",".join(cell.robot.joints)
-    arguments = [sys.executable, "-c", PUBLISH, str(seconds), names, ",".join(map(str, skipped))]
-    publisher = subprocess.Popen(arguments, env=environment, stdout=subprocess.PIPE, text=True)
+    receivers = [str(one.pid) for one in (recorder, sensor)]
+    arguments = [sys.executable, "-c", PUBLISH, str(seconds), names, ",".join(map(str, skipped)), *receivers]
+    path = os.pathsep.join([str(Path(__file__).parent), *filter(None, [environment.get("PYTHONPATH")])])
+    publisher = subprocess.Popen(arguments, env={**environment, "PYTHONPATH": path}, stdout=subprocess.PIPE, text=True)
     running = [recorder, sensor, publisher]
     try:
-        until(lambda: heard and heard[-1].received > total // 5, timeout=120.0 + seconds)
+        until(lambda: heard and heard[-1].received > total // 5, timeout=120.0 + 20.0 * seconds)
         early = [memory(recorder), memory(sensor)]
         assert publisher.stdout is not None
         late = float(publisher.stdout.readline().split()[1])
         grown = [memory(one) / before - 1.0 for one, before in zip((recorder, sensor), early, strict=True)]
-        until(lambda: heard[-1].received == total - len(skipped), timeout=15.0)
+        until(lambda: heard[-1].received >= total - len(skipped), timeout=60.0)
         publisher.wait(30.0)
         recorder.send_signal(signal.SIGINT)
         sensor.send_signal(signal.SIGINT)
@@ -127,7 +137,7 @@ def soak(
     return {"late": late, "recorder": grown[0], "force_torque": grown[1]}
 
 
-@pytest.mark.parametrize("seconds", [60.0, pytest.param(600.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seconds", [30.0, pytest.param(600.0, marks=pytest.mark.slow)])
 def test_soak(
     spinning: Any, until: Callable[..., None], tmp_path: Path, source_environment: dict[str, str], seconds: float
 ) -> None:

@@ -29,10 +29,10 @@ from calibration.lifecycle.order import Order
 from calibration.status import faults as wrong
 from calibration.status.observer import Observer, Party, Verdict
 from calibration.status.whole import Whole
-from calibration_core.procedure import messages as m
-from calibration_core.procedure.agenda import SequenceRules
-from calibration_core.procedure.plan import Plan, PlannedConfiguration
-from calibration_core.procedure.sequence import Sequence
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.sequence import Sequence
+from calibration_core.planning.plans.measurement_queue import SequenceRules
+from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 
 PULL = np.array([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
 NAMES = ("guard", "sequencer")
@@ -58,12 +58,16 @@ class Watched:
         self.tell(kind, request=request, **fields)
 
 
-@pytest.fixture
-def watched() -> Watched:
+def procedure(*, loaded: bool = False) -> Watched:
     one = PlannedConfiguration(1, np.full(6, 0.1), np.array([np.zeros(6), PULL]))
     plan = Plan("robot", tuple(f"joint_{i}" for i in range(1, 7)), (one,), np.empty((0, 6)))
-    sequence = Sequence(plan, SequenceRules(readings=2, attempts=2, startup_cycles=0))
+    sequence = Sequence(plan, SequenceRules(readings=2, attempts=2, startup_cycles=0), loaded=loaded)
     return Watched(sequence, Observer(sequence))
+
+
+@pytest.fixture
+def watched() -> Watched:
+    return procedure()
 
 
 def begin(watched: Watched) -> None:
@@ -113,6 +117,16 @@ def test_a_run_as_people_see_it(watched: Watched) -> None:
     assert observer.question == ""
     watched.tell(m.Stop)
     assert (observer.text, observer.waiting) == ("the run is over", "")
+
+
+def test_a_load_of_another_run_is_named() -> None:
+    watched = procedure(loaded=True)
+    begin(watched)
+    assert (watched.observer.waits_for, watched.observer.waiting) == (
+        Party.OPERATOR, "operator: release the load that another run may have left on, then confirm",
+    )  # fmt: skip
+    watched.answer(m.LoadReached)
+    assert watched.observer.waits_for is Party.GUARD
 
 
 def health(name: str, level: int = NodeHealth.OK, state: int = ACTIVE, text: str = "") -> NodeHealth:
@@ -188,8 +202,7 @@ def constants(message: type) -> set[int]:
 
 
 def test_every_reason_and_problem_of_the_messages_is_answered() -> None:
-    assert len(wrong.NOT_PERMITTED) >= 24
-    assert set(wrong.NOT_PERMITTED) <= constants(Permission)
+    assert set(wrong.NOT_PERMITTED) == constants(Permission)
     assert set(wrong.STREAM) == constants(SampleCheck) - {SampleCheck.FINE, SampleCheck.GAP}
 
 
@@ -203,7 +216,7 @@ def test_the_whole_says_who_is_not_heard_and_what_was_said_last() -> None:
         whole.hear_node(health(name))
         order.hear(name, 7, ACTIVE, 1.0)
     procedure = ProcedureState(text="moving to configuration 3", waiting="robot: arrival")
-    procedure.header.stamp.sec = 1
+    assert not whole.message(order, 1.0).procedure_known
     whole.hear("procedure", procedure, 1.0)
     whole.hear("permission", Permission(permitted=True), 1.0)
     state = whole.message(order, 1.1)
@@ -211,7 +224,7 @@ def test_the_whole_says_who_is_not_heard_and_what_was_said_last() -> None:
     assert list(state.faults) == []
     before = whole.news(state)
     assert before == whole.news(whole.message(order, 1.2))
-    order.lose("sequencer")
+    order.lose("sequencer", 1.3)
     state = whole.message(order, 1.3)
     assert state.text == "the sequencer is not heard; it said last: moving to configuration 3"
     assert [one.code for one in state.faults] == ["node_silent"]

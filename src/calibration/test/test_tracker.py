@@ -20,13 +20,13 @@ from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     TransformStamped,
 )
-from rclpy.action import ActionClient
+from goals import GoalClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from stand_ins import Feed, finish, measure, overrides
 
 from calibration.conversions import stamp_ns, to_header, transforms
+from calibration.instruments.tracker import TrackerNode
 from calibration.node import ParameterError
-from calibration.tracker import TrackerNode
 from calibration_core.errors import InputError
 
 HERE = np.array([1.25, -2.5, 0.75])
@@ -155,7 +155,7 @@ def test_measure_says_why_it_cannot(spinning: Any, feeds: list[Feed]) -> None:
 
 def test_measure_can_be_cancelled(spinning: Any) -> None:
     spinning.add(TrackerNode(context=spinning.context, parameter_overrides=overrides(timeout=60.0)))
-    client = ActionClient(spinning.plain(), Measure, "/tracker/measure")
+    client = GoalClient(spinning.plain(), Measure, "/tracker/measure")
     assert client.wait_for_server(15.0)
     handle = finish(client.send_goal_async(Measure.Goal()))
     assert finish(handle.cancel_goal_async()).goals_canceling
@@ -186,6 +186,30 @@ def test_the_health_of_a_stream_is_told(spinning: Any, feeds: list[Feed], until:
     assert (last.not_finite, last.jumps, last.wrong_frame) == (1, 1, 1)
     assert last.accepted == last.received - 3
     assert np.isfinite([[one.point.x, one.point.y] for one in passed]).all()
+
+
+@pytest.mark.parametrize("topic", ["input/mp1", "tracker/mp1"])
+def test_of_two_that_publish_a_point_none_is_read(
+    spinning: Any, feeds: list[Feed], until: Callable[..., None], topic: str
+) -> None:
+    node = spinning.add(TrackerNode(context=spinning.context, parameter_overrides=overrides()))
+    first, second, client = (spinning.plain(name) for name in ("driver", "old_driver", "reader"))
+    heard: list[SampleCheck] = []
+    client.create_subscription(SampleCheck, "/calibration/sample_check", heard.append, 100)
+    rng = np.random.default_rng(3)
+    make = lambda _: incoming("PointStamped", HERE + 1e-5 * rng.standard_normal(3), node.now_ns())  # noqa: E731
+    feeds.append(Feed(first.create_publisher(PointStamped, "input/mp1", 100), make))
+    until(lambda: any(one.name == "mp1" and one.problem == SampleCheck.FINE for one in heard))
+    rival = second.create_publisher(PointStamped, topic, 100)
+    until(lambda: any(one.name == "mp1" and one.problem == SampleCheck.TWO_SOURCES for one in heard))
+    words = next(str(one.text) for one in heard if one.problem == SampleCheck.TWO_SOURCES)
+    own = "/driver" if topic.startswith("input") else "/tracker"
+    assert words == f"/{topic} is published by {', '.join(sorted([own, '/old_driver']))}"
+    result = measure(client, "/tracker/measure", Measure.Goal(names=["mp1"]))
+    assert (result.outcome.code, result.outcome.text) == (Outcome.NOT_AVAILABLE, f"mp1: {words}")
+    second.destroy_publisher(rival)
+    until(lambda: [one for one in heard if one.name == "mp1"][-1].problem == SampleCheck.FINE)
+    assert measure(client, "/tracker/measure", Measure.Goal(names=["mp1"])).outcome.code == Outcome.OK
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,8 @@ from tree_runner import TreeRunner
 from calibration.process_tree import SIMULATED_CELL
 from calibration.topics import PERMISSION
 
+pytestmark = pytest.mark.alone
+
 CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml"
 NODES = {process.name for process in SIMULATED_CELL.processes}
 
@@ -36,7 +38,7 @@ def test_a_crash_ends_no_other_process(
     finally:
         ended = runner.shutdown()
     assert {name: code for name, code, _ in ended} == dict.fromkeys(NODES - {"force_torque"}, 0), ended
-    assert max(seconds for _, _, seconds in ended) < min(one.sigterm_after for one in SIMULATED_CELL.processes)
+    assert max(seconds for _, _, seconds in ended) < min(one.sigterm_after for one in SIMULATED_CELL.processes), ended
 
 
 def test_a_cell_at_twenty_times_life_is_not_latched_while_idle(

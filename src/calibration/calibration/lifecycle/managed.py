@@ -20,6 +20,7 @@ from lifecycle_msgs.msg import State, Transition, TransitionDescription, Transit
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -209,6 +210,20 @@ class ManagedNode(Node):
         in_executor(self, work)
         if not done.wait(DESTROYED):
             raise TransitionError("the executor is busy: what the node made is not taken down yet")
+
+    # --- what does not fit is found by looking at the graph (`topics.incompatible`) -----------------------------------
+
+    def create_publisher(self, *args: Any, event_callbacks: PublisherEventCallbacks | None = None, **more: Any) -> Any:
+        """Make a publisher; without the events that rclpy makes for each by itself: they cost half of every wake."""
+        events = event_callbacks or PublisherEventCallbacks(use_default_callbacks=False)
+        return super().create_publisher(*args, event_callbacks=events, **more)
+
+    def create_subscription(
+        self, *args: Any, event_callbacks: SubscriptionEventCallbacks | None = None, **more: Any
+    ) -> Any:
+        """Make a subscription; without the events that rclpy makes for each by itself: they cost half of every wake."""
+        events = event_callbacks or SubscriptionEventCallbacks(use_default_callbacks=False)
+        return super().create_subscription(*args, event_callbacks=events, **more)
 
     # --- nothing reaches a node that is not active --------------------------------------------------------------------
 

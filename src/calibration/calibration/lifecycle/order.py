@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 from calibration.lifecycle import machine
 
-PATIENCE = 10.0  # s, that a node which is not heard is waited for before those after it are brought up
+PATIENCE = 10.0  # s, that a node which is not heard, or is being brought up, is waited for
 RETRY = 5.0  # s, after which a transition that failed is asked for again
 UP = {machine.UNCONFIGURED: machine.CONFIGURE, machine.INACTIVE: machine.ACTIVATE}
+BUSY = (machine.CONFIGURING, machine.ACTIVATING)
 DOWN = {machine.ACTIVE: machine.DEACTIVATE, machine.INACTIVE: machine.CLEANUP}
 
 
@@ -56,7 +57,7 @@ class Order:
     def __init__(self, names: Sequence[str], lease: float, now: float) -> None:
         self.members = {name: Member(name) for name in names}
         self.up = True
-        self._lease, self._began = lease, now
+        self._lease, self._began, self._looked = lease, now, -math.inf
 
     def hear(self, name: str, process: int, state: int, now: float) -> bool:
         """Take a sign of life; return whether it is news: the node was not heard before, or is another process."""
@@ -69,16 +70,27 @@ class Order:
         one.process, one.state, one.heard, one.alive = process, state, now, True
         return news
 
-    def lose(self, name: str) -> bool:
-        """Take notice that the sign of life has ended; return whether that is news."""
+    def lose(self, name: str, now: float) -> bool:
+        """Take notice that the sign of life has ended; return whether that is news.
+
+        A node that is being configured or activated may be too busy for one: it is given time.
+        """
         one = self.members[name]
+        if one.state in BUSY and now - one.heard <= PATIENCE:
+            return False
         news, one.alive = one.alive, False
         return news
 
     def silent(self, now: float) -> list[str]:
-        """Return the nodes that fell silent since the last look."""
+        """Return the nodes that fell silent since the last look; to be called several times within a lease.
+
+        Whoever did not look for longer was too busy itself to hear them, and hears them first.
+        """
+        looked, self._looked = self._looked, now
+        if now - looked > 0.5 * self._lease:
+            return []
         late = [one.name for one in self.members.values() if one.alive and now - one.heard > self._lease]
-        return [name for name in late if self.lose(name)]
+        return [name for name in late if self.lose(name, now)]
 
     def fail(self, name: str, now: float) -> None:
         """Take notice that a transition failed, or was not answered."""

@@ -17,7 +17,7 @@ from rclpy.node import Node
 
 from calibration.background import in_executor
 from calibration.motion.base import Done, End
-from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.motion.trajectory import Trajectory
 
 ACCEPT_TIME = 2.0  # s, a driver takes to accept or reject a goal
 

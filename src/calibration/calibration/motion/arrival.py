@@ -56,20 +56,32 @@ class Joints:
         """Stamp of the last sample, ns; 0 before the first."""
         return self._samples[-1][0] if self._samples else 0
 
+    def reached(self, seconds: float) -> bool:
+        """Whether samples of that moment, s by their stamps, or of later have come."""
+        return self.until >= seconds * NANOSECONDS
+
     def standing(self) -> bool:
-        """Whether every joint has kept still for the dwell."""
+        """Whether every joint has kept still for the dwell; not before joint states of so long a time have come."""
+        spread, span, known = self._lately()
+        return known and bool(np.all(spread <= self._rules.speed * span))
+
+    def moving(self) -> bool:
+        """Whether a joint has moved within the dwell; joint states of a shorter time may show neither this nor rest."""
+        spread, span, _ = self._lately()
+        return bool(np.any(spread > self._rules.speed * max(span, self._rules.dwell)))
+
+    def _lately(self) -> tuple[Float1D, float, bool]:
+        """Return how far the joints moved (n,) rad, in how many seconds, and whether a whole dwell is known."""
         samples = list(self._samples)
         if len(samples) < 2:
-            return False
+            return np.zeros(0), 0.0, False
         end = samples[-1][0]
         recent = [(t, q) for t, q in samples if t >= end - round(self._rules.dwell * NANOSECONDS)]
-        if len(recent) == len(samples):  # not known for so long yet
-            return False
+        known = len(recent) < len(samples)
         if len(recent) < 2:
             recent = samples[-2:]
         span = (recent[-1][0] - recent[0][0]) / NANOSECONDS
-        spread = np.ptp(np.array([q for _, q in recent]), axis=0)
-        return bool(np.all(spread <= self._rules.speed * span))
+        return np.ptp(np.array([q for _, q in recent]), axis=0), span, known
 
     def arrived(self, goal: Float1D) -> bool:
         """Whether the robot stands at `goal` (n,) rad."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
-from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import Float1D
 
 
@@ -48,13 +48,6 @@ class Backend(Protocol):
     @property
     def commands(self) -> bool:
         """Whether the robot moves by our command, so that arrival may be awaited for a limited time only."""
-
-
-class MessageMaker(Protocol):
-    """Makes driver messages from trajectories."""
-
-    def __call__(self, trajectory: Trajectory) -> Any:
-        """Return the message."""
 
 
 class Standing(Protocol):

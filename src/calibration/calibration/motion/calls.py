@@ -1,4 +1,4 @@
-"""Services of a driver that are called by configuration: before the first motion, and as a rung of the stop ladder.
+"""Services of a driver that are called by configuration: before the first motion, and as a stage of the stop.
 
 Written as `name=package/srv/Type` or `name=package/srv/Type{field: value, ...}` (YAML), for example
 

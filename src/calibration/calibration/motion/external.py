@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from calibration.motion.base import Done
-from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.motion.trajectory import Trajectory
 
 
 class ExternalMotion:

@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from calibration.motion.base import Done, Standing
 from calibration.motion.messages import hold, to_joint_trajectory
-from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.motion.trajectory import Trajectory
 
 DEFAULT = "joint_trajectory_controller/joint_trajectory"
 POLL = 0.05  # s

@@ -9,7 +9,7 @@ from __future__ import annotations
 from builtin_interfaces.msg import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
 HOLD_TIME = 0.1  # s, a hold trajectory's only point lies so far ahead

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from typing import Any
@@ -13,14 +14,14 @@ from rclpy.node import Node
 
 from calibration.background import in_executor
 from calibration.motion.base import Backend, End, Standing
-from calibration_core.procedure.stop_proof import ProofRules
-from calibration_core.procedure.trajectory import Trajectory
+from calibration_core.motion.stop_proof import ProofRules
+from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import Float1D
 
 SERVICE = "guard/prove_stop"
 PATIENCE = 5.0  # s of wall time, from the goal to the guard's verdict
 ATTEMPTS = 5  # on a busy machine a goal may end before it is cancelled
-NO_GOAL = bytes(16)
+REST = 0.5  # s of wall time after a proof that failed: what was sent to stop its goal must not meet the next one
 
 
 class Prover:
@@ -38,7 +39,9 @@ class Prover:
         self._client = node.create_client(ProveStop, SERVICE) if backend.commands else None
         self.proven, self.running, self.fault = not backend.commands, False, ""
         self._tries = 0
-        self._begun = 0.0
+        self._begun = self._ended = -math.inf  # s of the steady clock
+        self._number = 0  # of the proof under way, or of the last one
+        self._over = True  # its goal is
         self._asked = False
         self._lock = threading.Lock()
         self._answer: tuple[bool, str] | None = None
@@ -46,6 +49,12 @@ class Prover:
     def reset(self) -> None:
         """Want a new proof, for instance of a new run."""
         self.proven, self.fault, self._tries = not self._backend.commands, "", 0
+
+    def rested(self, now: float) -> bool:
+        """Tell whether a proof may begin at `now`, s of the steady clock: nothing of the one before is under way."""
+        since = now - self._ended
+        gone = self._over or not self._backend.answers or since > PATIENCE
+        return not self.running and since > REST and gone
 
     def begin(self, now: float, haste: float) -> None:
         """Send the robot where it stands.
@@ -58,7 +67,10 @@ class Prover:
         if where is None or self._client is None:
             return
         self.running, self.fault, self._begun, self._asked, self._answer = True, "", now, False, None
-        self._backend.move(held(self._joints, where, ProofRules().hold * max(haste, 1.0)), self._on_end)
+        self._number, self._over = self._number + 1, False
+        number = self._number
+        trajectory = held(self._joints, where, ProofRules().hold * max(haste, 1.0))
+        self._backend.move(trajectory, lambda how, text: self._on_end(number, how, text))
 
     def tick(self, now: float) -> None:
         """Go on with a proof under way."""
@@ -90,8 +102,11 @@ class Prover:
         with self._lock:
             self._answer = (success, str(future.exception() if outcome is None else outcome.text))
 
-    def _on_end(self, how: End, text: str) -> None:
-        """The goal is over: rejected at once, or, as it should be, cancelled by the guard, which tells the rest."""
+    def _on_end(self, number: int, how: End, text: str) -> None:
+        """The goal of a proof is over: rejected at once, or cancelled by the guard, as it should be."""
+        if number != self._number:
+            return  # of an earlier one
+        self._over = True
         if how is End.FAILURE and not self._asked:
             with self._lock:
                 self._answer = (False, text or "the driver does not take the goal")
@@ -100,6 +115,7 @@ class Prover:
         self.running, self.proven = False, success
         self._tries += 1
         if not success:
+            self._ended = time.monotonic()
             self._backend.stop()
             if self._tries >= ATTEMPTS:
                 self.fault, self._tries = text or "no reason is given", 0

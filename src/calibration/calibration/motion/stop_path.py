@@ -21,7 +21,7 @@ from calibration.motion import follow_joint_trajectory, joint_trajectory_topic, 
 from calibration.motion.base import Standing
 from calibration.motion.messages import hold
 from calibration_core.errors import InputError, quoted
-from calibration_core.procedure.stop_proof import Stop
+from calibration_core.motion.stop_proof import RequestedStop
 
 ANSWER = 1.0  # s, in which a driver acknowledges that it cancels
 OVER = (GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED, GoalStatus.STATUS_ABORTED)
@@ -37,7 +37,7 @@ class StopPath(Protocol):
         text: The same for a person, with names.
     """
 
-    how: Stop
+    how: RequestedStop
     text: str
 
     def command(self, now: float) -> None:
@@ -54,7 +54,7 @@ class StopPath(Protocol):
 class CancelGoals:
     """Cancels every goal of an action."""
 
-    how = Stop.CANCEL
+    how = RequestedStop.CANCEL
 
     def __init__(self, node: Node, action: str, ended: Ended) -> None:
         """Take the action's name, and who is told of goals that are over."""
@@ -93,7 +93,7 @@ class CancelGoals:
 class HoldPosition:
     """Sends the robot where it is."""
 
-    how = Stop.HOLD
+    how = RequestedStop.HOLD
     waiting = False
 
     def __init__(self, node: Node, topic: str, joints: tuple[str, ...], where: Standing) -> None:
@@ -116,9 +116,9 @@ class HoldPosition:
 class Pendant:
     """Somebody else moves the robot: nothing is commanded, and nothing can be stopped."""
 
-    how = Stop.NONE
+    how = RequestedStop.NONE
     waiting = False
-    text = f"none: {Stop.NONE.value}"
+    text = f"none: {RequestedStop.NONE.value}"
 
     def command(self, now: float) -> None:
         """Do nothing."""

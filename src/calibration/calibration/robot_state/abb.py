@@ -9,7 +9,7 @@ Source: PickNikRobotics/abb_ros2, ros-industrial/abb_robot_driver_interfaces, ab
 from __future__ import annotations
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field, flag
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 MODES = {
     None: OperatingMode.UNKNOWN,
@@ -18,7 +18,7 @@ MODES = {
 }
 DRIVES = {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}
 # Motors cannot be on while a safety chain is open; with motors off nothing is known about it.
-SAFETY = {None: Safety.UNKNOWN, False: Safety.UNKNOWN, True: Safety.NORMAL}
+SAFETY = {None: SafetyState.UNKNOWN, False: SafetyState.UNKNOWN, True: SafetyState.NORMAL}
 
 
 def translate(messages: Messages) -> RobotStatus:

@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from calibration_core.procedure.robot_status import RobotStatus
+from calibration_core.motion.robot_status import RobotStatus
 from calibration_core.timeseries import NANOSECONDS
 
 Messages = Mapping[str, Any]  # source key -> latest message; what is absent is not in it

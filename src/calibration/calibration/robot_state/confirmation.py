@@ -6,7 +6,7 @@ import dataclasses
 
 from calibration.robot_state.adapter import Report
 from calibration_core.errors import InputError, quoted
-from calibration_core.procedure.robot_status import OperatingMode
+from calibration_core.motion.robot_status import OperatingMode
 
 LONGEST = 8 * 3600.0  # s, a shift
 MANUAL = frozenset({OperatingMode.MANUAL_REDUCED, OperatingMode.MANUAL_HIGH})
@@ -47,7 +47,7 @@ def confirmed(report: Report, confirmation: Confirmation | None, now: float) -> 
     """Fill in the mode that an operator confirmed.
 
     An operator's word never overrules a mode that the controller reports, and ends at its time; an ended one is kept in
-    the report, so that the reason can be told.
+    the report, so that the reason can be named.
     """
     reported = report.status.operating_mode
     if confirmation is None or reported not in {OperatingMode.UNKNOWN, OperatingMode.MANUAL_UNSPECIFIED}:

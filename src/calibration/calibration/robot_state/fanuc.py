@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field, flag
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 MODES = {
     None: OperatingMode.UNKNOWN,
@@ -18,7 +18,7 @@ MODES = {
     False: OperatingMode.AUTOMATIC,
 }
 DRIVES = {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}
-SAFETY = {None: Safety.UNKNOWN, False: Safety.NORMAL, True: Safety.EMERGENCY_STOP}
+SAFETY = {None: SafetyState.UNKNOWN, False: SafetyState.NORMAL, True: SafetyState.EMERGENCY_STOP}
 
 
 def translate(messages: Messages) -> RobotStatus:

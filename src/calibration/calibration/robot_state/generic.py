@@ -18,14 +18,14 @@ from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source
 from calibration_core.errors import InputError, quoted
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 Word = enum.IntEnum | bool | None
 TRI_STATES: Mapping[str, Word] = {"TRUE": True, "FALSE": False}
 WORDS: Mapping[str, Mapping[str, Word]] = {
     "operating_mode": OperatingMode.__members__,
     "drives": Drives.__members__,
-    "safety": Safety.__members__,
+    "safety": SafetyState.__members__,
     "motion_possible": TRI_STATES,
     "in_motion": TRI_STATES,
     "in_error": TRI_STATES,

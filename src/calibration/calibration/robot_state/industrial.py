@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 MODES: Mapping[Any, OperatingMode] = {1: OperatingMode.MANUAL_UNSPECIFIED, 2: OperatingMode.AUTOMATIC}
 TRI_STATES: Mapping[Any, bool] = {0: False, 1: True}
 DRIVES: Mapping[Any, Drives] = {False: Drives.OFF, True: Drives.ON}
-SAFETY: Mapping[Any, Safety] = {False: Safety.NORMAL, True: Safety.EMERGENCY_STOP}
+SAFETY: Mapping[Any, SafetyState] = {False: SafetyState.NORMAL, True: SafetyState.EMERGENCY_STOP}
 
 
 def translate(messages: Messages) -> RobotStatus:
@@ -27,7 +27,7 @@ def translate(messages: Messages) -> RobotStatus:
     return RobotStatus(
         operating_mode=MODES.get(field(messages, "status", "mode", "val"), OperatingMode.UNKNOWN),
         drives=DRIVES.get(tri("drives_powered"), Drives.UNKNOWN),
-        safety=SAFETY.get(tri("e_stopped"), Safety.UNKNOWN),
+        safety=SAFETY.get(tri("e_stopped"), SafetyState.UNKNOWN),
         motion_possible=tri("motion_possible"),
         in_motion=tri("in_motion"),
         in_error=tri("in_error"),

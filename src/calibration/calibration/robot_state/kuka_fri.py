@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 MODES: Mapping[Any, OperatingMode] = {
     0: OperatingMode.MANUAL_REDUCED,
@@ -17,11 +17,11 @@ MODES: Mapping[Any, OperatingMode] = {
     2: OperatingMode.AUTOMATIC,
 }  # T1, T2, AUT
 DRIVES: Mapping[Any, Drives] = {0: Drives.OFF, 1: Drives.OFF, 2: Drives.ON}  # off, in transition, active
-SAFETY: Mapping[Any, Safety] = {
-    0: Safety.NORMAL,
-    1: Safety.SAFEGUARD_STOP,
-    2: Safety.SAFEGUARD_STOP,
-    3: Safety.EMERGENCY_STOP,
+SAFETY: Mapping[Any, SafetyState] = {
+    0: SafetyState.NORMAL,
+    1: SafetyState.SAFEGUARD_STOP,
+    2: SafetyState.SAFEGUARD_STOP,
+    3: SafetyState.EMERGENCY_STOP,
 }  # stop levels
 COMMANDING_ACTIVE = 4
 
@@ -36,7 +36,7 @@ def translate(messages: Messages) -> RobotStatus:
     return RobotStatus(
         operating_mode=MODES.get(getattr(state, "operation_mode", None), OperatingMode.UNKNOWN),
         drives=DRIVES.get(getattr(state, "drive_state", None), Drives.UNKNOWN),
-        safety=SAFETY.get(getattr(state, "safety_state", None), Safety.UNKNOWN),
+        safety=SAFETY.get(getattr(state, "safety_state", None), SafetyState.UNKNOWN),
         motion_possible=None if session is None else session == COMMANDING_ACTIVE,
     )
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field, flag
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 MODES: Mapping[Any, OperatingMode] = {
     1: OperatingMode.MANUAL_REDUCED,  # T1
@@ -38,12 +38,12 @@ def translate(messages: Messages) -> RobotStatus:
     )
 
 
-def _safety(emergency: bool | None, guard: bool | None) -> Safety:
+def _safety(emergency: bool | None, guard: bool | None) -> SafetyState:
     if emergency:
-        return Safety.EMERGENCY_STOP
+        return SafetyState.EMERGENCY_STOP
     if guard:
-        return Safety.SAFEGUARD_STOP
-    return Safety.NORMAL if emergency is guard is False else Safety.UNKNOWN
+        return SafetyState.SAFEGUARD_STOP
+    return SafetyState.NORMAL if emergency is guard is False else SafetyState.UNKNOWN
 
 
 ADAPTER = Adapter(

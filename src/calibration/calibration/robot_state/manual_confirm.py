@@ -8,12 +8,12 @@ must be fresh as everywhere.
 from __future__ import annotations
 
 from calibration.robot_state.adapter import Adapter, Messages
-from calibration_core.procedure.robot_status import Drives, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, RobotStatus, SafetyState
 
 
 def translate(messages: Messages) -> RobotStatus:  # noqa: ARG001  # nothing is heard
     """Return the state that holds while an operator's confirmation does; the mode stays open until then."""
-    return RobotStatus(drives=Drives.ON, safety=Safety.NORMAL)
+    return RobotStatus(drives=Drives.ON, safety=SafetyState.NORMAL)
 
 
 ADAPTER = Adapter("manual_confirm", (), translate)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from calibration.robot_state.adapter import Adapter, Messages, Source
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 Word = TypeVar("Word", bound=enum.IntEnum)
 MILLI = 1e-3
@@ -23,7 +23,7 @@ def translate(messages: Messages) -> RobotStatus:
     return RobotStatus(
         operating_mode=_word(state.operating_mode, OperatingMode.UNKNOWN),
         drives=_word(state.drives, Drives.UNKNOWN),
-        safety=_word(state.safety, Safety.UNKNOWN),
+        safety=_word(state.safety, SafetyState.UNKNOWN),
         motion_possible=TRI_STATES.get(state.motion_possible),
         in_motion=TRI_STATES.get(state.in_motion),
         in_error=TRI_STATES.get(state.in_error),

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, flag
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 MODES: Mapping[Any, OperatingMode] = {
     1: OperatingMode.MANUAL_UNSPECIFIED,
@@ -18,12 +18,12 @@ MODES: Mapping[Any, OperatingMode] = {
     3: OperatingMode.EXTERNAL,
 }
 DRIVES = {None: Drives.UNKNOWN, False: Drives.OFF, True: Drives.ON}
-SAFETY: Mapping[Any, Safety] = {
-    0: Safety.NORMAL,
-    1: Safety.PROTECTIVE_STOP,  # waits for restart
-    2: Safety.SAFEGUARD_STOP,  # SS1
-    3: Safety.SAFEGUARD_STOP,  # SS2
-    4: Safety.ENABLING_STOP,  # waits for the working mode selector
+SAFETY: Mapping[Any, SafetyState] = {
+    0: SafetyState.NORMAL,
+    1: SafetyState.PROTECTIVE_STOP,  # waits for restart
+    2: SafetyState.SAFEGUARD_STOP,  # SS1
+    3: SafetyState.SAFEGUARD_STOP,  # SS2
+    4: SafetyState.ENABLING_STOP,  # waits for the working mode selector
 }
 
 
@@ -31,11 +31,11 @@ def translate(messages: Messages) -> RobotStatus:
     """Translate the latest values of the group `supervision`."""
     values = interface_values(messages.get("states"), "supervision")
     pressed = _flag(values, "estop_pressed")
-    safety = SAFETY.get(values.get("safety_status"), Safety.UNKNOWN)
+    safety = SAFETY.get(values.get("safety_status"), SafetyState.UNKNOWN)
     if pressed:
-        safety = Safety.EMERGENCY_STOP
+        safety = SafetyState.EMERGENCY_STOP
     elif pressed is None:
-        safety = Safety.UNKNOWN
+        safety = SafetyState.UNKNOWN
     return RobotStatus(
         operating_mode=MODES.get(values.get("operation_mode"), OperatingMode.UNKNOWN),
         drives=DRIVES[_flag(values, "power_on")],

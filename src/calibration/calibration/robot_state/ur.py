@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from calibration.robot_state.adapter import Adapter, Messages, Source, field
-from calibration_core.procedure.robot_status import Drives, OperatingMode, RobotStatus, Safety
+from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 
 OPERATIONAL_MODES: Mapping[Any, OperatingMode] = {
     "MANUAL": OperatingMode.MANUAL_UNSPECIFIED,
@@ -28,19 +28,19 @@ DRIVES = {
     4: Drives.OFF, 5: Drives.OFF, 6: Drives.OFF, RUNNING: Drives.ON, 8: Drives.OFF,
 }  # fmt: skip
 SAFETY = {
-    1: Safety.NORMAL,
-    2: Safety.REDUCED,
-    3: Safety.PROTECTIVE_STOP,
-    4: Safety.FAULT,  # recovery
-    5: Safety.SAFEGUARD_STOP,
-    6: Safety.EMERGENCY_STOP,  # of the system
-    7: Safety.EMERGENCY_STOP,  # of the robot
-    8: Safety.FAULT,  # violation
-    9: Safety.FAULT,
-    10: Safety.FAULT,  # validating joint ids
-    11: Safety.UNKNOWN,
-    12: Safety.SAFEGUARD_STOP,  # in automatic mode
-    13: Safety.ENABLING_STOP,  # three-position switch
+    1: SafetyState.NORMAL,
+    2: SafetyState.REDUCED,
+    3: SafetyState.PROTECTIVE_STOP,
+    4: SafetyState.FAULT,  # recovery
+    5: SafetyState.SAFEGUARD_STOP,
+    6: SafetyState.EMERGENCY_STOP,  # of the system
+    7: SafetyState.EMERGENCY_STOP,  # of the robot
+    8: SafetyState.FAULT,  # violation
+    9: SafetyState.FAULT,
+    10: SafetyState.FAULT,  # validating joint ids
+    11: SafetyState.UNKNOWN,
+    12: SafetyState.SAFEGUARD_STOP,  # in automatic mode
+    13: SafetyState.ENABLING_STOP,  # three-position switch
 }
 
 
@@ -54,7 +54,7 @@ def translate(messages: Messages) -> RobotStatus:
     return RobotStatus(
         operating_mode=OPERATIONAL_MODES.get(word, OperatingMode.UNKNOWN),
         drives=DRIVES.get(mode, Drives.UNKNOWN),
-        safety=SAFETY.get(field(messages, "safety_mode", "mode"), Safety.UNKNOWN),
+        safety=SAFETY.get(field(messages, "safety_mode", "mode"), SafetyState.UNKNOWN),
         motion_possible=None if program is None or mode is None else program and mode == RUNNING,
         speed_scaling=math.nan if scaling is None else float(scaling) / 100.0,
     )

@@ -15,6 +15,7 @@ MISSED = {
     "tracker": "no point is measured",
     "force_torque": "no wrench is measured",
     "identification": "nothing can be identified; the measurement goes on",
+    "compensation": "no target is corrected; the measurement goes on",
 }
 AGAIN = {
     "guard": "reset it by name if it asks for that, and resume motion by name",
@@ -44,6 +45,11 @@ NOT_PERMITTED = {
     Permission.PLANNED_OVER_SPEED: "plan a slower motion",
     Permission.CLOCK_JUMPED: "look at the clocks of the computers, or at the simulation's",
     Permission.STOPPING: "start the guard again",
+    Permission.SPEED_UNKNOWN: "wait for the next joint states; if it stays, look whether the driver pauses",
+    Permission.STOP_UNPROVEN: "start or resume the measurement: the stop is proven before anything moves",
+    Permission.SEQUENCER_SILENT: "look why the sequencer hangs or has ended, and start it again",
+    Permission.TWO_GUARDS: "end one of the two guards",
+    Permission.TWO_SOURCES: "end the second driver or simulation; one that was killed is counted for 20 s more",
     Permission.LATCHED: "put the cause right, then reset the guard by name (guard/reset); that moves nothing",
 }
 STREAM = {
@@ -54,6 +60,7 @@ STREAM = {
     SampleCheck.WRONG_FRAME: "give the frame that the instrument uses as parameter frame",
     SampleCheck.IMPLAUSIBLE: "look whether the unit given for the instrument is right",
     SampleCheck.OUT_OF_ORDER: "look at the clock of the instrument",
+    SampleCheck.TWO_SOURCES: "end the second driver; one that was killed is counted for 20 s more",
     SampleCheck.INCOMPATIBLE_QOS: "change the quality of service of the driver, or of the node",
 }
 

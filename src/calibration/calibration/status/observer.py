@@ -11,19 +11,19 @@ from collections.abc import Sequence as Many
 
 import numpy as np
 
-from calibration_core.procedure import messages as m
-from calibration_core.procedure.sequence import Sequence
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.sequence import Sequence
 from calibration_core.timeseries import Float1D
 
 ITEMS = {m.Kind.WARM_UP: "startup", m.Kind.REFERENCE: "reference", m.Kind.CONFIGURATION_STARTED: "configuration"}
 DOING = {
-    m.State.IDLE: "the run begins",
-    m.State.MOVING: "moving to {place}",
-    m.State.LOADING: "changing the load at {place}",
-    m.State.SETTLING: "waiting for standstill at {place}",
-    m.State.READING: "reading at {place}",
-    m.State.UNLOADING: "releasing the load at {place}",
-    m.State.FINISHED: "the run is over",
+    m.RunState.IDLE: "the run begins",
+    m.RunState.MOVING: "moving to {place}",
+    m.RunState.LOADING: "changing the load at {place}",
+    m.RunState.SETTLING: "waiting for standstill at {place}",
+    m.RunState.READING: "reading at {place}",
+    m.RunState.UNLOADING: "releasing the load at {place}",
+    m.RunState.FINISHED: "the run is over",
 }
 
 
@@ -75,16 +75,17 @@ class Observer:
 
     def __init__(self, sequence: Sequence) -> None:
         """Watch a run of a procedure."""
-        plan = sequence.agenda.plan
+        plan = sequence.queue.plan
         self._steps = {one.number: len(one.steps) for one in (*plan.preparation, *plan.configurations)}
         self._sequence, self.by_device = sequence, False
         self.item, self.phase = "", ""
         self.configuration = self.step = self.attempt = 0
         self.target: Float1D = np.zeros(6)
+        self.unknown = False  # another run may have left the load on that is to be released
         self.goal: Float1D | None = None
         self.reading, self.readings = Reading(), 0
         self.question = ""
-        self._asked_in: tuple[m.State, bool] = (m.State.IDLE, False)
+        self._asked_in: tuple[m.RunState, bool] = (m.RunState.IDLE, False)
 
     def hear(self, event: m.Event, commands: Many[m.Command]) -> None:
         """Take an event and what the procedure commands in answer to it."""
@@ -99,8 +100,13 @@ class Observer:
         if where != self._asked_in and not any(isinstance(one, m.AskOperator) for one in commands):
             self.question = ""
         self._asked_in = where
-        if self._sequence.state is not m.State.MOVING:
+        if self._sequence.state is not m.RunState.MOVING:
             self.goal = None
+
+    def ask(self, text: str) -> None:
+        """Take what else the operator is asked, which the procedure does not know of."""
+        self.question = text
+        self._asked_in = (self._sequence.state, self._sequence.paused)
 
     def _note(self, command: m.Command) -> None:
         match command:
@@ -111,7 +117,7 @@ class Observer:
             case m.Move():
                 self.goal, self.target = command.q, np.zeros(6)
             case m.RequestLoad():
-                self.target = command.wrench
+                self.target, self.unknown = command.wrench, command.unknown
             case m.AskOperator():
                 self.question = command.text
             case m.Record() if command.kind in ITEMS:
@@ -129,29 +135,29 @@ class Observer:
     @property
     def load_awaited(self) -> bool:
         """Whether a load is to be brought on or released now."""
-        return self._sequence.state in (m.State.LOADING, m.State.UNLOADING)
+        return self._sequence.state in (m.RunState.LOADING, m.RunState.UNLOADING)
 
     @property
     def waits_for(self) -> Party:
         """Who is waited for."""
         match self._sequence.state:
-            case m.State.READY:
+            case m.RunState.READY:
                 return Party.OPERATOR if self._sequence.paused else Party.GUARD
-            case m.State.MOVING | m.State.SETTLING:
+            case m.RunState.MOVING | m.RunState.SETTLING:
                 return Party.ROBOT
-            case m.State.LOADING | m.State.UNLOADING:
+            case m.RunState.LOADING | m.RunState.UNLOADING:
                 return Party.LOAD_DEVICE if self.by_device else Party.OPERATOR
-            case m.State.READING:
+            case m.RunState.READING:
                 return Party.INSTRUMENTS
         return Party.NOBODY
 
     @property
     def text(self) -> str:
         """What is being done, one line."""
-        if self._sequence.state is m.State.READY:
+        if self._sequence.state is m.RunState.READY:
             return f"{'paused' if self._sequence.paused else 'waiting'} before the next motion or load step"
         place = self.item if self.item in ("startup", "reference") else f"configuration {self.configuration}"
-        if self.item == "configuration" and self._sequence.state is not m.State.MOVING:
+        if self.item == "configuration" and self._sequence.state is not m.RunState.MOVING:
             place += f", step {self.step + 1} of {self.steps}"
         return DOING[self._sequence.state].format(place={"startup": "the start-up cycle"}.get(place, place))
 
@@ -162,6 +168,7 @@ class Observer:
             case Party.OPERATOR if self.load_awaited:
                 force = ", ".join(f"{value:.0f}" for value in self.target[:3])
                 what = f"pull with ({force}) N" if np.any(self.target) else "release the load"
+                what += " that another run may have left on" if self.unknown else ""
                 return f"operator: {what}, then confirm"
             case Party.OPERATOR:
                 return f"operator: {self.question or 'resume when it is safe to go on'}"

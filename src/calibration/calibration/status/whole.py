@@ -7,8 +7,8 @@ from typing import Any
 
 from calibration_interfaces.msg import NodeHealth, ProcedureState, SampleCheck, State
 
+from calibration.cell.permission import SILENT
 from calibration.lifecycle.order import Order
-from calibration.permission import SILENT
 from calibration.status.faults import MISSED, faults
 
 
@@ -23,16 +23,19 @@ class Whole:
             permission_age: s, that the guard's last word counts.
         """
         self._age = permission_age
-        self._state = State(procedure=ProcedureState(seconds_left=math.nan))
+        self._state = State(procedure=ProcedureState(seconds_left=math.nan, averaged=math.nan))
         self._streams: dict[tuple[str, str], SampleCheck] = {}
         self.health = {name: NodeHealth(name=name, level=NodeHealth.ABSENT) for name in names}
         self._permission_heard = -math.inf
+        self._procedure_heard = False
 
     def hear(self, field: str, message: Any, now: float) -> None:
         """Take a message that one field of the state shows as it came."""
         setattr(self._state, field, message)
         if field == "permission":
             self._permission_heard = now
+        elif field == "procedure":
+            self._procedure_heard = True
         elif field == "load":
             self._state.load_known = True
 
@@ -53,7 +56,7 @@ class Whole:
                 self.health[name].text = f"silent: {MISSED.get(name, '')}"
         state.nodes = list(self.health.values())
         alive = {name: member.alive for name, member in order.members.items()}
-        state.procedure_known = alive.get("sequencer", False) and bool(state.procedure.header.stamp.sec)
+        state.procedure_known = alive.get("sequencer", False) and self._procedure_heard
         state.permission_known = now - self._permission_heard <= self._age
         state.streams = sorted(self._streams.values(), key=lambda one: (one.topic, one.name))
         if not state.permission_known:
@@ -73,6 +76,7 @@ class Whole:
     def news(self, state: State) -> dict[str, object]:
         """Return what of a state is worth a message at once; the rest of it changes all the time."""
         procedure, permission, load = state.procedure, state.permission, state.load
+        felt = (procedure.load_felt_known, repr(procedure.load_felt), procedure.load_fault)
         return {
             "words": (state.text, state.waiting, state.not_permitted),
             "procedure": (procedure.state, procedure.moving, procedure.paused, procedure.configuration, procedure.step),
@@ -84,5 +88,7 @@ class Whole:
             "streams": [(one.name, one.problem) for one in state.streams],
             "progress": state.progress.configuration,
             "conditions": [(one.name, one.verdict, one.override.operator_name) for one in state.conditions.conditions],
+            "averaged": repr(procedure.averaged),
+            "felt": felt if procedure.load_awaited else None,
             "load": (load.state, load.target.force.x, load.target.force.y, load.target.force.z),
         }

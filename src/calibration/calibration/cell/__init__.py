@@ -1,0 +1,1 @@
+"""The cell as the sequencer uses it: instruments, loads, recorder, conditions, permission."""

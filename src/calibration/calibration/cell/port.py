@@ -1,0 +1,311 @@
+"""What the procedure commands, carried out in the cell: loads, readings, announcements, the session's records."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from calibration_interfaces.msg import Outcome, SessionEvent
+from rclpy.node import Node
+
+from calibration.cell.clients import Instruments, LoadDevice, Measured
+from calibration.cell.reading_checks import PresentLoad, ReadingChecks
+from calibration.cell.readings import ReadingError, confirmed_readings, to_reading
+from calibration.conversions import to_header, to_step
+from calibration.motion.arrival import Joints
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.load_time import LoadTime
+from calibration_core.measurement.session import Session
+from calibration_core.planning.plans.plan import REFERENCE_NUMBER
+from calibration_core.recording.session_values import Decision, Event
+from calibration_core.timeseries import NANOSECONDS, Float1D, Override
+
+LOAD_OVERRIDE = "load"  # name under which an operator's word against the sensor stands in the session
+PATIENCE = 600.0  # s of wall time, for an instrument's answer; its own timeout ends it before
+SOURCE = "sequencer"
+ERRORS = frozenset({m.Kind.FAULT, m.Kind.ABORTED})
+WARNINGS = frozenset({
+    m.Kind.PERMISSION_LOST, m.Kind.CONDITION_VIOLATED, m.Kind.CONFIGURATION_RETRIED, m.Kind.CONFIGURATION_SKIPPED,
+})  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Reached:
+    """A load that its device reports as applied, until the sensor agrees.
+
+    Attributes:
+        command: What is wanted.
+        answered: Takes whether the load is on, and why not.
+        time: That it has had to come to the sensor.
+        asked: Whether the operator was asked to start a silent sensor.
+    """
+
+    command: m.RequestLoad
+    answered: Callable[[bool, str], None]
+    time: LoadTime
+    asked: bool = False
+
+
+class CellPort:
+    """Implements `runner.Cell`; called by the runner's thread alone, but for `load_applied`.
+
+    Attributes:
+        session: Open for writing.
+        confirmed: Readings on the disk.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        session: Session,
+        joints: Joints,
+        instruments: Instruments,
+        load_device: LoadDevice | None,
+        checks: ReadingChecks,
+        *,
+        later: Callable[[Callable[[], None]], None],
+        equipment: Any,
+        temperature: Callable[[], float],
+        progress: Callable[[], None],
+        scaling: Callable[[], float],
+    ) -> None:
+        """Take what the cell is made of.
+
+        Args:
+            node: The sequencer: its clock, parameters and publishers.
+            session: Open for writing.
+            joints: The joint states.
+            instruments: Tracker and force/torque sensor.
+            load_device: None: an operator changes the load.
+            checks: What readings and loads are held against.
+            later: Has something done by the runner's thread.
+            equipment: The `Equipment` of the cell.
+            temperature: Returns the last temperature, degrees Celsius, or NaN.
+            progress: Tells how far it is.
+            scaling: Returns the controller's speed scaling, or NaN.
+        """
+        self._node, self.session, self._joints = node, session, joints
+        self._instruments, self._load_device, self._checks, self._later = instruments, load_device, checks, later
+        self._equipment = equipment
+        self._temperature, self.progress, self.scaling = temperature, progress, scaling
+        self._plan = session.plan_sha256
+        self._attempt: tuple[int, int, int] | None = None  # row of the session, configuration, count
+        self._awaited: tuple[m.RequestLoad, Callable[[bool, str], None]] | None = None
+        self._reached: Reached | None = None
+        self.confirmed = 0
+
+    def seconds(self) -> float:
+        """Return the cell's time, s."""
+        return float(self._node.now_ns() / NANOSECONDS)
+
+    # --- loads and readings ------------------------------------------------------------------------------------------
+
+    def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
+        """Change the load, or ask the operator to."""
+        if not command.unknown:
+            self._checks.load_begins()
+        if self._load_device is not None:
+
+            def take(success: bool, text: str) -> None:  # as every answer to a load
+                if success and self._checks.checks_load and not command.unknown:  # the sensor has to agree
+                    self._reached = Reached(command, answered, LoadTime(self.seconds(), time.monotonic()))
+                else:
+                    answered(success, text)
+
+            self._load_device.apply(command.wrench, self._node.value("load.timeout"), PATIENCE, take)
+            return
+        self._awaited = (command, answered)
+        if command.unknown:
+            place = f"configuration {command.configuration}, step {command.step}"
+            self.ask(f"{place}: a load may be on from another run: release it, then confirm")
+            return
+        force = ", ".join(f"{value:.0f}" for value in command.wrench[:3])
+        self.ask(f"configuration {command.configuration}, step {command.step}: pull with ({force}) N, then confirm")
+
+    def load_applied(self, request: Any) -> tuple[int, str]:
+        """Take the operator's word that the load is on, if the sensor agrees, or against it by override.
+
+        Args:
+            request: Of the service `LoadApplied`.
+
+        Returns:
+            Code of the outcome, and what is wrong; empty if nothing is.
+        """
+        operator, reason = request.operator_name.strip(), request.reason.strip()
+        if not operator:
+            return Outcome.INPUT_UNUSABLE, "the name of who confirms is missing"
+        if request.override and not reason:
+            return Outcome.INPUT_UNUSABLE, "the reason is missing: say why the load counts although the sensor differs"
+        if self._awaited is None:
+            return Outcome.INPUT_UNUSABLE, "no load is waited for"
+        command, answered = self._awaited
+        if (command.configuration, command.step) != (request.configuration, request.step):
+            place = f"configuration {command.configuration}, step {command.step}"
+            return Outcome.INPUT_UNUSABLE, f"the load of {place} is waited for"
+        fault = "" if command.unknown else self._checks.load(command.wrench)
+        if fault and not request.override:
+            return Outcome.NOT_REACHED, fault
+        self._awaited = None
+        if fault:
+            self._later(lambda: self._override_load(command, operator, f"{reason} ({fault})"))
+        self._later(lambda: answered(True, ""))
+        return Outcome.OK, ""
+
+    def _override_load(self, command: m.RequestLoad, operator: str, text: str) -> None:
+        """Take a load that the sensor does not find, and record who answers for it."""
+        place = f"configuration {command.configuration}, step {command.step}"
+        self._checks.override(command.configuration, command.step)
+        self.session.override(self._node.now_ns(), Override(LOAD_OVERRIDE, operator, f"{place}: {text}"))
+        words = f"by {operator}: {text}"
+        self.carry_out(m.Record(m.Kind.LOAD_OVERRIDDEN, command.configuration, command.step, words))
+
+    def _look_at_load(self, now: float) -> None:
+        """Answer for a load device once the sensor agrees with it, or does not in time."""
+        load = self._reached
+        if load is None:
+            return
+        fault = self._checks.load(load.command.wrench)
+        silent = self._checks.silent  # its node may live: what pulls is not known, and nothing is at odds with it
+        elapsed = load.time.looked(self.seconds(), now, lost=silent or bool(self.lost(now)))
+        if fault and not elapsed.over(self._equipment.ready):
+            if silent and not load.asked:
+                self.ask(fault.removesuffix(", then confirm again"))
+            self._reached = replace(load, time=elapsed, asked=load.asked or silent)
+            return
+        self._reached = None
+        says = "on" if np.any(load.command.wrench) else "released"
+        load.answered(not fault, f"the load device says that the load is {says}; {fault}" if fault else "")
+
+    def present_load(self, wanted: Float1D) -> PresentLoad:
+        """Tell what pulls now against what is wanted, (6,) N and N*m, base axes, at the wrench point."""
+        if self._awaited is not None and self._awaited[0].unknown:
+            return PresentLoad()
+        return self._checks.present(wanted)
+
+    @property
+    def averaged(self) -> float:
+        """Share of the averaging window of the reading under way, 0 to 1; NaN: nothing is averaged."""
+        return self._instruments.averaged
+
+    def measure(self, answered: Callable[[Measured], None]) -> None:
+        """Average over one window, which begins no earlier than the robot was last seen to stand."""
+        window, timeout, samples = (self._node.value(name) for name in ("window", "measure_timeout", "min_samples"))
+        since = self._joints.until
+        self._instruments.measure(self._node.cell.points, window, timeout, samples, since, PATIENCE, answered)
+
+    def confirm(self, command: m.TakeReading, measured: Measured) -> None:
+        """Put the readings of one step on the disk, then announce them.
+
+        Raises:
+            ReadingError: They are not what was planned: another posture, another load, or not recorded.
+            SessionError: They are there already.
+        """
+        lost = self.lost(time.monotonic())
+        if lost:
+            raise ReadingError(lost)
+        self._checks.reading(command, measured)
+        place = (command.configuration, command.step)
+        temperature = self._temperature()
+        rows = confirmed_readings(*place, measured.points, measured.wrench, self._joints, temperature)
+        row = self._row(command.configuration)
+        self.session.record(row, rows)
+        if command.configuration == REFERENCE_NUMBER:
+            self.session.end_attempt(row, completed=True)
+        self.confirmed += len(rows)
+        tare = 0 if measured.wrench is None else measured.wrench.tare
+        for reading, mean in zip(rows, measured.points, strict=True):
+            message = to_reading(reading, command.attempt, self._node.cell.robot.joints, mean.frame, tare)
+            self._node.readings.publish(message)
+
+    def _row(self, configuration: int) -> int:
+        if configuration == REFERENCE_NUMBER or self._attempt is None:
+            return self.session.begin_attempt(configuration, self._node.now_ns())
+        return self._attempt[0]
+
+    # --- what needs no answer ----------------------------------------------------------------------------------------
+
+    def carry_out(self, command: m.Command) -> None:
+        """Announce or store it."""
+        now = self._node.now_ns()
+        match command:
+            case m.Mark():
+                self._node.steps.publish(to_step(now, command.configuration, command.step, command.phase))
+            case m.BeginAttempt():
+                self._checks.begin()
+                row = self.session.begin_attempt(command.configuration, now)
+                self._attempt = (row, command.configuration, command.attempt)
+            case m.EndAttempt():
+                if self._attempt is not None:
+                    self.session.end_attempt(self._attempt[0], completed=command.completed, reason=command.reason)
+                self._attempt = None
+            case m.AskOperator():
+                self.ask(command.text)
+            case m.Record():
+                self._announce_event(command, now)
+
+    def _announce_event(self, record: m.Record, now: int) -> None:
+        place = {"configuration": record.configuration, "step": record.step}
+        words = {"source": SOURCE, "text": record.text, "plan_sha256": self._plan}
+        self._node.events.publish(SessionEvent(header=to_header(now), kind=int(record.kind), **place, **words))
+        text = f"{record.kind.name.lower()} {record.configuration}.{record.step} {record.text}".rstrip()
+        self.session.note(Event(now, record.kind.name.lower(), f"{record.configuration}.{record.step} {record.text}"))
+        if record.kind in ERRORS:
+            self._node.get_logger().error(text)
+        elif record.kind in WARNINGS:
+            self._node.get_logger().warning(text)
+        else:
+            self._node.get_logger().info(text)
+        if record.kind is m.Kind.CONFIGURATION_DONE:
+            self._node.feedback.configuration_done(str(self.session.directory))
+
+    def ask(self, text: str) -> None:
+        """Show the operator what is needed."""
+        self._node.diagnostics.report("operator", 1, text)
+        self._node.get_logger().warning(text)
+
+    def decided(self, decision: Decision) -> None:
+        """Store a change of the guard's mind."""
+        self.session.decide(decision)
+
+    # --- stopping, and requests without an answer --------------------------------------------------------------------
+
+    def stop_stage(self, stage: int) -> None:
+        """Take a stage of the stop."""
+        self._node.stopper.take(stage)
+
+    def ready(self, since: float) -> bool:
+        """Tell whether all that a reading needs has given a sign of life since then, s of the steady clock."""
+        return bool(self._equipment.ready(since))
+
+    def recorded(self, since: float) -> bool:
+        """Tell whether the recorder has."""
+        return bool(self._equipment.recorded(since))
+
+    def lost(self, now: float) -> str:
+        """Say which recorder or instrument has fallen silent; empty if none has."""
+        return str(self._equipment.fault(now))
+
+    def look(self, now: float) -> None:
+        """Give up requests that are not answered; bring a recorder that is closed back to the bag."""
+        self._equipment.tick(now)
+        self._instruments.tick(now)
+        self._look_at_load(now)
+        if self._load_device is not None:
+            self._load_device.port.tick(now)
+
+
+def call_and_wait(node: Node, client: Any, request: Any, timeout: float) -> Any:
+    """Call a service from a thread that is not the executor's; return its answer, None if none comes in time."""
+    if not client.wait_for_service(timeout):
+        return None
+    future = client.call_async(request)
+    end = time.monotonic() + timeout
+    while not future.done() and time.monotonic() < end and node.context.ok():
+        time.sleep(0.005)
+    if not future.done():
+        client.remove_pending_request(future)
+        return None
+    return future.result()

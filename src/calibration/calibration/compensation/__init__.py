@@ -1,0 +1,1 @@
+"""Corrected targets for a calibrated, loaded robot, as services."""

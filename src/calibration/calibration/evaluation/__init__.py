@@ -1,0 +1,1 @@
+"""The evaluation of recordings, in a process beside the node."""

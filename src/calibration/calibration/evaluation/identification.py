@@ -1,0 +1,302 @@
+"""Node `identification`: the evaluation of a recording as services and as an action.
+
+The work is done by the same code as the command line's, in a process beside the callbacks: the same files, the same
+numbers.  One evaluation at a time; whoever comes meanwhile is told so.  A service answers as soon as the numbers are
+there; the report is drawn by a second process and follows within seconds.  The action draws it before it answers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from calibration_interfaces import srv
+from calibration_interfaces.action import Identify
+from calibration_interfaces.msg import Outcome
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.qos import QoSProfile
+
+from calibration.background import Background
+from calibration.conversions import to_outcome
+from calibration.evaluation import results
+from calibration.evaluation.markers import Look, to_markers
+from calibration.evaluation.worker import CancelledError, Worker
+from calibration.node import CalibrationNode, Declared, run
+from calibration.topics import MARKERS, RECORDING
+from calibration_core.cell import load_cell
+from calibration_core.errors import InputError
+from calibration_core.report.results.scene import scene_of
+
+PARAMETERS = (
+    Declared("cell", "", "The cell file taken where a request names none.", read_only=False),
+    Declared("recording", "", "Taken where a request names none and no session was recorded.", read_only=False),
+    Declared("out", "", "Directory for results; empty: beside the recording.", read_only=False),
+    Declared("feedback_period", 0.2, "Time between two reports of progress, s.", low=0.01),
+    Declared("markers.scale", 200.0, "Deflections are drawn so many times as long.", low=0.0, read_only=False),
+    Declared("markers.size", 0.02, "m, diameter of a point.", low=1e-4, high=1.0, read_only=False),
+    Declared("markers.base", "", "Name of the robot's base frame; empty: the cell file's, or base_link."),
+    Declared("markers.flange", "", "Name of the robot's flange frame; empty: the cell file's, or flange."),
+)
+MANY = QoSProfile(depth=1000)  # requests at once: those beyond it would never be answered
+PACE = 0.005  # s between two refusals: a client keeps ten answers, and would lose what comes faster than it takes them
+ERRORS = {
+    "InputError": Outcome.INPUT_UNUSABLE,
+    "IdentificationError": Outcome.NOT_IDENTIFIABLE,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Offer:
+    """One thing that can be asked for.
+
+    Attributes:
+        name: Of the service.
+        kind: Its type.
+        command: The command of the command line that does it.
+        fill: Fills the service's answer from result.json, and says what is lacking in it.
+    """
+
+    name: str
+    kind: Any
+    command: str
+    fill: Callable[[Any, str], str]
+
+
+OFFERS = {
+    Identify.Goal.STIFFNESS: Offer("identify_stiffness", srv.IdentifyStiffness, "identify", results.fill_stiffness),
+    Identify.Goal.BASE_FRAME: Offer("identify_base_frame", srv.IdentifyBaseFrame, "identify", results.fill_base_frame),
+    Identify.Goal.GEOMETRY: Offer("identify_geometry", srv.IdentifyGeometry, "identify", results.fill_geometry),
+    Identify.Goal.WRIST_CENTRE: Offer(
+        "identify_wrist_centre", srv.IdentifyWristCentre, "identify", results.fill_wrist_centre
+    ),
+    Identify.Goal.POINTS: Offer("identify_points", srv.IdentifyPoints, "identify", results.fill_points),
+    Identify.Goal.DIAGNOSIS: Offer("diagnose", srv.Diagnose, "diagnose", results.fill_diagnosis),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluated:
+    """How an evaluation ended, and where its results are."""
+
+    code: int
+    text: str
+    result_json: str = ""
+    report: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """One evaluation: the command line without `--no-report`, the directory of its results, and the cell file."""
+
+    arguments: tuple[str, ...]
+    out: Path
+    cell: str
+
+
+class IdentificationNode(CalibrationNode):
+    """Offers `~/identify_*`, `~/diagnose` and the action `~/identify`."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Make the node."""
+        super().__init__("identification", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Start the process that computes, and the services."""
+        self._worker = Worker()
+        self._drawer: Worker | None = None  # started when it is needed
+        self._drawing = threading.Lock()
+        self._drawings: dict[Path, threading.Event] = {}
+        self._busy = threading.Lock()
+        self._stopping = threading.Event()
+        group = ReentrantCallbackGroup()
+        for offer in OFFERS.values():
+            name, answer = f"~/{offer.name}", self._service(offer)
+            self.create_service(offer.kind, name, answer, qos_profile=MANY, callback_group=group)
+        self._action = self.create_action_server(Identify, "~/identify", self._on_goal)
+        self._session = ""  # bag of the last session that was recorded
+        self._markers = self.create_publisher(MARKERS.message, MARKERS.relative, MARKERS.qos)
+        self.diagnostics.report("evaluation", 0, "idle")
+
+    def _on_recording(self, message: Any) -> None:
+        if message.plan_sha256:
+            self._session = str(message.directory)
+
+    def _aside(self, what: str, work: Callable[[], object]) -> None:
+        """Do what nobody waits for beside the callbacks; tell of a defect."""
+
+        def guarded() -> None:
+            try:
+                work()
+            except Exception as error:  # noqa: BLE001  # nobody awaits it
+                self.get_logger().error(traceback.format_exc())
+                self.diagnostics.report(what, 2, f"{type(error).__name__}: {error}")
+
+        Background(self, guarded)
+
+    def _show(self, cell_file: str, result_json: str) -> None:
+        """Show the points of a cell, and the operating space of a result; say why if the cell cannot be read."""
+        try:
+            cell = load_cell(cell_file)
+        except InputError as error:
+            self.get_logger().warning(f"nothing to show: {error}")
+            return
+        look = Look.of(cell, *(self.value(f"markers.{name}") for name in ("base", "flange", "size")))
+        scene = None
+        if result_json:
+            scene = scene_of(json.loads(result_json)["operating_space"], self.value("markers.scale"))
+        self._markers.publish(to_markers(cell, scene, look))
+
+    def _service(self, offer: Offer) -> Callable[[Any, Any], Any]:
+        async def answer(request: Any, response: Any) -> Any:
+            job = self._job(offer, request)
+            done = await self._evaluated(job, self._stopping.is_set, report=False)
+            if isinstance(job, Job) and done.code == Outcome.OK:
+                self._aside("markers", lambda: self._show(job.cell, done.result_json))
+                self._aside("report", lambda: self._draw(job, self._stopping.is_set))
+            return _filled(offer, response, done)
+
+        return answer
+
+    async def _on_goal(self, goal: Any) -> Any:
+        offer = OFFERS.get(goal.request.what)
+        if offer is None:
+            goal.abort()
+            text = f"found what = {goal.request.what}, expected one of the constants"
+            return Identify.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, text))
+        began, reported = time.monotonic(), [-math.inf]
+
+        def cancelled() -> bool:
+            elapsed = time.monotonic() - began
+            if elapsed - reported[0] >= self.value("feedback_period"):
+                reported[0] = elapsed
+                now = self._worker.progress
+                goal.publish_feedback(Identify.Feedback(share_done=now.share, text=f"{now.text}: {elapsed:.1f} s"))
+            return bool(goal.is_cancel_requested) or self._stopping.is_set()
+
+        job = self._job(offer, goal.request)
+        done = await self._evaluated(job, cancelled, report=True)
+        if isinstance(job, Job) and done.code == Outcome.OK:
+            self._aside("markers", lambda: self._show(job.cell, done.result_json))
+        answer = _filled(offer, offer.kind.Response(), done)
+        if answer.outcome.code == Outcome.OK:
+            goal.publish_feedback(Identify.Feedback(share_done=1.0, text="done"))
+            goal.succeed()
+        elif answer.outcome.code == Outcome.CANCELLED and goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return Identify.Result(outcome=answer.outcome, result_json=answer.result_json, report_path=answer.report_path)
+
+    def _job(self, offer: Offer, request: Any) -> Job | Evaluated:
+        cell = request.cell or self.value("cell")
+        recording = request.recording or self._session or self.value("recording")
+        for name, value in (("cell", cell), ("recording", recording)):
+            if not value:
+                text = f"{name}: found nothing, expected one in the request or as parameter of the node"
+                return Evaluated(Outcome.INPUT_UNUSABLE, text)
+        out = request.out or self.value("out") or str(Path(recording).absolute().parent / offer.command)
+        test = ("--test", request.test) if request.test else ()
+        other = getattr(request, "simulation", "")
+        if other and offer.command != "diagnose":
+            return Evaluated(Outcome.INPUT_UNUSABLE, "simulation: found one, expected none: only a diagnosis compares")
+        simulation = ("--simulation", other) if other else ()
+        arguments = (offer.command, recording, "--cell", cell, "--out", out, *test, *simulation)
+        return Job(arguments, Path(out).absolute(), cell)
+
+    async def _evaluated(self, job: Job | Evaluated, cancelled: Callable[[], bool], *, report: bool) -> Evaluated:
+        """Compute the numbers of a job, and draw its report if wanted."""
+        if isinstance(job, Evaluated):
+            return job
+        if not self._busy.acquire(blocking=False):
+            time.sleep(PACE)
+            return Evaluated(Outcome.BUSY, "another evaluation is under way")
+        try:
+            self.diagnostics.report("evaluation", 0, " ".join(job.arguments[:2]))
+            return await Background(self, lambda: self._compute(job, cancelled, report=report))
+        finally:
+            self.diagnostics.report("evaluation", 0, "idle")
+            self._busy.release()
+
+    def _compute(self, job: Job, cancelled: Callable[[], bool], *, report: bool) -> Evaluated:
+        """Compute, beside the executor; a report that is still being drawn for the same directory is given up."""
+        earlier = self._drawings.get(job.out)
+        if earlier is not None:
+            earlier.set()
+        done = self._run(self._worker, job.arguments if report else (*job.arguments, "--no-report"), cancelled)
+        if done.code != Outcome.OK:
+            return done
+        text = (job.out / "result.json").read_text("utf-8")
+        return dataclasses.replace(done, result_json=text, report=str(job.out / "report.html"))
+
+    def _draw(self, job: Job, cancelled: Callable[[], bool]) -> Evaluated:
+        """Draw the report, beside the executor, one at a time."""
+        given_up = self._drawings[job.out] = threading.Event()
+        with self._drawing:
+            self._drawer = self._drawer or Worker()
+            done = self._run(self._drawer, job.arguments, lambda: given_up.is_set() or cancelled())
+            if self._drawings.get(job.out) is given_up:
+                del self._drawings[job.out]
+        if done.code not in (Outcome.OK, Outcome.CANCELLED):
+            self.get_logger().error(f"no report: {done.text}")
+            self.diagnostics.report("report", 2, done.text)
+        return done
+
+    def _run(self, worker: Worker, arguments: tuple[str, ...], cancelled: Callable[[], bool]) -> Evaluated:
+        try:
+            if arguments[0] not in worker.commands_when_ready(cancelled):
+                return Evaluated(Outcome.NOT_AVAILABLE, f"this version has no command {arguments[0]}")
+            done = worker.do(arguments, cancelled)
+        except CancelledError:
+            return Evaluated(Outcome.CANCELLED, "cancelled")
+        except RuntimeError as error:
+            return Evaluated(Outcome.INTERNAL, str(error))
+        if done.trace:
+            self.get_logger().error(done.trace)
+        code = ERRORS.get(done.kind, Outcome.INTERNAL) if done.kind else Outcome.OK
+        return Evaluated(code, done.text)
+
+    def on_activate(self) -> None:
+        """Show the cell, listen where the recorder records, and answer from now on."""
+        self._stopping.clear()
+        self.create_subscription(RECORDING.message, RECORDING.relative, self._on_recording, RECORDING.qos)
+        if self.value("cell"):
+            self._show(self.value("cell"), "")
+
+    def on_deactivate(self) -> None:
+        """Cancel what is under way."""
+        self._stopping.set()
+        end = time.monotonic() + 1.0
+        while (self._busy.locked() or self._drawing.locked()) and time.monotonic() < end:
+            time.sleep(0.01)
+
+    def on_cleanup(self) -> None:
+        """End the processes."""
+        self._worker.close()
+        if self._drawer is not None:
+            self._drawer.close()
+
+
+def _filled(offer: Offer, response: Any, done: Evaluated) -> Any:
+    """Return a service's answer: what was found, and how it ended."""
+    response.result_json, response.report_path = done.result_json, done.report
+    lacking = offer.fill(response, done.result_json) if done.code == Outcome.OK else ""
+    code, text = (Outcome.NOT_IDENTIFIABLE, lacking) if lacking else (done.code, done.text)
+    response.outcome = to_outcome(code, text)
+    return response
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    return run(IdentificationNode, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

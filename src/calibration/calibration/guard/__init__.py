@@ -1,0 +1,1 @@
+"""The guard: whether the robot may be moved."""

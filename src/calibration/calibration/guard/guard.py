@@ -1,0 +1,362 @@
+"""`guard`: says whether the robot may be moved, as a process of its own.
+
+It listens to the controller's state (through an adapter) and to joint states, hands them to the pure rule with the time
+of the steady clock, and publishes the permission: at a fixed rate, and at every change at once.  Absence of that pulse
+means no.  It stops the robot itself when the sequencer may not be able to.  It is no safety function.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator, Sequence
+from typing import Any
+
+import numpy as np
+from calibration_interfaces.msg import Outcome, Permission
+from calibration_interfaces.srv import ConfirmMode, ProveStop, ResetGuard
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_stamp
+from calibration.guard.emergency import AGAIN, SILENT, Emergency
+from calibration.guard.messages import to_evidence, to_permission, to_robot_state
+from calibration.guard.parameters import PARAMETERS, configured_adapter, guard_rules
+from calibration.lifecycle.managed import TransitionError
+from calibration.motion.arrival import ArrivalRules, Joints
+from calibration.motion.stop_path import make_stop_path
+from calibration.node import CalibrationNode, run
+from calibration.process_tree import STANDSTILL
+from calibration.robot_state.adapter import Received, Report, Source, assemble
+from calibration.robot_state.catalogue import load_type
+from calibration.robot_state.confirmation import Confirmation, checked, confirmed
+from calibration.topics import GUARD_EVIDENCE, PERMISSION, ROBOT_STATE, several_publishers
+from calibration_core.cell import load_cell
+from calibration_core.errors import InputError
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.motion.guard import Guard, GuardDecision
+from calibration_core.motion.robot_status import Reason
+from calibration_core.motion.speed import Monitored
+from calibration_core.timeseries import NANOSECONDS
+
+PULSE_DEADLINE = 0.1  # s, offered: two pulses of the permission are never farther apart
+ASK_EVERY = 1.0  # s, services of an adapter
+LOOK_AROUND = 1.0  # s, who publishes what the guard rests on
+RUNS_ON = "the robot does not stand: press the emergency stop"
+UNSEEN = 1.0  # s, that joint states are awaited where there are too few of them to tell whether the robot stands
+OTHERS = 2.0  # s, that the guard waits for the sequencer to end when both are told to
+
+
+class GuardNode(CalibrationNode):
+    """The node around the pure rule."""
+
+    OWNER = "guard"
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Make the node; it watches while it is active.
+
+        Raises:
+            InputError: A parameter or the cell file cannot be used, or a message package is not installed.
+        """
+        self._latched: tuple[Reason, ...] = ()  # outlives every transition: only an operator's reset ends it
+        super().__init__("guard", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Read the cell, choose adapter and stop path, and offer what the guard says."""
+        self.cell = load_cell(self.value("cell"))
+        self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
+        self.rules = guard_rules(self, self.cell)
+        self.adapter = configured_adapter(self)
+        self._joints = Joints(ArrivalRules())
+        self.stop_path = make_stop_path(
+            self.value("motion.backend"),
+            self,
+            self.cell.robot.joints,
+            interface=self.value("motion.interface"),
+            where=lambda: self._joints.latest,
+            ended=self._on_goal_ended,
+        )
+        self._asked: dict[str, tuple[Any, Any, float]] = {}  # service -> client, pending answer, since
+        self._deciding = threading.RLock()
+        self._emergency = Emergency(self, self.stop_path, self.value("sequencer_age"), self.value("trace"))
+        self._begin_anew()
+        self._speak()
+
+    def _begin_anew(self) -> None:
+        """Know nothing, permit nothing, and have the stop proven again; what was latched stays latched."""
+        self.guard = Guard(self.monitored, self.rules, self.stop_path.how, latched=self._latched)
+        self._proving = b""  # the goal that is to be stopped for a proof
+        self._deaf = False  # the driver has not acknowledged a stop
+        self._received: dict[str, Received] = {}
+        self._report = Report(self.adapter.translate({}))
+        self._confirmation: Confirmation | None = None
+        self._q = np.full(self.monitored.chain.n, math.nan)
+        self._last: GuardDecision | None = None
+        self._evidence_sent = -math.inf
+        self._looked_at_clock = (0, 0.0)  # the clock of messages, ns, when it was looked at last, s
+
+    def on_activate(self) -> None:
+        """Watch from now on."""
+        self._begin_anew()
+        self._emergency.listen()
+        self._listen()
+
+    def _speak(self) -> None:
+        pulse = PERMISSION.qos
+        pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
+        self._permission = self.create_publisher(PERMISSION.message, PERMISSION.relative, pulse)
+        self._evidence = self.create_publisher(GUARD_EVIDENCE.message, GUARD_EVIDENCE.relative, GUARD_EVIDENCE.qos)
+        self._state = self.create_publisher(ROBOT_STATE.message, ROBOT_STATE.relative, ROBOT_STATE.qos)
+        self.create_service(ResetGuard, "~/reset", self._on_reset)
+        self.create_service(ConfirmMode, "~/confirm_mode", self._on_confirm)
+        self.create_service(ProveStop, "~/prove_stop", self._on_prove, callback_group=ReentrantCallbackGroup())
+        for source in self.adapter.sources:
+            if source.is_service:
+                self._asked[source.key] = (self.create_client(load_type(source.type), source.name), None, -math.inf)
+
+    def _listen(self) -> None:
+        # Best effort is heard from every publisher, and of a state only the newest matters.
+        newest = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+        kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_subscription(JointState, self.cell.topics.joint_states.lstrip("/"), self._on_joints, newest)
+        for source in self.adapter.sources:
+            if not source.is_service:
+                quality = newest if source.max_age is not None else kept
+                self.create_subscription(load_type(source.type), source.name, self._hear(source), quality)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0 / self.value("rate"), self._on_pulse, clock=steady)
+        self.create_timer(LOOK_AROUND, self._look_around, clock=steady)
+        if self._asked:
+            self.create_timer(ASK_EVERY, self._ask, clock=steady)
+
+    # --- what arrives ------------------------------------------------------------------------------------------------
+
+    def _hear(self, source: Source) -> Any:
+        def on_message(message: Any) -> None:
+            self._take(source.key, message)
+
+        return on_message
+
+    def _take(self, key: str, message: Any) -> None:
+        self._received[key] = Received(message, time.monotonic_ns())
+        now = time.monotonic()
+        report = self._known(now)
+        changed = report.status != self._report.status
+        self._report = report
+        if report.received_time:
+            self.guard.on_status(report.status, now)
+        if changed:
+            self._decide(now)
+
+    def _known(self, now: float) -> Report:
+        report = assemble(self.adapter, self._received, round(now * NANOSECONDS))
+        return confirmed(report, self._confirmation, now)
+
+    def _on_joints(self, message: JointState) -> None:
+        q = joint_positions(message, self.monitored.chain.joints)
+        self._q = np.full(self.monitored.chain.n, math.nan) if q is None else q
+        stamp = stamp_ns(message.header.stamp)
+        if q is not None:
+            self._joints.add(stamp or self.now_ns(), q)
+        self.guard.on_joints(self._q, time.monotonic(), stamp / NANOSECONDS if stamp else math.nan)
+
+    def _ask(self) -> None:
+        """Ask the adapter's services again; an answer that does not come is given up, for its server may be gone."""
+        now = time.monotonic()
+        for source in self.adapter.sources:
+            if not source.is_service:
+                continue
+            client, pending, since = self._asked[source.key]
+            if pending is not None and now - since < 3.0 * ASK_EVERY:
+                continue
+            if pending is not None:
+                client.remove_pending_request(pending)
+            pending = client.call_async(client.srv_type.Request()) if client.service_is_ready() else None
+            if pending is not None:
+                pending.add_done_callback(self._answer(source.key))
+            self._asked[source.key] = (client, pending, now)
+
+    def _answer(self, key: str) -> Any:
+        def on_done(future: Any) -> None:
+            client, pending, since = self._asked[key]
+            if pending is future:
+                self._asked[key] = (client, None, since)
+            if future.exception() is None and future.result() is not None:
+                self._take(key, future.result())
+
+        return on_done
+
+    # --- what is said ------------------------------------------------------------------------------------------------
+
+    def _on_pulse(self) -> None:
+        now = time.monotonic()
+        self._watch_clock(now)
+        report = self._known(now)
+        if report.status != self._report.status:  # a source fell silent, or a confirmation ended
+            self._report = report
+            self.guard.on_status(report.status, now)
+        elif not self.adapter.sources and self._confirmation is not None:
+            self.guard.on_status(report.status, now)
+        self._decide(now)
+        if self._last is None:
+            return
+        if self.guard.prove(self._last):
+            self._emergency.command(now, "proof of the stop")
+        if self._emergency.look(now, permitted=self._last.permitted, speed=self._last.speed) == SILENT:
+            self.guard.on_silence()
+            self._decide(now)
+        deaf = self.stop_path.unanswered(now)
+        if deaf and not self._deaf:
+            self.guard.proof.void("the driver did not acknowledge a stop")
+        self._deaf = deaf
+
+    def _on_goal_ended(self, goal: bytes, cancelled: bool) -> None:
+        if goal == self._proving:
+            self._proving = b""
+            self.guard.proof.on_ended(time.monotonic(), cancelled=cancelled)
+
+    def _look_around(self) -> None:
+        """See who publishes what the guard rests on: of two, nobody knows which one speaks of the robot."""
+        topics = [self.cell.topics.joint_states.lstrip("/")]
+        topics += [source.name for source in self.adapter.sources if not source.is_service]
+        self.guard.on_sources("; ".join(filter(None, [several_publishers(self, topic) for topic in topics])))
+
+    def on_second(self, words: str, younger: bool) -> None:
+        """Another guard is heard: neither permits anything."""
+        if self.active:
+            self.guard.on_second_guard()
+            self._decide(time.monotonic())
+        super().on_second(words, younger)
+
+    def _watch_clock(self, now: float) -> None:
+        (before, at), self._looked_at_clock = self._looked_at_clock, (self.now_ns(), now)
+        advance = (self._looked_at_clock[0] - before) / NANOSECONDS
+        if before and not -1e-3 <= advance <= self.value("clock_jump") * max(now - at, 1.0):
+            self.guard.on_clock_jump()
+
+    def _decide(self, now: float) -> None:
+        with self._deciding:
+            self._publish(self.guard.decide(now), now)
+
+    def _message(self, decision: GuardDecision, stamp: int, now: float) -> Permission:
+        hears, stop = self._emergency.hears(now), self.stop_path.text
+        return to_permission(decision, self.rules, stamp, hears=hears, stop=stop)
+
+    def _publish(self, decision: GuardDecision, now: float) -> None:
+        stamp = self.now_ns()
+        message = self._message(decision, stamp, now)
+        self._permission.publish(message)
+        before, self._last = self._last, decision
+        self._latched = decision.latched
+        changed = before is None or (before.permitted, before.reasons, before.latched) != (
+            decision.permitted, decision.reasons, decision.latched,
+        )  # fmt: skip
+        if changed or now - self._evidence_sent >= 1.0 / self.value("evidence_rate"):
+            self._evidence_sent = now
+            state = to_robot_state(self._report, stamp, steady_to_ros=stamp - round(now * NANOSECONDS))
+            self._state.publish(state)
+            self._evidence.publish(to_evidence(decision, message, state, self.monitored, self.rules, self._q))
+        if changed:
+            self.diagnostics.report("permission", 0 if decision.permitted else 1, decision.text)
+            if before is not None and before.permitted and not decision.permitted:
+                self.get_logger().warning(f"motion is no longer permitted: {decision.text}")
+            else:
+                self.get_logger().info(decision.text)
+
+    # --- what the operator says --------------------------------------------------------------------------------------
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        now = time.monotonic()
+        decision = self.guard.decide(now) if not request.operator_name.strip() else self.guard.reset(now)
+        self._publish(decision, now)
+        response.permission = self._message(decision, self.now_ns(), now)
+        if not request.operator_name.strip():
+            response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, "the name of who answers for it is missing")
+        elif decision.latched:
+            response.outcome = to_outcome(Outcome.NOT_PERMITTED, decision.text)
+        else:
+            self.get_logger().info(f"reset by {request.operator_name.strip()}")
+            response.outcome = to_outcome(Outcome.OK, decision.text)
+        return response
+
+    def _on_confirm(self, request: Any, response: Any) -> Any:
+        now = time.monotonic()
+        try:
+            self._confirmation = checked(request.operator_name, request.operating_mode, request.valid_for, now)
+        except InputError as error:
+            response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
+            return response
+        self._report = self._known(now)
+        self.guard.on_status(self._report.status, now)
+        self._decide(now)
+        response.confirmed_until = to_stamp(self.now_ns() + round(request.valid_for * NANOSECONDS))
+        text = f"{self._confirmation.operator} confirms {self._confirmation.mode.name} for {request.valid_for:.0f} s"
+        self.get_logger().info(text)
+        response.outcome = to_outcome(Outcome.OK, text)
+        return response
+
+    # --- the proof that the robot can be stopped ---------------------------------------------------------------------
+
+    async def _on_prove(self, request: Any, response: Any) -> Any:
+        proof, now = self.guard.proof, time.monotonic()
+        if proof.running:
+            response.outcome = to_outcome(Outcome.BUSY, "a proof is under way")
+            return response
+        self._proving = bytes(request.goal)
+        proof.begin(now)
+        await _While(lambda: proof.running)
+        self._decide(time.monotonic())
+        if proof.proven:
+            response.outcome = to_outcome(Outcome.OK, f"seen: {self.stop_path.text}")
+        else:
+            response.outcome = to_outcome(Outcome.TEST_FAILED, proof.text)
+        self.get_logger().info(f"proof of the stop: {response.outcome.text}")
+        return response
+
+    # --- the end -----------------------------------------------------------------------------------------------------
+
+    def on_deactivate(self) -> None:
+        """Take the permission back, stop what moves, and go when the robot stands: last of all."""
+        began = time.monotonic()
+        with self._deciding:  # the executor's thread still decides
+            self.guard.stop()
+            self._decide(began)
+        moved, stopped = self._emergency.moving, -math.inf
+        while (now := time.monotonic()) < began + STANDSTILL:
+            standing = self._joints.latest is None or self._joints.standing()
+            moved |= self._joints.moving()
+            if moved and (not standing or stopped == -math.inf) and now - stopped > AGAIN:
+                stopped = now
+                self._emergency.command(now, "the guard is being shut down")
+            at_rest = standing or now - began > UNSEEN
+            stands = standing and now - began > ArrivalRules().dwell and not self.stop_path.waiting
+            if (stands if moved else at_rest) and (not self._emergency.hears(now) or now - began > OTHERS):
+                return
+            time.sleep(0.02)
+        raise TransitionError(RUNS_ON)
+
+
+class _While:
+    """Awaits the end of a condition; the guard's pulse looks again and again."""
+
+    def __init__(self, condition: Callable[[], bool]) -> None:
+        self._condition = condition
+
+    def __await__(self) -> Generator[None, None, None]:
+        while self._condition():
+            yield
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run(GuardNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

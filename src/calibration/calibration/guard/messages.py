@@ -1,0 +1,105 @@
+"""The guard's messages: permission, evidence and robot state, from and to values of the core."""
+
+from __future__ import annotations
+
+import math
+
+from calibration_interfaces.msg import GuardEvidence, Permission, RobotState
+
+from calibration.conversions import to_header, to_stamp
+from calibration.robot_state.adapter import Report
+from calibration_core.motion.guard import GuardDecision, GuardRules
+from calibration_core.motion.robot_status import OperatingMode
+from calibration_core.motion.speed import Monitored
+from calibration_core.timeseries import NANOSECONDS, Float1D
+
+MILLIMETRES = 1e3
+
+
+def tri_state(value: bool | None) -> int:
+    """Return a bool, or None, as the message's number."""
+    return int(RobotState.UNDECIDED if value is None else RobotState.TRUE if value else RobotState.FALSE)
+
+
+def to_robot_state(report: Report, time: int, *, steady_to_ros: int) -> RobotState:
+    """Return a report as a message.
+
+    Args:
+        report: What is known.
+        time: ns, of publication.
+        steady_to_ros: ns, to be added to a steady time to get the node's.
+    """
+    status = report.status
+    until = status.confirmed_until
+    return RobotState(
+        header=to_header(time),
+        operating_mode=int(status.operating_mode),
+        drives=int(status.drives),
+        safety=int(status.safety),
+        motion_possible=tri_state(status.motion_possible),
+        in_motion=tri_state(status.in_motion),
+        in_error=tri_state(status.in_error),
+        speed_scaling=status.speed_scaling,
+        speed_limit_mm_s=MILLIMETRES * status.speed_limit,
+        vendor_codes=list(report.vendor_codes),
+        source=report.source,
+        source_stamp=to_stamp(report.source_time),
+        received_stamp=to_stamp(max(report.received_time + steady_to_ros, 0) if report.received_time else 0),
+        operator_confirmed=status.operator_confirmed,
+        operator_name=report.operator,
+        confirmed_until=to_stamp(0 if math.isnan(until) else max(round(until * NANOSECONDS) + steady_to_ros, 0)),
+    )
+
+
+def to_permission(decision: GuardDecision, rules: GuardRules, time: int, *, hears: bool, stop: str) -> Permission:
+    """Return a decision as a message.
+
+    Args:
+        decision: The decision.
+        rules: Limits.
+        time: ns.
+        hears: Whether the sequencer gives a sign of life.
+        stop: How the guard stops a motion.
+    """
+    return Permission(
+        header=to_header(time),
+        permitted=decision.permitted,
+        latched=bool(decision.latched),
+        reasons=[int(reason) for reason in decision.reasons],
+        text=decision.text,
+        speed=decision.speed,
+        speed_point=decision.speed_point,
+        speed_limit=rules.speed_limit,
+        hears_sequencer=hears,
+        stop=stop,
+    )
+
+
+def to_evidence(
+    decision: GuardDecision,
+    permission: Permission,
+    state: RobotState,
+    monitored: Monitored,
+    rules: GuardRules,
+    q: Float1D,
+) -> GuardEvidence:
+    """Return what a decision rests on; `q` (n,) rad are the joint angles as last received."""
+    return GuardEvidence(
+        header=permission.header,
+        permission=permission,
+        latched_reasons=[int(reason) for reason in decision.latched],
+        state=state,
+        state_age=decision.state_age,
+        joints_age=decision.joints_age,
+        joints=list(monitored.chain.joints),
+        positions=q.tolist(),
+        velocities=decision.rates.tolist(),
+        points=list(monitored.names),
+        speeds=decision.speeds.tolist(),
+        allowed_modes=sorted(mode.name for mode in rules.allowed_modes),
+    )
+
+
+def mode_names(modes: list[str]) -> frozenset[OperatingMode]:
+    """Return operating modes by their names; unknown names raise KeyError."""
+    return frozenset(OperatingMode[name] for name in modes)

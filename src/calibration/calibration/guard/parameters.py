@@ -1,0 +1,119 @@
+"""Parameters of the guard, and the rules and the adapter that they make."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Protocol
+
+from calibration.guard.messages import mode_names
+from calibration.motion.catalogue import MOTION_INTERFACE
+from calibration.node import Declared
+from calibration.robot_state import generic
+from calibration.robot_state.adapter import Adapter
+from calibration.robot_state.catalogue import GENERIC, NAMES, adapter_of
+from calibration_core.cell import Cell
+from calibration_core.errors import InputError, quoted
+from calibration_core.motion.guard import GuardRules
+from calibration_core.motion.robot_status import OperatingMode
+
+LONGEST_AGE = 10.0  # s, of a source's last message
+RULES = GuardRules()
+MODES = tuple(mode.name for mode in OperatingMode if mode is not OperatingMode.UNKNOWN)
+
+PARAMETERS = (
+    Declared("cell", "", "The cell file.", required=True),
+    Declared("rate", 50.0, "Hz, of the permission.", low=20.0, high=500.0),
+    Declared("evidence_rate", 2.0, "Hz, of the evidence between changes.", low=0.1, high=50.0),
+    Declared("allowed_modes", ["MANUAL_REDUCED"], f"Operating modes in which motion is permitted: {', '.join(MODES)}."),
+    Declared("speed_limit", RULES.speed_limit, "m/s, of every monitored point.", low=0.01, high=0.25),
+    Declared("tolerance", RULES.tolerance, "Share by which a measured speed may exceed the limit.", low=0.0, high=0.2),
+    Declared("max_state_age", RULES.max_state_age, "s, of the robot state.", low=0.05, high=10.0),
+    Declared("max_joints_age", RULES.max_joints_age, "s, of the joint states.", low=0.01, high=1.0),
+    Declared("freeze_time", RULES.freeze_time, "s, joint states repeat while in motion.", low=0.02, high=5.0),
+    Declared("speed_window", RULES.speed_window, "s, over which speed is measured.", low=0.0, high=1.0),
+    Declared("jump_rate", RULES.jump_rate, "rad/s, no joint is faster.", low=1.0, high=100.0),
+    Declared("scaling_zero_time", RULES.scaling_zero_time, "s, speed scaling may be zero.", low=0.0, high=10.0),
+    Declared("max_pause", RULES.max_pause, "s, between two decisions, and between stamps of joint states.", low=0.1),
+    *MOTION_INTERFACE,
+    Declared("sequencer_age", 0.1, "s, of the sequencer's sign of life while it moves the robot.", low=0.05, high=5.0),
+    Declared("trace", "", "File for the monotonic clock's ns of what it stops; empty: none."),
+    Declared("clock_jump", 2.0, "s, the clock may advance between two decisions.", low=0.1, high=3600.0),
+    Declared("robot_state.adapter", "native", "How the controller's state is understood.", choices=NAMES),
+    Declared("robot_state.topics", [], "Names of topics other than the driver's defaults, as key=name."),
+    Declared("robot_state.max_ages", [], "s, that a source's last message counts, other than usual, as key=seconds."),
+    Declared("robot_state.generic.topic", "", "Topic of the generic adapter."),
+    Declared("robot_state.generic.type", "", "Its type, package/msg/Name."),
+    Declared(
+        "robot_state.generic.max_age", 1.0, "s, after which its last message counts no longer.", low=0.05, high=10.0
+    ),
+    *(Declared(f"robot_state.generic.{name}", "", "Rule: path = value: WORD, ...") for name in generic.WORDS),
+)
+
+
+class Values(Protocol):
+    """Whatever has parameters."""
+
+    def value(self, name: str) -> Any:
+        """Return a parameter's value."""
+
+
+def guard_rules(node: Values, cell: Cell) -> GuardRules:
+    """Return the limits.
+
+    Raises:
+        InputError: A mode is unknown.
+    """
+    try:
+        modes = mode_names(node.value("allowed_modes"))
+    except KeyError as error:
+        raise InputError("guard", "allowed_modes", quoted(error.args[0]), f"some of {', '.join(MODES)}") from None
+    declared = None if cell.safety is None else cell.safety.speed_limit
+    table = {one.name for one in PARAMETERS}
+    names = {field.name for field in dataclasses.fields(GuardRules)} - {"allowed_modes", "declared_limit"}
+    given = {name: node.value(name) for name in names & table}
+    return GuardRules(allowed_modes=modes, declared_limit=declared, **given)
+
+
+def configured_adapter(node: Values) -> Adapter:
+    """Return the adapter with the topics and ages that are given.
+
+    Raises:
+        InputError: One of them cannot be used, or a message package is not installed.
+    """
+    name = node.value("robot_state.adapter")
+    if name == GENERIC:
+        place = "robot_state.generic"
+        rules = {quantity: node.value(f"{place}.{quantity}") for quantity in generic.WORDS}
+        topic, kind, age = (node.value(f"{place}.{key}") for key in ("topic", "type", "max_age"))
+        adapter = generic.adapter(topic, kind, age, rules)
+    else:
+        adapter = adapter_of(name)
+    topics, ages = _by_key(node, adapter, "robot_state.topics"), _by_key(node, adapter, "robot_state.max_ages")
+    sources = []
+    for source in adapter.sources:
+        max_age = _seconds("robot_state.max_ages", ages[source.key]) if source.key in ages else source.max_age
+        sources.append(dataclasses.replace(source, name=topics.get(source.key, source.name), max_age=max_age))
+    return dataclasses.replace(adapter, sources=tuple(sources))
+
+
+def _by_key(node: Values, adapter: Adapter, name: str) -> dict[str, str]:
+    known = {source.key for source in adapter.sources}
+    found = {}
+    for entry in node.value(name):
+        key, _, text = entry.partition("=")
+        if key not in known or not text:
+            expected = f"key=value with a key of {', '.join(sorted(known)) or 'no topic at all'}"
+            raise InputError("guard", name, quoted(entry), expected)
+        found[key] = text
+    return found
+
+
+def _seconds(name: str, text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 < seconds <= LONGEST_AGE:
+        raise InputError("guard", name, quoted(text), f"above 0, at most {LONGEST_AGE:g} s")
+    return seconds

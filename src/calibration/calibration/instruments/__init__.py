@@ -1,0 +1,1 @@
+"""The instruments: streams checked sample by sample, averages over a settled window."""

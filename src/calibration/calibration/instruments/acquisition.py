@@ -1,0 +1,317 @@
+"""What the nodes of the instruments share: streams, their health, and averages over a settled window."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from calibration_interfaces.action import Measure
+from calibration_interfaces.msg import Outcome
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+
+from calibration.background import Background
+from calibration.conversions import Mean, Sample, stamp_ns, to_average, to_header, to_outcome
+from calibration.instruments.stream import Source, Stream
+from calibration.lifecycle.managed import TransitionError
+from calibration.node import CalibrationNode, Declared
+from calibration.topics import SAMPLE_CHECK
+from calibration_core.cell import Cell, load_cell
+from calibration_core.observations.samples import Limits, Problem
+from calibration_core.observations.window import SettledWindow, Waiting
+from calibration_core.timeseries import NANOSECONDS, Float1D
+
+LISTENERS_WAIT = 2.0  # s of wall time from the start, in which nothing is averaged that nobody hears
+LOOK = 0.1  # s of wall time between looks at publishers and problems
+REPORT = 10  # looks between two reports of a stream whose health has not changed
+POLL = 0.005  # s of wall time between looks at an average
+GIVEN_UP = 1.0  # s of wall time, averages under way have to end
+CLOCK_STANDS = 10.0  # s of wall time without progress of the node's clock
+
+COMMON = (
+    Declared("cell", "", "The cell file.", required=True),
+    Declared("frame", "", "frame_id that samples must carry; empty: any."),
+    Declared("output_frame", "", "frame_id of what is published; empty: as it came."),
+    Declared("stamp", "source", "Time of a sample.", choices=("source", "receive")),
+    Declared("interval", 0.0, "Usual interval between samples, s; 0: learnt.", low=0.0),
+    Declared("gap", 1.5, "Intervals from which samples count as missing.", low=1.01),
+    Declared("frozen", 20, "Identical samples in a row from which the stream counts as frozen; 0: never.", low=0),
+    Declared("silent_after", 0.5, "Wall time without a sample after which the stream counts as silent, s.", low=0.01),
+    Declared("window", 1.0, "Length of an average, s.", low=0.001, read_only=False),
+    Declared("timeout", 20.0, "Longest wait for a settled window, s.", low=0.01, read_only=False),
+    Declared("min_samples", 20, "Samples that an average must have.", low=1, read_only=False),
+)
+
+
+class MeasuringError(Exception):
+    """No average came about.
+
+    Attributes:
+        code: One of the constants of `Outcome`.
+    """
+
+    def __init__(self, code: int, text: str) -> None:
+        """Keep the code; the text is for a person."""
+        self.code = code
+        super().__init__(text)
+
+
+@dataclasses.dataclass(frozen=True)
+class Request:
+    """What is to be averaged: streams, window and timeout in s, samples at least, first stamp that counts, ns."""
+
+    streams: tuple[Stream, ...]
+    window: float
+    timeout: float
+    min_samples: int
+    since: int = 0
+
+
+class AcquisitionNode(CalibrationNode):
+    """Checks the samples of an instrument, publishes those that pass, and averages on request (`~/measure`).
+
+    Attributes:
+        cell: The cell.
+        streams: Name -> stream.
+    """
+
+    def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
+        """Make the node; subclasses add streams and sources when they are configured."""
+        super().__init__(name, (*COMMON, *parameters), **kwargs)
+
+    def on_configure(self) -> None:
+        """Read the cell, and offer what the node measures."""
+        self.cell: Cell = load_cell(self.value("cell"))
+        self.streams: dict[str, Stream] = {}
+        self._sources: dict[str, Source] = {}
+        self._looks = 0
+        self._reported: dict[str, Problem] = {}
+        self.group = ReentrantCallbackGroup()
+        self._checks = self.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
+        self._measure = self.create_action_server(Measure, "~/measure", self._on_measure)
+        self._averaging = 0  # requests under way
+
+    def on_activate(self) -> None:
+        """Look for the sources, and report how they are, from now on."""
+        self._alone_until = time.monotonic() + LISTENERS_WAIT
+        for source in self._sources.values():
+            source.begin()
+        self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def on_deactivate(self) -> None:
+        """Wait until averages under way have given up: they look whether the node is still active."""
+        end = time.monotonic() + GIVEN_UP
+        while self._averaging:
+            if time.monotonic() > end:
+                raise TransitionError(f"an average is still being taken after {GIVEN_UP:g} s")
+            time.sleep(POLL)
+
+    def busy(self) -> str:
+        """Say that an average is being taken: what it is taken with does not change meanwhile."""
+        return "an average is being taken" if self._averaging else ""
+
+    def limits(self, largest: tuple[float, ...], fastest: tuple[float, ...]) -> Limits:
+        """Return the limits of a stream from the parameters that all instruments share."""
+        frozen = 0 if self.value("frozen") < 2 else self.value("frozen")
+        return Limits(self.value("frame"), largest, fastest, frozen, self.value("interval"), self.value("gap"))
+
+    def add_stream(self, stream: Stream) -> Stream:
+        """Take on a stream."""
+        self.streams[stream.name] = stream
+        return stream
+
+    def add_source(self, topic: str, kind: str, callback: Callable[[Any], None]) -> Source:
+        """Subscribe to a topic as soon as it is offered."""
+        self._sources[topic] = Source(self, topic, kind, callback)
+        return self._sources[topic]
+
+    def stamped(self, sample: Sample) -> Sample:
+        """Return a sample with the time and frame that it is published with."""
+        usable = sample.stamp != 0 and self.value("stamp") == "source"
+        return dataclasses.replace(sample, stamp=sample.stamp if usable else self.now_ns())
+
+    def labelled(self, sample: Sample) -> Sample:
+        """Return a sample with the frame that it is published in."""
+        return dataclasses.replace(sample, frame=self.value("output_frame") or sample.frame)
+
+    def tolerance(self, stream: Stream) -> Float1D:
+        """Return the (k,) change over a window that does not matter."""
+        raise NotImplementedError
+
+    def tare_number(self) -> int:
+        """Return the number of the tare in force; 0: none."""
+        return 0
+
+    def outputs(self) -> Sequence[Any]:
+        """Return the publishers of what is measured."""
+        raise NotImplementedError
+
+    def _wait_for_listeners(self) -> None:
+        """Let the recorder find a node that has just been started, or it would miss what is measured first."""
+        while time.monotonic() < self._alone_until:
+            if all(publisher.get_subscription_count() for publisher in self.outputs()):
+                self._alone_until = -math.inf
+            time.sleep(POLL)
+
+    def _look(self) -> None:
+        for source in self._sources.values():
+            source.look()
+        self._looks += 1
+        for stream in self.streams.values():
+            source_of = self._sources.get(stream.topic)
+            stream.look(self, source_of.complaint if source_of else "")
+            problem = stream.problem()
+            if self._looks % REPORT and problem is self._reported.get(stream.name):
+                continue
+            self._reported[stream.name] = problem
+            report = stream.report(to_header(self.now_ns()))
+            self._checks.publish(report)
+            level = 0 if problem is Problem.FINE else 2 if problem is not Problem.GAP else 1
+            figures = {key: getattr(report, key) for key in ("received", "accepted", "gaps", "missing", "interval")}
+            self.diagnostics.report(f"{stream.topic} ({stream.name})", level, report.text, figures)
+
+    # --- averages ---------------------------------------------------------------------------------------------
+
+    def asked(self, names: Sequence[str], window: float, timeout: float, min_samples: int) -> Request:
+        """Return a request with the node's defaults where a number is zero.
+
+        Raises:
+            MeasuringError: A name is unknown or a number makes no sense.
+        """
+        unknown = [name for name in names if name not in self.streams]
+        if unknown:
+            text = f"found {unknown[0]!r}, expected one of {', '.join(self.streams)}"
+            raise MeasuringError(Outcome.INPUT_UNUSABLE, text)
+        if not (math.isfinite(window) and math.isfinite(timeout) and window >= 0 and timeout >= 0):
+            text = f"found window {window}, timeout {timeout}, expected positive s"
+            raise MeasuringError(Outcome.INPUT_UNUSABLE, text)
+        return Request(
+            tuple(self.streams[name] for name in names or self.streams),
+            window or self.value("window"),
+            timeout or self.value("timeout"),
+            min_samples or self.value("min_samples"),
+        )
+
+    def measure(
+        self,
+        request: Request,
+        cancelled: Callable[[], bool] = lambda: False,
+        report: Callable[[float, str], None] = lambda _share, _text: None,
+    ) -> list[Mean]:
+        """Wait for a settled window of every stream; to be called beside the executor.
+
+        Args:
+            request: What to average.
+            cancelled: Whether to give up.
+            report: Gets the share done and what is waited for.
+
+        Raises:
+            MeasuringError: Cancelled, timed out, nothing arrived, or two publish what one alone may.
+        """
+        self._wait_for_listeners()
+        running = [
+            (stream, stream.start(request.window, self.tolerance(stream), request.min_samples, request.since))
+            for stream in request.streams
+        ]
+        before = {stream.name: stream.check.counts.received for stream in request.streams}
+        tare = self.tare_number()
+        deadline = _Deadline(self.now_ns, request.timeout)
+        self._averaging += 1
+        try:
+            while True:
+                _refuse_two_sources(request.streams)
+                states = [(stream, stream.state(averaging)) for stream, averaging in running]
+                if all(isinstance(state, SettledWindow) for _, state in states):
+                    break
+                if cancelled():
+                    raise MeasuringError(Outcome.CANCELLED, "cancelled")
+                if not self.active:
+                    raise MeasuringError(Outcome.NOT_AVAILABLE, f"{self.get_name()} is being deactivated")
+                if deadline.passed():
+                    raise _why_not(states, before)
+                report(min(_share(state) for _, state in states), _waiting_for(states))
+                time.sleep(POLL)
+        finally:
+            self._averaging -= 1
+            for stream, averaging in running:
+                stream.end(averaging)
+        if self.tare_number() != tare:
+            raise MeasuringError(Outcome.NOT_SETTLED, "the sensor was tared meanwhile")
+        return [
+            Mean(stream.name, self.value("output_frame") or stream.frame, state.begin, state.end, state.average, tare)
+            for stream, state in states
+            if isinstance(state, SettledWindow)
+        ]
+
+    async def _on_measure(self, goal: Any) -> Any:
+        last = [-math.inf]
+
+        def report(share: float, text: str) -> None:
+            if time.monotonic() - last[0] >= 0.1:
+                last[0] = time.monotonic()
+                goal.publish_feedback(Measure.Feedback(share_done=float(share), text=text))
+
+        asked = goal.request
+        try:
+            request = self.asked(asked.names, asked.window, asked.timeout, asked.min_samples)
+            request = dataclasses.replace(request, since=stamp_ns(asked.since))
+            means = await Background(
+                self, lambda: self.measure(request, lambda: bool(goal.is_cancel_requested), report)
+            )
+        except MeasuringError as error:
+            goal.canceled() if error.code == Outcome.CANCELLED else goal.abort()
+            return Measure.Result(outcome=to_outcome(error.code, str(error)))
+        goal.succeed()
+        return Measure.Result(outcome=to_outcome(Outcome.OK, ""), averages=[to_average(mean) for mean in means])
+
+
+class _Deadline:
+    """A timeout in the node's time that also passes if that time stands still."""
+
+    def __init__(self, now: Callable[[], int], timeout: float) -> None:
+        self._now = now
+        self._end = now() + round(timeout * NANOSECONDS)
+        self._seen, self._seen_at = now(), time.monotonic()
+
+    def passed(self) -> bool:
+        now = self._now()
+        if now != self._seen:
+            self._seen, self._seen_at = now, time.monotonic()
+        return now >= self._end or time.monotonic() - self._seen_at > CLOCK_STANDS
+
+
+def _refuse_two_sources(streams: Sequence[Stream]) -> None:
+    for stream in streams:
+        problem, text = stream.outside
+        if problem is Problem.TWO_SOURCES:
+            raise MeasuringError(Outcome.NOT_AVAILABLE, f"{stream.name}: {text}")
+
+
+def _share(state: SettledWindow | Waiting) -> float:
+    return state.share if isinstance(state, Waiting) else 1.0
+
+
+def _waiting_for(states: Sequence[tuple[Stream, SettledWindow | Waiting]]) -> str:
+    words = [
+        f"{stream.name} to settle" if state.moving else f"samples of {stream.name}"
+        for stream, state in states
+        if isinstance(state, Waiting)
+    ]
+    return "waiting for " + ", ".join(words)
+
+
+def _why_not(states: Sequence[tuple[Stream, SettledWindow | Waiting]], before: dict[str, int]) -> MeasuringError:
+    for stream, state in states:
+        if not isinstance(state, Waiting):
+            continue
+        if stream.check.counts.received == before[stream.name]:
+            return MeasuringError(Outcome.NO_DATA, f"{stream.name}: nothing arrived on {stream.topic}")
+        problem = stream.problem().name.lower().replace("_", " ")
+        if state.moving:
+            return MeasuringError(Outcome.NOT_SETTLED, f"{stream.name}: still moves at the end of the time allowed")
+        text = f"{stream.name}: {state.samples} samples without a break, {problem}"
+        return MeasuringError(Outcome.TIMED_OUT, text)
+    return MeasuringError(Outcome.TIMED_OUT, "not done within the time allowed")

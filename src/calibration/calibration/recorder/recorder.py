@@ -1,0 +1,324 @@
+"""Node `recorder`: every topic of the table to a bag, as raw bytes, on the disk within a fraction of a second.
+
+Callbacks only append; a thread of its own writes and syncs.  `~/close` ends the bag's file, so that it can be evaluated
+while the node lives on; `~/open` continues the bag with a further file.  `~/hears` tells whether every instrument that
+publishes has been heard: what is measured before that would be missing in the bag.
+
+Where the bag is, the session decides that is measured: `~/record` closes the present bag and goes on in the session's.
+Twenty times a second the recorder says what it does; whoever measures and does not hear that stops.
+"""
+
+from __future__ import annotations
+
+import collections
+import math
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import Record
+from rclpy.clock import Clock, ClockType
+from std_srvs.srv import Trigger
+
+from calibration.background import in_executor
+from calibration.conversions import stamp_ns, to_header, to_outcome
+from calibration.node import CalibrationNode, Declared, run
+from calibration.recorder.definitions import definition
+from calibration.topics import (
+    RECORDING,
+    Quality,
+    Topic,
+    contract_topics,
+    incompatible,
+    offered_qos,
+    recorded_topics,
+    session_topics,
+    subscription_profile,
+)
+from calibration_core.cell import load_cell
+from calibration_core.errors import OutputError
+from calibration_core.recording.bags.live_writer import LiveBag, LiveTopic
+from calibration_core.timeseries import NANOSECONDS
+
+LOOK = 0.05  # s of wall time between looks for new publishers
+THOROUGH = 1.0  # s of wall time between looks at what all publishers offer
+DRAIN = 2.0  # s of wall time, the executor may take until what has arrived is taken, when the node ends
+SIGN = 0.05  # s of wall time between two signs of life
+STAMP = {True: struct.Struct("<iI"), False: struct.Struct(">iI")}  # little-endian or not: s and ns of a header in CDR
+
+PARAMETERS = (
+    Declared("cell", "", "The cell file.", required=True),
+    Declared("out", "", "Directory of a bag from the start on; empty: nothing is recorded before a session asks."),
+    Declared("sync_period", 0.25, "Wall time after which what came is on the disk, s.", low=0.01, high=1.0),
+    Declared("compression", "none", "Of the chunks.", choices=("none", "lz4", "zstd")),
+)
+
+Item = tuple[Topic, int, bytes]
+
+
+class RecorderNode(CalibrationNode):
+    """Records until it is stopped or told to close."""
+
+    OWNER = "recorder"
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Make the node."""
+        super().__init__("recorder", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Read the cell, and offer the services; no bag is open yet."""
+        cell = load_cell(self.value("cell"))
+        self._topics = recorded_topics(cell)
+        self._instruments = [topic for topic in contract_topics(cell) if topic.quality is Quality.SAMPLES]
+        self._queue: collections.deque[Item] = collections.deque()
+        self._infos: dict[str, LiveTopic] = {}
+        self._numbers: dict[str, int] = {}
+        self._lock = threading.RLock()  # the bag and what belongs to it
+        self._place = self.value("out")
+        self._session_topics, self._since = session_topics(cell), 0
+        self._signs = self.create_publisher(RECORDING.message, RECORDING.relative, RECORDING.qos)
+        self._bag: LiveBag | None = None
+        self._ending = threading.Event()
+        self.create_service(Record, "~/record", self._on_record)
+        self.create_service(Trigger, "~/close", self._on_close)
+        self.create_service(Trigger, "~/open", self._on_open)
+        self.create_service(Trigger, "~/hears", self._on_hears)
+
+    def on_activate(self) -> None:
+        """Open the bag and wait for publishers."""
+        self._heard: dict[str, tuple[Any, Any]] = {}
+        self._counted: dict[str, int] = {}
+        self._looked = -math.inf  # s of the monotonic clock
+        self._written = time.monotonic()  # when everything that had come was last on the disk
+        self._bag = self._new_bag() if self._place else None
+        self._ending.clear()
+        self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
+        self._writer.start()
+        self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(SIGN, self._sign, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._look()
+
+    def _new_bag(self, plan_sha256: str = "") -> LiveBag:
+        self._numbers = {}
+        return LiveBag(Path(self._place), self.value("compression"), plan_sha256)
+
+    # --- what comes in ----------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        """Subscribe to what is published; our own topics at once, for their quality is known.
+
+        Asking who publishes what is slow: topics whose number of publishers has not changed wait for the thorough look.
+        """
+        now = time.monotonic()
+        thorough = now - self._looked >= THOROUGH
+        if thorough:
+            self._looked = now
+        for topic in self._topics:
+            count = self.count_publishers(topic.relative)
+            if count == self._counted.get(topic.name, 0) and not thorough:
+                continue
+            self._counted[topic.name] = count
+            offered = self.get_publishers_info_by_topic(topic.relative)
+            if topic.name in self._heard:
+                subscription, asked = self._heard[topic.name]
+                if not offered or not incompatible(self, topic.relative, asked):
+                    continue
+                self.destroy_subscription(subscription)
+            elif not offered and topic.quality is Quality.SAMPLES:
+                continue
+            profile = subscription_profile(self, topic.relative) if offered else topic.qos
+            subscription = self.create_subscription(
+                topic.message, topic.relative, self._taker(topic), profile, raw=True
+            )
+            self._heard[topic.name] = (subscription, profile)
+
+    def _taker(self, topic: Topic) -> Callable[[bytes], None]:
+        def take(payload: bytes) -> None:
+            if topic.name not in self._infos:
+                self._infos[topic.name] = self._info(topic)
+            if topic.name in self._session_topics and stamp_of(payload) < self._since:
+                return  # of an earlier session: who comes late gets everything that was announced
+            self._queue.append((topic, self.now_ns(), payload))
+
+        return take
+
+    def _drain(self) -> None:
+        """Take what has arrived and waits for its turn: whoever asks to close the bag sent it all before."""
+        for subscription, _ in self._heard.values():
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                    subscription.callback(taken[0])
+
+    def _info(self, topic: Topic) -> LiveTopic:
+        offered = self.get_publishers_info_by_topic(topic.relative)
+        hashes = {str(one.topic_type_hash) for one in offered}
+        known = hashes.pop() if len(hashes) == 1 else ""
+        qos = tuple(offered_qos(one.qos_profile) for one in offered)
+        return LiveTopic(topic.name, topic.type, definition(topic.type), known, qos)
+
+    # --- what goes out ----------------------------------------------------------------------------------------
+
+    def _write_on(self) -> None:
+        while not self._ending.wait(self.value("sync_period")):
+            if not self._write():
+                return
+
+    def _write(self, *, last: bool = False) -> bool:
+        """Bring everything onto the disk that has come; False once that fails.
+
+        What came before the first word of a simulated clock waits for it: it counts as received then.
+        """
+        try:
+            with self._lock:
+                written = False
+                while self._queue:
+                    topic, received, payload = self._queue.popleft()
+                    if self._bag is None:
+                        continue
+                    received = received or self.now_ns()
+                    if not received and not last:
+                        self._queue.appendleft((topic, received, payload))
+                        break
+                    if topic.name not in self._numbers:
+                        self._numbers[topic.name] = self._bag.add_topic(self._infos[topic.name])
+                    self._bag.write(self._numbers[topic.name], received, payload)
+                    written = True
+                if written and self._bag is not None:
+                    self._bag.sync()
+                self._written = time.monotonic()
+        except OutputError as error:
+            self.get_logger().fatal(str(error))
+            self.failed.set()
+            return False
+        return True
+
+    def _on_record(self, request: Any, response: Any) -> Any:
+        """Go on in the bag of a session; what was announced of it before the recorder came is asked for again."""
+        with self._lock:
+            try:
+                if self._bag is not None and self._bag.path.absolute() == Path(request.directory).absolute():
+                    self._bag.belong_to(request.plan_sha256)
+                else:
+                    self._begin(request)
+            except OutputError as error:
+                response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
+                return response
+            assert self._bag is not None  # noqa: S101 - it has just been opened
+            response.outcome, response.file = to_outcome(Outcome.OK, ""), str(self._bag.file)
+        self._report()
+        return response
+
+    def _begin(self, request: Any) -> None:
+        if self._bag is not None:
+            self._drain()
+            self._write(last=True)
+            self._bag.close()
+            self._bag = None
+        self._place = request.directory
+        self._bag = self._new_bag(request.plan_sha256)
+        self._since = stamp_ns(request.since)
+        kept = [topic.name for topic in self._topics if topic.quality in (Quality.STATE, Quality.EVENTS)]
+        for name in kept:
+            if name in self._heard:
+                self.destroy_subscription(self._heard.pop(name)[0])
+        self._looked = -math.inf
+        self._look()
+
+    def _on_close(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            if self._bag is None:
+                response.success, response.message = False, "no bag is open"
+                return response
+            self._drain()
+            response.success = self._write(last=True)
+            response.message = f"{self._bag.messages} messages in {self._bag.file}"
+            self._bag.close()
+            self._bag = None
+        self._report()
+        return response
+
+    def _on_open(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            if self._bag is not None:
+                response.success, response.message = False, f"{self._bag.file} is open"
+                return response
+            try:
+                if not self._place:
+                    raise OutputError("out", "", "nothing", "the directory of a bag")
+                self._bag = self._new_bag()
+            except OutputError as error:
+                response.success, response.message = False, str(error)
+                return response
+            response.success, response.message = True, str(self._bag.file)
+        self._report()
+        return response
+
+    def _on_hears(self, _request: Any, response: Any) -> Any:
+        silent = [
+            topic.name
+            for topic in self._instruments
+            if topic.name not in self._infos and self.count_publishers(topic.relative)
+        ]
+        response.success = not silent
+        response.message = f"nothing is heard yet of {', '.join(silent)}" if silent else ""
+        return response
+
+    def _sign(self) -> None:
+        bag = self._bag
+        self._signs.publish(
+            RECORDING.message(
+                header=to_header(self.now_ns()),
+                recording=bag is not None and not self.failed.is_set(),
+                directory=str(Path(self._place).absolute()) if self._place else "",
+                file="" if bag is None else str(bag.file),
+                plan_sha256="" if bag is None else bag.plan_sha256,
+                messages=0 if bag is None else bag.messages,
+                behind=time.monotonic() - self._written,
+            )
+        )
+
+    def _report(self) -> None:
+        bag = self._bag
+        if bag is None:
+            self.diagnostics.report("bag", 1, "closed: nothing is recorded")
+            return
+        figures = {"messages": bag.messages, "waiting": len(self._queue), "topics": len(self._numbers)}
+        self.diagnostics.report("bag", 0, f"recording to {bag.file}", figures)
+
+    def on_deactivate(self) -> None:
+        """Write what has come and close the bag."""
+        drained = threading.Event()
+
+        def drain() -> None:
+            self._drain()
+            drained.set()
+
+        in_executor(self, drain)
+        drained.wait(DRAIN)
+        self._ending.set()
+        self._writer.join(timeout=5.0)
+        with self._lock:
+            if self._bag is not None and not self.failed.is_set() and self._write(last=True):
+                self._bag.close()
+            self._bag = None
+
+
+def stamp_of(payload: bytes) -> int:
+    """Return the stamp, ns, of a message whose first field is a header, as CDR with its encapsulation header."""
+    seconds, nanoseconds = STAMP[bool(payload[1] & 1)].unpack_from(payload, 4)
+    return int(seconds) * NANOSECONDS + int(nanoseconds)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    return run(RecorderNode, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

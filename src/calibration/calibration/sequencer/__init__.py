@@ -1,0 +1,1 @@
+"""The sequencer: measures a plan, one run at a time."""

@@ -1,0 +1,390 @@
+"""Carries out what the procedure says: one thread, one queue of events, nothing that blocks.
+
+Answers of drivers and instruments, the guard's word and the operator's come into the queue from other threads; the
+thread hands them to the pure procedure, and does what it commands.  Arrival, standstill and the age of the guard's word
+are looked at between events.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import queue
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from calibration.cell.clients import Measured
+from calibration.cell.interface import Cell
+from calibration.cell.permission import PermissionWatch
+from calibration.cell.reading_checks import PostureError
+from calibration.cell.readings import ReadingError
+from calibration.motion.arrival import Joints
+from calibration.motion.base import Backend, End
+from calibration.motion.prover import Prover
+from calibration.motion.stop_stages import StopStages
+from calibration.sequencer.since import Since
+from calibration.status.observer import Observer
+from calibration_core.errors import SessionError, TrajectoryError
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.sequence import Sequence
+from calibration_core.motion.speed import Monitored
+from calibration_core.motion.trajectory import MotionLimits, Trajectory, plan_motion
+from calibration_core.timeseries import NANOSECONDS, Float1D
+
+LOOK = 0.01  # s of wall time between two looks while nothing happens
+TICK = 0.1  # s of wall time between two ticks of the procedure
+CALM = 10.0  # s, a robot may take to come to rest before it is moved
+LATE = 3.0  # s, joint states may lag behind a driver's success, and ...
+OLD = 20.0  # s, where their stamps say that they are older than that
+SLACK = 1.5  # times a trajectory's length, and ...
+SLACK_TIME = 10.0  # s more, a motion may take
+PATIENCE = 2.0  # s of wall time, joint states may come after the averages of the same window
+WIND_DOWN = 1.2  # s of wall time, the robot has to come to rest at the end
+UNSEEN = "it has not been seen in this run that the guard can stop the robot"
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionEnded:
+    """The driver's word on the motion of a request."""
+
+    request: int
+    how: End
+    text: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MeasuredFor:
+    """The instruments' answer to a request."""
+
+    request: int
+    measured: Measured
+    since: float = dataclasses.field(default_factory=time.monotonic)
+
+
+@dataclasses.dataclass(frozen=True)
+class Call:
+    """Something to be done in this thread."""
+
+    work: Callable[[], None]
+
+
+@dataclasses.dataclass(eq=False)
+class _Motion:
+    """A motion that was asked for."""
+
+    request: int
+    goal: Float1D
+    asked: Since
+    trajectory: Trajectory | None = None
+    begun: Since | None = None
+    allowed: float = math.inf  # s, from its begin to its end
+    ended: MotionEnded | None = None
+    ended_at: Since | None = None
+
+
+class Runner:
+    """Runs a procedure to its end.
+
+    Attributes:
+        sequence: The procedure.
+        observer: Who keeps what people want to know of it.
+    """
+
+    def __init__(
+        self,
+        sequence: Sequence,
+        cell: Cell,
+        backend: Backend,
+        joints: Joints,
+        watch: PermissionWatch,
+        monitored: Monitored,
+        limits: MotionLimits,
+        prover: Prover,
+        *,
+        settle_time: float,
+        stages: int,
+        haste: float = 1.0,
+    ) -> None:
+        """Prepare; `run` begins.
+
+        Args:
+            sequence: The procedure.
+            cell: What carries out its commands.
+            backend: Moves the robot.
+            joints: The joint states.
+            watch: The guard's word.
+            monitored: Points whose speed is bounded.
+            limits: Of motions.
+            prover: Shows the guard that it can stop the robot, before the first motion.
+            settle_time: s, that everything has to stand before a reading.
+            stages: Of the staged stop.
+            haste: How much faster than the steady clock the cell's goes.
+        """
+        self.sequence, self._cell, self._backend, self._joints = sequence, cell, backend, joints
+        self.observer = Observer(sequence)
+        self._watch, self._monitored, self._limits, self._settle_time = watch, monitored, limits, settle_time
+        self._prover, self._haste = prover, haste
+        self._stop_stages = StopStages(stages)
+        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._motion: _Motion | None = None
+        self._settling: tuple[int, float] | None = None  # request, since
+        self._reading: dict[int, m.TakeReading] = {}
+        self._behind: MeasuredFor | None = None
+        self._ticked = -math.inf
+        self.finish: m.Finish | None = None
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion of ours is under way, or being stopped."""
+        return (self._motion is not None and self._motion.trajectory is not None) or self._stop_stages.under_way
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a motion of ours is being stopped."""
+        return self._stop_stages.under_way
+
+    def post(self, event: m.Event | MotionEnded | MeasuredFor | Call) -> None:
+        """Put an event into the queue, from any thread; the `now` of ResumeMotion is s of the steady clock."""
+        self._events.put(event)
+
+    def run(self, *, held: bool = False) -> m.Finish:
+        """Run to the end; return how it ended.  `held`: nothing moves before the operator resumes motion."""
+        self._prover.reset()
+        self._handle(m.Start(self._cell.seconds(), held))
+        while self.finish is None:
+            try:
+                event = self._events.get(timeout=LOOK)
+            except queue.Empty:
+                event = None
+            self._take(event)
+            self._look()
+        self._wind_down()
+        return self.finish
+
+    def _take(self, event: Any) -> None:
+        match event:
+            case None:
+                return
+            case Call():
+                event.work()
+            case MotionEnded():
+                if self._motion is not None and self._motion.request == event.request:
+                    self._motion.ended, self._motion.ended_at = event, Since(self._cell.seconds())
+            case MeasuredFor():
+                self._on_measured(event)
+            case m.ResumeMotion() if event.now < self._watch.against:
+                return  # said before what it would have to follow
+            case m.Resume() | m.ResumeMotion() if lost := self._cell.lost(time.monotonic()):
+                self._ask(f"{lost}: put that right, then resume")
+            case _:
+                self._handle(dataclasses.replace(event, now=self._cell.seconds()))
+
+    def _handle(self, event: m.Event) -> None:
+        commands = self.sequence.handle(event)
+        self.observer.hear(event, commands)
+        for command in sorted(commands, key=lambda one: not isinstance(one, m.StopMotion)):
+            self._do(command)  # a stop does not wait for what is written on the disk
+
+    def pause(self, why: str) -> None:
+        """Begin nothing more before the operator says so, who is asked why; in the runner's thread."""
+        self._handle(m.Pause(self._cell.seconds()))
+        self._ask(why)
+
+    def _ask(self, text: str) -> None:
+        self._cell.carry_out(m.AskOperator(text))
+        self.observer.ask(text)
+
+    # --- commands ----------------------------------------------------------------------------------------------------
+
+    def _do(self, command: m.Command) -> None:
+        match command:
+            case m.Move():
+                self._motion = _Motion(command.request, np.asarray(command.q), Since(self._cell.seconds()))
+            case m.StopMotion():
+                self._stop()
+            case m.RequestLoad():
+                self._cell.apply_load(command, self._load_answered(command.request))
+            case m.AwaitSettled():
+                self._settling = (command.request, self._cell.seconds())
+            case m.TakeReading():
+                self._reading[command.request] = command
+                request = command.request
+                self._cell.measure(lambda measured: self.post(MeasuredFor(request, measured)))
+            case m.Finish():
+                self.finish = command
+            case _:
+                self._cell.carry_out(command)
+
+    def _stop(self) -> None:
+        self._motion = None
+        self._cell.stop_stage(self._stop_stages.begin(time.monotonic()))
+
+    def _load_answered(self, request: int) -> Callable[[bool, str], None]:
+        def answered(success: bool, text: str) -> None:
+            now = self._cell.seconds()
+            self.post(m.LoadReached(now, request) if success else m.LoadFailed(now, request, text))
+
+        return answered
+
+    def _on_measured(self, event: MeasuredFor) -> None:
+        command = self._reading.get(event.request)
+        if command is None:
+            return
+        now = self._cell.seconds()
+        if event.measured.fault:
+            del self._reading[event.request]
+            self._handle(m.ReadingFailed(now, event.request, event.measured.fault))
+            return
+        means = [*event.measured.points, *filter(None, [event.measured.wrench])]
+        behind = max(mean.end for mean in means) > self._joints.until or not self._cell.recorded(event.since)
+        if behind and time.monotonic() - event.since < PATIENCE:
+            self._behind = event  # joint states of the same window, or the recorder's word, are still on their way
+            return
+        del self._reading[event.request]
+        if not self._cell.recorded(event.since):
+            self._handle(m.ReadingFailed(now, event.request, "the recorder gave no sign of life after it"))
+            return
+        try:
+            self._cell.confirm(command, event.measured)
+        except PostureError as error:  # somebody or something has moved the robot: nobody knows what else
+            self._handle(m.Pause(now))
+            self._handle(m.ReadingFailed(now, event.request, str(error), moved=True))
+            self._ask(f"{error}: the robot has been moved; resume when it may move back")
+            return
+        except (ReadingError, SessionError) as error:
+            self._handle(m.ReadingFailed(now, event.request, str(error)))
+            return
+        self._handle(m.ReadingConfirmed(now, event.request))
+
+    # --- between events ----------------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        steady, now = time.monotonic(), self._cell.seconds()
+        permitted, text = self._watch.at(steady)
+        if permitted and not self._prover.proven:
+            permitted, text = False, UNSEEN
+        ready = permitted or self._watch.ready(steady)
+        self._handle(m.PermissionChanged(now, permitted, text, ready))  # passed over where nothing has changed
+        self._handle(m.GuardHearing(now, self._watch.hears(steady)))
+        self._backend.tick(steady)
+        self._prove(steady)
+        self._cell.look(steady)
+        self._look_at_equipment(steady)
+        self._advance_stop(steady)
+        behind, self._behind = self._behind, None
+        if behind is not None:
+            self._on_measured(behind)
+        if self._motion is not None:
+            self._follow(self._motion, now)
+        if self._settling is not None and self.sequence.state is not m.RunState.SETTLING:
+            self._settling = None
+        if self._settling is not None:
+            request, since = self._settling
+            if now - since >= self._settle_time and self._joints.standing():
+                self._settling = None
+                self._handle(m.Settled(now, request))
+        if steady - self._ticked >= TICK:
+            self._ticked = steady
+            self._handle(m.Tick(now))
+            self._cell.progress()
+
+    def _prove(self, steady: float) -> None:
+        """Have the guard prove that it can stop the robot, once a motion is wanted and nothing else is in its way."""
+        prover = self._prover
+        waits = self.sequence.state is m.RunState.READY and not self.sequence.paused and not self._stop_stages.under_way
+        if prover.running:
+            prover.tick(steady)
+        elif self._watch.unproven:
+            prover.proven = not self._backend.commands
+        if prover.fault:
+            self.pause(f"the stop cannot be proven: {prover.fault}; resume to try again")
+            prover.reset()
+        elif waits and not prover.proven and prover.rested(steady) and self._stands(steady):
+            prover.begin(steady, self._haste)
+
+    def _stands(self, steady: float) -> bool:
+        """Tell whether the robot stands, and nothing but a missing proof speaks against motion."""
+        return self._watch.ready(steady) and self._joints.standing()
+
+    def _look_at_equipment(self, steady: float) -> None:
+        """Pause where what is measured would not be recorded, or could not be measured; nothing begins after that."""
+        if not self.sequence.paused:
+            self.lose(self._cell.lost(steady))
+
+    def lose(self, lost: str) -> None:
+        """Pause for what is lost, if anything is; in the runner's thread."""
+        if lost and not self.sequence.paused:
+            self.pause(f"{lost}: put that right, then resume")
+
+    def _advance_stop(self, steady: float) -> None:
+        stage = self._stop_stages.advance(steady, standing=self._joints.standing())
+        if stage is not None:
+            self._cell.stop_stage(stage)
+
+    def _follow(self, motion: _Motion, now: float) -> None:
+        """Begin the motion once the robot stands, and see how it goes."""
+        if motion.trajectory is None:
+            self._begin(motion, now)
+        elif motion.ended is not None and motion.ended.how is End.CANCELLED:
+            why = motion.ended.text  # whoever stopped it had a reason: nothing moves before the operator says so
+            self.pause(f"{why}: resume when it is safe to go on")
+        elif motion.ended is not None and motion.ended.how is End.FAILURE:
+            self._blocked(motion, now, motion.ended.text or "the driver gave up")
+        elif (motion.ended is not None or not self._backend.answers) and self._joints.arrived(motion.goal):
+            self._motion = None
+            self._handle(m.Arrived(now, motion.request))
+        elif (end := motion.ended_at) and end.longer(now, LATE if self._joints.reached(end.cell + LATE) else OLD):
+            off = np.abs(np.asarray(self._joints.latest) - motion.goal).max()
+            self._blocked(motion, now, f"the driver says that it is there, but a joint is {off:.4f} rad off")
+        elif motion.begun is not None and motion.begun.longer(now, motion.allowed):
+            self._stop()
+            self._handle(m.Blocked(now, motion.request, "the motion takes too long"))
+
+    def _begin(self, motion: _Motion, now: float) -> None:
+        if not self._cell.ready(motion.asked.steady):
+            return  # they are lost if this lasts
+        where = self._joints.latest
+        fresh = self._joints.reached(motion.asked.cell)  # older ones say where it stood
+        if where is None or not fresh or not self._joints.standing() or self._stop_stages.under_way:
+            if motion.asked.longer(now, CALM):
+                self._unknown(motion, now, late=where is not None and not fresh)
+            return
+        try:
+            motion.trajectory = plan_motion(self._monitored, where, motion.goal, self._limits)
+        except TrajectoryError as error:
+            self._blocked(motion, now, str(error))
+            return
+        if not self._watch.at(time.monotonic())[0]:
+            motion.trajectory = None  # lost while it was planned; the procedure hears of it next
+            return
+        if self._backend.commands:
+            scaling = self._cell.scaling()
+            pace = scaling if 0.0 < scaling <= 1.0 else 1.0
+            motion.allowed = SLACK * motion.trajectory.duration / pace + SLACK_TIME
+        motion.begun = Since(now)
+        request = motion.request
+        self._backend.move(motion.trajectory, lambda how, text: self.post(MotionEnded(request, how, text)))
+
+    def _unknown(self, motion: _Motion, now: float, *, late: bool) -> None:
+        """Give a motion up that cannot begin: another try would fare no better where the joint states are late."""
+        if late:
+            behind = now - self._joints.until / NANOSECONDS
+            self.pause(f"the joint states are {behind:.1f} s behind the clock: put that right, then resume")
+        else:
+            self._blocked(motion, now, "the robot does not come to rest, or its joint states do not come")
+
+    def _blocked(self, motion: _Motion, now: float, reason: str) -> None:
+        self._motion = None
+        self._handle(m.Blocked(now, motion.request, reason))
+
+    def _wind_down(self) -> None:
+        """Take the stages of the stop until the robot stands, for a while."""
+        if self._prover.running:
+            self._backend.stop()
+        end = time.monotonic() + WIND_DOWN
+        while self._stop_stages.under_way and time.monotonic() < end:
+            self._advance_stop(time.monotonic())
+            time.sleep(LOOK)

@@ -1,0 +1,384 @@
+"""`sequencer`: measures a plan in the cell.
+
+The action `~/run` starts a thread that runs the pure procedure; callbacks only put what they hear into its queue.  The
+robot is moved only while the guard says yes, and has been seen to be able to stop it; whatever takes that away stops
+the motion at once, and nothing moves again before the operator resumes motion by name.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from collections.abc import Sequence as Arguments
+from pathlib import Path
+from typing import Any
+
+from calibration_interfaces.action import RunPlan
+from calibration_interfaces.msg import MeasurementStep, Outcome, Permission, SessionEvent
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from calibration.cell.clients import Instruments, LoadDevice
+from calibration.cell.conditions_watch import ConditionsWatch
+from calibration.cell.description_watch import DescriptionWatch
+from calibration.cell.equipment import Equipment
+from calibration.cell.permission import PermissionWatch
+from calibration.cell.port import CellPort
+from calibration.cell.reading_checks import ReadingChecks
+from calibration.cell.recorder_client import Recorder, Wanted
+from calibration.cell.wrench_watch import WrenchWatch
+from calibration.conversions import joint_positions, stamp_ns, to_outcome
+from calibration.guard.guard import PULSE_DEADLINE
+from calibration.lifecycle.managed import TransitionError
+from calibration.motion.arrival import Joints
+from calibration.motion.calls import callers
+from calibration.motion.catalogue import make_backend
+from calibration.motion.prover import Prover, haste_of
+from calibration.motion.stopper import STOP_STAGES, Stopper
+from calibration.node import CalibrationNode, run
+from calibration.sequencer.client_watch import ClientWatch
+from calibration.sequencer.feedback import Feedback
+from calibration.sequencer.operator_services import OperatorServices
+from calibration.sequencer.outcomes import OUTCOMES
+from calibration.sequencer.parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
+from calibration.sequencer.plan_markers import plan_markers
+from calibration.sequencer.preflight import guard_ready, joints_heard, missing, prepared, served
+from calibration.sequencer.provenance import provenance
+from calibration.sequencer.run_action import NAME, RunAction
+from calibration.sequencer.runner import Call, Runner
+from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, PLAN_MARKERS, READING, Quality, profile
+from calibration_core.cell import load_cell
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.sequence import Sequence
+from calibration_core.measurement.session import Session
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.motion.speed import Monitored
+from calibration_core.planning.plans.plan import Plan
+from calibration_core.planning.plans.plan_file import read_plan
+from calibration_core.recording.session_values import Decision, Event
+from calibration_core.timeseries import NANOSECONDS
+
+PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way
+BAG = "bag"  # in the session's directory
+END_TIME = 1.6  # s of wall time, a run has to end when the process does
+ALONE = 1.0  # s, since another sequencer was heard
+
+
+class SequencerNode(CalibrationNode):
+    """The node around the pure procedure.
+
+    Attributes:
+        cell: The cell.
+        steps: Publisher of step markers; likewise `events` and `readings`.
+        stopper: Stops the robot.
+        watch: The guard's word.
+        runner: Runs the procedure; None while no plan is being measured, and likewise `port`.
+        conditions: Judges the conditions of the standard.
+    """
+
+    OWNER = "sequencer"
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Make the node.
+
+        Raises:
+            InputError: A parameter or the cell file cannot be used, or a message package is not installed.
+        """
+        super().__init__("sequencer", PARAMETERS, **kwargs)
+
+    def on_configure(self) -> None:
+        """Connect to the cell."""
+        self.cell = load_cell(self.value("cell"))
+        self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
+        self.runner: Runner | None = None
+        self.port: CellPort | None = None
+        self._decided: tuple[Any, ...] = ()
+        self._lost = ""  # of recorder and instruments, when a motion was looked at last
+        self._backend = make_backend(
+            self.value("motion.backend"),
+            self,
+            self.cell.robot.joints,
+            interface=self.value("motion.interface"),
+            rules=arrival_rules(self),
+            where=lambda: self._joints.latest,
+            ask=lambda text: self.diagnostics.report("operator", 1, text),
+        )
+        self._prover = Prover(self, self._backend, self.cell.robot.joints, lambda: self._joints.latest)
+        self._second = (-math.inf, "")  # when another sequencer was heard, s of the steady clock, and words about it
+        self._prepare = callers(self, "motion.prepare_services")
+        self.stopper = Stopper(
+            self,
+            self._backend,
+            self.cell.robot.joints,
+            lambda: self._joints.latest,
+            hold_topic=self.value("motion.hold_topic"),
+            calls=callers(self, "motion.stop_services"),
+            trace=self.value("trace"),
+        )
+        by_device = self.value("load.by") == DEVICE
+        self._load_device = LoadDevice(self, self.value("load.interface")) if by_device else None
+        self._instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
+        self.conditions = ConditionsWatch(self)
+        self.feedback = Feedback(self, advise=self.value("progress"))
+        self._speak()
+
+    def on_activate(self) -> None:
+        """Listen to the cell; no plan is being measured, and nothing moves before somebody asks for one."""
+        self._joints = Joints(arrival_rules(self))
+        self.watch = PermissionWatch(self.value("permission_age"))
+        self._wrench = WrenchWatch(self) if self.value("force_torque") else None
+        self.conditions.listen()
+        self._listen()
+
+    def _speak(self) -> None:
+        step = self.cell.topics.step.lstrip("/")
+        self.steps = self.create_publisher(MeasurementStep, step, profile(Quality.EVENTS))
+        self.events = self.create_publisher(EVENT.message, EVENT.relative, EVENT.qos)
+        self.readings = self.create_publisher(READING.message, READING.relative, READING.qos)
+        self._markers = self.create_publisher(PLAN_MARKERS.message, PLAN_MARKERS.relative, PLAN_MARKERS.qos)
+        self._pulse = self.create_publisher(MOTION_PULSE.message, MOTION_PULSE.relative, MOTION_PULSE.qos)
+        OperatorServices(self)
+        self._client = ClientWatch(self, NAME)
+        self._action = RunAction(self, self._measure, self._backend.stop, self._against)
+        self._recorder = Recorder(self, self.value("recorder"), self.value("recorder_age"))
+        self._description = DescriptionWatch(self)
+        self._equipment = Equipment(self._recorder, self._description, self.value("instrument_age"))
+
+    def _listen(self) -> None:
+        newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(JointState, self.cell.topics.joint_states.lstrip("/"), self._on_joints, newest)
+        pulse = PERMISSION.qos
+        pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
+        silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
+        self.create_subscription(Permission, PERMISSION.relative, self._on_permission, pulse, event_callbacks=silence)
+        self.create_timer(1.0 / PULSE, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._description.listen()
+        quality = QoSProfile(depth=100)  # what was said before belongs to no run of ours
+        self.create_subscription(SessionEvent, EVENT.relative, self._on_event, quality)
+        self._equipment.listen(self)
+        if self._wrench is not None:
+            self._wrench.listen()
+
+    # --- what arrives ------------------------------------------------------------------------------------------------
+
+    def _on_joints(self, message: JointState) -> None:
+        q = joint_positions(message, self.cell.robot.joints)
+        if q is not None:
+            self._joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
+
+    def _on_permission(self, message: Permission) -> None:
+        self.watch.hear(message, time.monotonic())
+        if not message.permitted:
+            self._halt(str(message.text))
+        decided = (bool(message.permitted), bool(message.latched), tuple(message.reasons))
+        if decided != self._decided:
+            self._decided = decided
+            self._store(message)
+
+    def _on_silence(self) -> None:
+        permitted, text = self.watch.at(time.monotonic())
+        if not permitted:
+            self._halt(text)
+
+    def _halt(self, why: str) -> None:
+        """Stop a motion for what the procedure hears at its next look."""
+        runner = self.runner
+        if runner is not None and self.interrupt():
+            runner.post(m.PermissionChanged(0.0, False, why))
+
+    def interrupt(self) -> bool:
+        """Stop the motion under way without waiting for the runner's turn; return whether there is one to stop."""
+        runner = self.runner
+        if runner is None or not runner.moving or runner.stopping:
+            return False
+        self.stopper.take(0)
+        return True
+
+    def _store(self, message: Permission) -> None:
+        runner, port = self.runner, self.port
+        if runner is None or port is None:
+            return
+        reasons = tuple(filter(None, str(message.text).split("; "))) if not message.permitted else ()
+        decision = Decision(stamp_ns(message.header.stamp), message.permitted, message.latched, reasons)
+        runner.post(Call(lambda: port.decided(decision)))
+
+    def _on_event(self, message: SessionEvent) -> None:
+        """Write down, in the session under way, what an operator asked for at a panel."""
+        runner, port = self.runner, self.port
+        if message.kind == SessionEvent.OPERATOR_ACTION and runner is not None and port is not None:
+            event = Event(self.now_ns(), "operator_action", f"{message.source}: {message.text}")
+            runner.post(Call(lambda: port.session.note(event)))
+
+    def _on_timer(self) -> None:
+        self._on_silence()  # its event may come but once, and the runner may be waiting for a disk
+        runner = self.runner
+        moving = runner is not None and runner.moving
+        lost = self._equipment.fault(time.monotonic()) if moving else ""
+        if runner is not None and lost and not self._lost and self.interrupt():
+            runner.post(Call(lambda: runner.lose(lost)))
+        self._lost = lost
+        self._pulse.publish(MOTION_PULSE.message(data=moving))
+
+    # --- what others want ---------------------------------------------------------------------------------------------
+
+    def on_second(self, words: str, younger: bool) -> None:
+        """Another sequencer is heard: neither moves the robot."""
+        self._second = (time.monotonic(), words)
+        if self.active:
+            self._halt(words)
+            if self.runner is not None:
+                self.runner.post(m.PermissionChanged(0.0, False, words))
+        super().on_second(words, younger)
+
+    def _against(self) -> str:
+        heard, words = self._second
+        return words if time.monotonic() - heard < ALONE else self._description.fault
+
+    # --- a run -------------------------------------------------------------------------------------------------------
+
+    def _measure(self, goal: Any) -> Any:
+        """Measure a plan from beginning to end; runs in a thread of its own."""
+        request = goal.request
+        self._rules, self._limits = sequence_rules(self), motion_limits(self, self.cell)  # as they are set now
+        plan = read_plan(request.plan, self.cell)
+        self._markers.publish(plan_markers(plan, self.cell, *(self.value(f"markers.{name}") for name in LOOK)))
+        directory = Path(request.session)
+        text = Path(request.plan).read_text(encoding="utf-8")
+        absent = self._missing()
+        if absent:
+            return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, absent))
+        different = self._description.judged()
+        if different:
+            return RunPlan.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, different))
+        held = not guard_ready(self.watch, self.value("server_wait"))
+        wrong = self.conditions.begin(plan, self._limits.allowed, self._rules.startup_period, request.overrides)
+        if wrong:
+            return RunPlan.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, wrong))
+        violated = "" if request.resume else self.conditions.violated()
+        if violated:  # before there is a session that would have to be resumed
+            return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
+        open_session = Session.resume if request.resume else Session.create
+        with open_session(directory, text, self.cell) as session:
+            parameters = {name: self.value(name) for name in sorted(self._table)}
+            self.conditions.opened(session)
+            violated = self.conditions.violated()
+            if violated:
+                return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
+            session.begin_run(self.now_ns(), provenance(self.cell, text, parameters))
+            lost = self._recorder.record(Wanted(directory.absolute() / BAG, session.plan_sha256, self.now_ns()))
+            if lost:
+                return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, lost), session=str(directory))
+            runner = self._start(plan, session)
+            self.feedback.begin(goal, runner)
+            self._client.begin(time.monotonic())
+            finish = runner.run(held=held)
+            done, skipped = len(runner.sequence.queue.completed), len(runner.sequence.queue.given_up)
+            readings = self.port.confirmed if self.port is not None else 0
+        self._recorder.close()
+        recorded, lost = self._recorder.recorded(directory, BAG)
+        how = (Outcome.FAULT, f"{lost}; {finish.text}") if lost else (OUTCOMES[finish.outcome], finish.text)
+        return RunPlan.Result(
+            outcome=to_outcome(*how),
+            session=str(directory),
+            recording=str(recorded),
+            configurations_done=done,
+            configurations_skipped=skipped,
+            readings=readings,
+        )
+
+    def _start(self, plan: Plan, session: Session) -> Runner:
+        given_up = session.given_up(self._rules.attempts)
+        sequence = Sequence(
+            plan,
+            self._rules,
+            completed=frozenset(session.completed),
+            given_up=given_up,
+            visits=session.reference_visits,
+            loaded=self._load_device is not None or session.left_open,
+        )
+        self.port = CellPort(
+            self,
+            session,
+            self._joints,
+            self._instruments,
+            self._load_device,
+            ReadingChecks(self.cell, plan.tolerances, self._joints, self._wrench),
+            later=self._later,
+            equipment=self._equipment,
+            temperature=lambda: self.conditions.temperature,
+            progress=self._progress,
+            scaling=lambda: self.conditions.scaling,
+        )
+        haste = haste_of(self)
+        self.runner = Runner(
+            sequence,
+            self.port,
+            self._backend,
+            self._joints,
+            self.watch,
+            self.monitored,
+            self._limits,
+            self._prover,
+            settle_time=self.value("settle_time"),
+            stages=STOP_STAGES,
+            haste=haste,
+        )
+        self._decided = ()  # what the guard says next is stored
+        return self.runner
+
+    def _later(self, work: Callable[[], None]) -> None:
+        runner = self.runner
+        if runner is not None:
+            runner.post(Call(work))
+
+    def _missing(self) -> str:
+        """Look for everything that a run needs, before anything moves; return what is not there."""
+        ports = [*self._instruments.ports.values(), *([self._load_device.port] if self._load_device else [])]
+        checks = [
+            prepared(self, self._prepare),
+            self._backend.prepare,
+            *map(served, ports),
+            joints_heard(self._joints, self.cell.topics.joint_states),
+            self.conditions.thermometer_heard,
+            self._recorder.missing,
+        ]
+        return missing(checks, self.value("server_wait"))
+
+    def _progress(self) -> None:
+        runner, port = self.runner, self.port
+        if runner is not None and port is not None:
+            self.conditions.look(port, runner)
+            self.feedback.send()
+            if self._client.vanished(time.monotonic()):
+                runner.pause("nobody takes the feedback of the run any more: resume when somebody minds it")
+
+    def busy(self) -> str:
+        """Say that a plan is being measured: what it is measured with does not change meanwhile."""
+        return self._action.busy
+
+    def on_deactivate(self) -> None:
+        """End the run: the motion is stopped, the session closed."""
+        runner = self.runner
+        if runner is not None:
+            runner.post(m.Stop(0.0))
+        if not self._action.wait(END_TIME):
+            raise TransitionError(f"the run has not ended within {END_TIME:g} s")
+
+    def on_cleanup(self) -> None:
+        """End the process that works progress out."""
+        self.feedback.close()
+
+
+def main(args: Arguments[str] | None = None) -> int:
+    """Run the node."""
+    return run(SequencerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

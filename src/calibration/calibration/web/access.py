@@ -1,0 +1,152 @@
+"""Who may see the panel, and who holds control: one-time tokens, sessions, one operator at a time, rate limits.
+
+Times are s of a steady clock.  Nothing here knows about the network or about ROS.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hmac
+import secrets
+
+IDLE = 12 * 3600.0  # s, a shift: a session that nobody uses for so long has ended
+TOKEN_LIFE = 12 * 3600.0  # s, that a token which nobody has used is good for
+ABSENT = 5.0  # s without an open page, after which control may be taken without asking
+MOST_SESSIONS = 16
+
+
+@dataclasses.dataclass(eq=False)
+class Session:
+    """One page that has entered.
+
+    Attributes:
+        cookie: Secret that the browser sends with every request.
+        token: Secret that the page sends with every request that changes something.
+        name: Of the operator, as entered.
+        address: From where the page entered.
+        used: When it was last used.
+        pages: Open connections.
+        left: When the last one was closed.
+    """
+
+    cookie: str
+    token: str
+    name: str
+    address: str
+    used: float
+    pages: int = 0
+    left: float = 0.0
+
+
+class Access:
+    """Tokens and sessions.
+
+    Attributes:
+        token: The present token; whoever enters with it uses it up, and the next one is drawn.
+        sessions: Those that have entered, by cookie.
+    """
+
+    def __init__(self, now: float) -> None:
+        self.sessions: dict[str, Session] = {}
+        self._draw(now)
+
+    def _draw(self, now: float) -> None:
+        self.token, self._drawn = secrets.token_urlsafe(24), now
+
+    def enter(self, token: str, name: str, address: str, now: float) -> Session | None:
+        """Return a new session, None where the token is not the present one; a token is good for one entry."""
+        right = hmac.compare_digest(token.encode(), self.token.encode())
+        if now - self._drawn > TOKEN_LIFE:
+            self._draw(now)
+            return None
+        if not right:
+            return None
+        self._draw(now)
+        if len(self.sessions) >= MOST_SESSIONS:
+            oldest = min(self.sessions.values(), key=lambda one: (one.pages > 0, one.used))
+            del self.sessions[oldest.cookie]
+        session = Session(secrets.token_urlsafe(32), secrets.token_urlsafe(32), name, address, now, left=now)
+        self.sessions[session.cookie] = session
+        return session
+
+    def find(self, cookie: str, now: float) -> Session | None:
+        """Return the session of a cookie, None where there is none, or it has ended."""
+        session = self.sessions.get(cookie)
+        if session is None:
+            return None
+        if now - session.used > IDLE and not session.pages:
+            del self.sessions[cookie]
+            return None
+        session.used = now
+        return session
+
+    def leave(self, session: Session) -> None:
+        """End a session."""
+        self.sessions.pop(session.cookie, None)
+
+    def may_change(self, session: Session, token: str) -> bool:
+        """Whether a request that changes something comes from the session's own page."""
+        return hmac.compare_digest(token.encode(), session.token.encode())
+
+
+class Control:
+    """Which session holds control; the others watch.
+
+    Attributes:
+        holder: Who holds it; None: nobody.
+        asking: Who asks for it, and waits for the holder's answer.
+    """
+
+    def __init__(self) -> None:
+        self.holder: Session | None = None
+        self.asking: Session | None = None
+
+    def ask(self, session: Session, now: float) -> bool:
+        """Ask for control; return whether it was given at once: nobody holds it, or the holder's page is gone."""
+        holder = self.holder
+        if holder is None or holder is session or (not holder.pages and now - holder.left >= ABSENT):
+            self.holder, self.asking = session, None
+            return True
+        self.asking = session
+        return False
+
+    def answer(self, session: Session, *, give: bool) -> bool:
+        """Give control to who asks, or keep it; return whether the session had it to give."""
+        if session is not self.holder or self.asking is None:
+            return False
+        if give:
+            self.holder = self.asking
+        self.asking = None
+        return True
+
+    def release(self, session: Session) -> None:
+        """Give control back, or stop asking."""
+        if session is self.holder:
+            self.holder, self.asking = self.asking, None
+        elif session is self.asking:
+            self.asking = None
+
+
+class Rate:
+    """So many things a second, with a reserve; each key has its own."""
+
+    def __init__(self, per_second: float, reserve: float) -> None:
+        self._rate, self._reserve = per_second, reserve
+        self._left: dict[str, tuple[float, float]] = {}
+
+    def take(self, key: str, now: float) -> bool:
+        """Return whether one more is allowed now; it is counted if it is."""
+        left, since = self._left.get(key, (self._reserve, now))
+        left = min(self._reserve, left + (now - since) * self._rate)
+        if left < 1.0:
+            self._left[key] = (left, now)
+            return False
+        self._left[key] = (left - 1.0, now)
+        self._forget(now)
+        return True
+
+    def _forget(self, now: float) -> None:
+        """Drop keys whose reserve is full again: strangers cannot fill the memory."""
+        if len(self._left) > 1000:
+            full = self._reserve / self._rate
+            self._left = {key: one for key, one in self._left.items() if now - one[1] < full}

@@ -1,0 +1,80 @@
+"""The folder in which the panel finds plans and sessions: what is there, and what of it may be handed out.
+
+Names come from a page, and never leave the folder: a name has no slash, and what it leads to is looked up in a list.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from pathlib import Path
+from typing import Any
+
+from calibration.web.request_table import NAME, RequestError
+from calibration_core.measurement.session import DATABASE
+
+PLAN = "plan.yaml"
+PROPOSED = "diagnose/next.yaml"  # the plan of what a diagnosis would measure next
+BAG = "bag"
+VERIFIED = "verify"
+MODELS = ("identify/model.yaml", "diagnose/model.yaml")
+EVALUATIONS = ("identify", "diagnose", VERIFIED)
+FILES = ("result.json", "report.html", "report.pdf", "model.yaml", "table2.csv", "certificate.pdf", "certificate.json")
+
+
+@dataclasses.dataclass(frozen=True)
+class Folder:
+    """A folder with sessions and plans.
+
+    Attributes:
+        root: The folder.
+    """
+
+    root: Path
+
+    def session(self, name: str) -> Path:
+        """Return the directory of a session, whether or not it is there.
+
+        Raises:
+            RequestError: The name is none.
+        """
+        if not NAME.fullmatch(name):
+            raise RequestError("session", "name", repr(name), "letters, digits, _, - and .")
+        return self.root / name
+
+    def plans(self) -> dict[str, Path]:
+        """Return the plans there are, by the name under which the page shows them, the newest first."""
+        return self._newest(f"*/{PLAN}", "*.yaml", f"*/{PROPOSED}")
+
+    def models(self) -> dict[str, Path]:
+        """Return the models that were identified or extended, by session and file, the newest first."""
+        return self._newest(*(f"*/{model}" for model in MODELS))
+
+    def _newest(self, *patterns: str) -> dict[str, Path]:
+        found = [path for pattern in patterns for path in self.root.glob(pattern) if path.is_file()]
+        found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+        return {path.relative_to(self.root).as_posix(): path for path in found}
+
+    def sessions(self) -> list[dict[str, Any]]:
+        """Return the sessions there are, the newest first: name, and which evaluations have results."""
+        found = [path for path in self.root.iterdir() if (path / DATABASE).is_file()] if self.root.is_dir() else []
+        found.sort(key=lambda path: (path / DATABASE).stat().st_mtime, reverse=True)
+        return [{"name": path.name, "files": sorted(self.files(path.name))} for path in found]
+
+    def files(self, name: str) -> dict[str, Path]:
+        """Return what of a session, or of a plan's folder, may be handed out, by `evaluation/file` or `file`."""
+        directory = self.session(name)
+        found = {file: directory / file for file in FILES if (directory / file).is_file()}
+        for evaluation in EVALUATIONS:
+            found |= {
+                f"{evaluation}/{file}": directory / evaluation / file
+                for file in FILES
+                if (directory / evaluation / file).is_file()
+            }
+        if (directory / BAG).is_dir():
+            found["bag.tar"] = directory / BAG
+        return found
+
+    def free(self) -> float | None:
+        """Return the bytes that are free where the folder is; None: it is not there yet."""
+        return float(shutil.disk_usage(self.root).free) if self.root.is_dir() else None

@@ -1,0 +1,236 @@
+"""The panel's side of ROS: what it hears of the cell, and the services and actions that it asks.
+
+State, joint states and the load device's state are looked at some times a second, and the last message is all that is
+taken: however many come, no more is done.  Whoever asks is a coroutine of another thread; answers are handed there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from calibration_interfaces.action import Identify, RunPlan
+from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import (
+    ConfirmMode,
+    LoadApplied,
+    OverrideCondition,
+    ResetGuard,
+    ResumeMotion,
+    SelfTest,
+    Tare,
+)
+from rclpy.action import ActionClient
+from rclpy.callback_groups import CallbackGroup
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
+
+from calibration.background import in_executor, in_loop
+
+ANSWER = 5.0  # s of wall time, that a service may take
+ACCEPT = 10.0  # s of wall time, that an action may take to accept a goal
+SERVICES: dict[str, tuple[Any, str, float]] = {
+    "stop": (Trigger, "sequencer/stop", 2.0),
+    "pause": (Trigger, "sequencer/pause", ANSWER),
+    "resume": (Trigger, "sequencer/resume", ANSWER),
+    "resume_motion": (ResumeMotion, "sequencer/resume_motion", ANSWER),
+    "repeat": (Trigger, "sequencer/repeat", ANSWER),
+    "skip": (Trigger, "sequencer/skip", ANSWER),
+    "load_applied": (LoadApplied, "sequencer/load_applied", ANSWER),
+    "override_condition": (OverrideCondition, "sequencer/override_condition", ANSWER),
+    "guard_reset": (ResetGuard, "guard/reset", ANSWER),
+    "confirm_mode": (ConfirmMode, "guard/confirm_mode", ANSWER),
+    "tare": (Tare, "force_torque/tare", 60.0),
+    "self_test": (SelfTest, "force_torque/self_test", 60.0),
+    "recorder_hears": (Trigger, "recorder/hears", 2.0),
+}
+"""Request: type of the service, its name, s of wall time that its answer may take."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """How a request ended; `text` is one line for a person, `message` what was answered, if anything was."""
+
+    done: bool
+    text: str = ""
+    message: Any = None
+
+
+class Polled(CallbackGroup):
+    """A group whose subscriptions never wake the executor: what they hold is taken when somebody looks."""
+
+    def can_execute(self, _entity: Any) -> bool:
+        """Nothing is ever due."""
+        return False
+
+    def beginning_execution(self, _entity: Any) -> bool:
+        """Nothing ever begins."""
+        return False
+
+    def ending_execution(self, _entity: Any) -> None:
+        """Nothing ever ends."""
+
+
+class Latest:
+    """A topic of which the last message alone counts, taken when it is looked at."""
+
+    def __init__(self, node: Any, kind: Any, name: str, quality: QoSProfile | None = None) -> None:
+        quality = quality or QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        quality.depth = 1
+        self._subscription = node.create_subscription(
+            kind, name, lambda _message: None, quality, callback_group=Polled()
+        )
+
+    def take(self) -> Any:
+        """Return the last message that has come since the last look; None: none has."""
+        one = self._subscription
+        with one.handle:
+            taken = one.handle.take_message(one.msg_type, one.raw)
+        return None if taken is None else taken[0]
+
+
+class CellLink:
+    """Services and actions of the cell, asked from coroutines; made and destroyed by the executor's node."""
+
+    def __init__(self, node: Any) -> None:
+        """Make the clients of the services; those of actions are there only while one is under way."""
+        self._node = node
+        self._clients = {key: node.create_client(kind, name) for key, (kind, name, _) in SERVICES.items()}
+        self._run: asyncio.Task[None] | None = None  # held: a task that nobody holds may be collected
+        self._evaluation: Any = None
+        self._evaluating = self._given_up = False
+
+    async def ask(self, request: str, **fields: Any) -> Answer:
+        """Ask a service; return how it ended, also if nobody answers."""
+        kind, name, seconds = SERVICES[request]
+        client = self._clients[request]
+        if not client.service_is_ready():
+            return Answer(done=False, text=f"{name} is not there")
+        future = client.call_async(kind.Request(**fields))
+        try:
+            message = await asyncio.wait_for(awaited(future), seconds)
+        except TimeoutError:
+            client.remove_pending_request(future)
+            return Answer(done=False, text=f"{name} does not answer")
+        return judged(message)
+
+    async def begin_run(self, fields: dict[str, Any], ended: Callable[[str], None]) -> Answer:
+        """Have a plan measured; return whether the goal was accepted.
+
+        The client stays until the end: it is by its being there that the sequencer knows the robot to be minded.
+
+        Args:
+            fields: Of the goal of `RunPlan`.
+            ended: Called with how it ended, in the calling thread's loop.
+        """
+        client = await self._client(RunPlan, "sequencer/run")
+        if client is None:
+            return Answer(done=False, text="sequencer/run is not there")
+        handle = await self._goal(client, RunPlan.Goal(**fields))
+        if handle is None:
+            await self._spun(client.destroy)
+            return Answer(done=False, text="the goal is rejected")
+        self._run = asyncio.get_running_loop().create_task(self._until(client, handle, ended))
+        return Answer(done=True)
+
+    def leave(self) -> None:
+        """Wait no longer for the end of a run; in the thread of its loop."""
+        if self._run is not None:
+            self._run.cancel()
+
+    async def _until(self, client: Any, handle: Any, ended: Callable[[str], None]) -> None:
+        answer = await awaited(await self._spun(handle.get_result_async))
+        await self._spun(client.destroy)
+        ended(str(answer.result.outcome.text))
+
+    async def evaluate(self, what: str, recording: str, progress: Callable[[float, str], None]) -> Answer:
+        """Have a recording identified or diagnosed; return how it ended.
+
+        Args:
+            what: `stiffness` or `diagnosis`.
+            recording: What is evaluated.
+            progress: Called in the executor's thread with the share that is done and what is being done.
+        """
+        client = await self._client(Identify, "identification/identify")
+        if client is None:
+            return Answer(done=False, text="identification/identify is not there")
+        self._evaluating, self._given_up = True, False
+        kind = {"stiffness": Identify.Goal.STIFFNESS, "diagnosis": Identify.Goal.DIAGNOSIS}[what]
+        try:
+            handle = await self._goal(
+                client,
+                Identify.Goal(what=kind, recording=recording),
+                lambda one: progress(float(one.feedback.share_done), str(one.feedback.text)),
+            )
+            if handle is None:
+                return Answer(done=False, text="the identification takes no request now")
+            self._evaluation = handle
+            if self._given_up:
+                self.cancel_evaluation()
+            return judged((await awaited(await self._spun(handle.get_result_async))).result)
+        finally:
+            self._evaluation, self._evaluating = None, False
+            await self._spun(client.destroy)
+
+    def cancel_evaluation(self) -> Answer:
+        """Cancel the evaluation that is under way, also where it is not accepted yet."""
+        if not self._evaluating:
+            return Answer(done=False, text="nothing is being evaluated")
+        self._given_up = True
+        if self._evaluation is not None:
+            in_executor(self._node, self._evaluation.cancel_goal_async)
+        return Answer(done=True)
+
+    async def _client(self, kind: Any, name: str) -> Any:
+        client = await self._spun(lambda: ActionClient(self._node, kind, name))
+        for _ in range(40):
+            if client.server_is_ready():
+                return client
+            await asyncio.sleep(0.05)
+        await self._spun(client.destroy)
+        return None
+
+    async def _spun(self, work: Callable[[], Any]) -> Any:
+        """Do something short in the executor's thread, which must not be waiting for what is taken down meanwhile."""
+        loop = asyncio.get_running_loop()
+        done = loop.create_future()
+
+        def do() -> None:
+            found = work()
+            in_loop(loop, lambda: None if done.done() else done.set_result(found))
+
+        in_executor(self._node, do)
+        return await done
+
+    async def _goal(self, client: Any, goal: Any, feedback: Callable[[Any], None] | None = None) -> Any:
+        """Send a goal; return its handle, None if it is not accepted."""
+        sent = await self._spun(lambda: client.send_goal_async(goal, feedback_callback=feedback))
+        try:
+            handle = await asyncio.wait_for(awaited(sent), ACCEPT)
+        except TimeoutError:
+            return None
+        return handle if handle.accepted else None
+
+
+def judged(message: Any) -> Answer:
+    """Return how a service or action ended, from what it answered."""
+    if hasattr(message, "outcome"):
+        return Answer(message.outcome.code == Outcome.OK, str(message.outcome.text), message)
+    return Answer(bool(message.success), str(message.message), message)
+
+
+async def awaited(future: Any) -> Any:
+    """Await a future of ROS."""
+    loop = asyncio.get_running_loop()
+    done = loop.create_future()
+
+    def set_it(_future: Any) -> None:
+        in_loop(loop, lambda: None if done.done() else done.set_result(None))
+
+    future.add_done_callback(set_it)
+    if future.done():
+        set_it(future)
+    await done
+    return future.result()

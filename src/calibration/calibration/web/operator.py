@@ -1,0 +1,231 @@
+"""What becomes of a request: the service or the action that it is, asked in the name of the operator, and logged."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from calibration_interfaces.msg import ConditionOverride, RobotState
+from calibration_interfaces.srv import SelfTest
+
+from calibration.background import in_loop
+from calibration.web.access import Control, Session
+from calibration.web.commands import run_command
+from calibration.web.folder import BAG, PLAN, VERIFIED, Folder
+from calibration.web.hub import Hub
+from calibration.web.link import Answer, CellLink
+from calibration.web.request_table import RequestError
+from calibration_core.errors import InputError, quoted
+
+STEPS = {"add": SelfTest.Request.ADD, "evaluate": SelfTest.Request.EVALUATE, "clear": SelfTest.Request.CLEAR}
+Log = Callable[[str], None]
+
+
+class Operator:
+    """Does what pages ask for."""
+
+    def __init__(self, link: CellLink, folder: Folder, hub: Hub, control: Control, cell: str, log: Log) -> None:
+        """Prepare.
+
+        Args:
+            link: The cell's services and actions.
+            folder: Where sessions and plans are.
+            hub: Where it is shown what is under way.
+            control: Who holds control.
+            cell: The cell file.
+            log: Takes one line for every request, with who asks and from where.
+        """
+        self._link, self._folder, self._hub, self._log = link, folder, hub, log
+        self.control, self._cell = control, cell
+        self._hold = 0.0
+        self._chooser: Session | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def do(self, name: str, values: dict[str, Any], session: Session) -> Answer:
+        """Do what a session asks for; every request and its answer are logged."""
+        given = ", ".join(f"{key} {value}" for key, value in values.items() if value not in ("", False))
+        answer = await self._done(name, values, session)
+        outcome = "" if answer.done else f": refused: {answer.text}"
+        self._log(f"{name}{f' ({given})' if given else ''} by {session.name} from {session.address}{outcome}")
+        return answer
+
+    async def _done(self, name: str, values: dict[str, Any], session: Session) -> Answer:
+        match name:
+            case "control_ask" | "control_release" | "control_answer":
+                return self._control(name, values, session)
+            case "hold_time":
+                self._hold, self._chooser = float(values["seconds"]), session
+                self._hub.show("hold", self.hold)
+                return Answer(done=True)
+            case "run":
+                return await self._run(values)
+            case "plan":
+                return self._aside("plan", self._plan(values))
+            case "identify":
+                return self._aside("evaluation", self._evaluate(str(values["what"]), str(values["session"])))
+            case "verify":
+                return self._aside("verification", self._verify(values))
+            case "cancel_evaluation":
+                return self._cancel("verification") or self._link.cancel_evaluation()
+        return await self._link.ask(name, **_fields(name, values, session))
+
+    # --- control ------------------------------------------------------------------------------------------------------
+
+    def _control(self, name: str, values: dict[str, Any], session: Session) -> Answer:
+        if name == "control_ask":
+            given = self.control.ask(session, time.monotonic())
+            holder = self.control.holder
+            return Answer(given, "" if given or holder is None else f"{holder.name} is asked")
+        if name == "control_release":
+            self.control.release(session)
+            return Answer(done=True)
+        return Answer(self.control.answer(session, give=bool(values["give"])))
+
+    # --- runs, plans, evaluations -------------------------------------------------------------------------------------
+
+    async def _run(self, values: dict[str, Any]) -> Answer:
+        plans = await asyncio.to_thread(self._folder.plans)
+        plan = plans.get(values["plan"])
+        if plan is None:
+            return Answer(done=False, text=f"there is no plan {values['plan']}")
+        fields = {
+            "plan": str(plan),
+            "session": str(self._folder.session(str(values["session"]))),
+            "resume": values["resume"],
+            "wanted_accuracy": float(values["wanted_accuracy"]),
+            "stop_when_enough": values["stop_when_enough"],
+        }
+        self._hub.show("ended", "")
+        return await self._link.begin_run(fields, lambda text: self._hub.show("ended", text))
+
+    async def _plan(self, values: dict[str, Any]) -> None:
+        name, purpose = str(values["name"]), str(values["purpose"])
+        directory = self._folder.session(name)
+        if (directory / PLAN).exists():
+            self._report("plan", 1.0, f"there is a plan {name} already", failed=True)
+            return
+        arguments = ["plan", "--cell", self._cell, "--for", purpose, "--out", str(directory)]
+        arguments += await self._target(values) if purpose == "verify" else []
+        failure = await run_command(arguments, lambda share, text: self._report("plan", share, text))
+        self._report("plan", 1.0, failure or f"{name}/{PLAN}", failed=bool(failure))
+
+    async def _target(self, values: dict[str, Any]) -> list[str]:
+        """Return the arguments that name a model and the tolerance that it is held against.
+
+        Raises:
+            RequestError: There is no such model.
+        """
+        models = await asyncio.to_thread(self._folder.models)
+        model = models.get(str(values["model"]))
+        if model is None:
+            expected = f"one of {', '.join(models)}" if models else "a session that was identified"
+            raise RequestError("verification", "model", quoted(values["model"]), expected)
+        return ["--model", str(model), "--tolerance", f"{float(values['tolerance']):.9g}"]
+
+    async def _evaluate(self, what: str, session: str) -> None:
+        recording: Path = self._folder.session(session) / BAG
+        loop = asyncio.get_running_loop()
+
+        def progress(share: float, text: str) -> None:
+            in_loop(loop, lambda: self._report("evaluation", share, text))
+
+        answer = await self._link.evaluate(what, str(recording), progress)
+        await asyncio.sleep(0)  # progress that was told before the end comes before it
+        self._report(
+            "evaluation", 1.0, answer.text if not answer.done else f"{session}: {what}", failed=not answer.done
+        )
+
+    async def _verify(self, values: dict[str, Any]) -> None:
+        """Judge a model by a session that it was not identified from; the results are put into that session."""
+        name = str(values["session"])
+        session = self._folder.session(name)
+        target = await self._target(values)
+        out = str(session / VERIFIED)
+        arguments = ["verify", str(session / BAG), "--cell", self._cell, *target, "--out", out]
+        arguments += ["--fit-tracker"] if values["fit_tracker"] else []
+        failure = await run_command(arguments, lambda share, text: self._report("verification", share, text))
+        self._report("verification", 1.0, failure or f"{name}: {VERIFIED}", failed=bool(failure))
+
+    def _report(self, what: str, share: float, text: str, *, failed: bool = False) -> None:
+        self._hub.show("work_" + what, {"share": share, "text": text, "failed": failed})
+
+    def _aside(self, what: str, work: Any) -> Answer:
+        """Begin what takes long; the page shows how far it is.  One of a kind at a time."""
+        if any(task.get_name() == what for task in self._tasks):
+            work.close()
+            return Answer(done=False, text="one is under way")
+        task = asyncio.get_running_loop().create_task(work, name=what)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(lambda one: self._broken(what, one))
+        self._report(what, 0.0, "")
+        return Answer(done=True)
+
+    def _broken(self, what: str, task: asyncio.Task[None]) -> None:
+        if task.cancelled():
+            self._report(what, 1.0, "cancelled", failed=True)
+        elif error := task.exception():
+            text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+            self._report(what, 1.0, text, failed=True)
+
+    def _cancel(self, what: str) -> Answer | None:
+        """Give up what is under way aside; return None where nothing is."""
+        found = [task for task in self._tasks if task.get_name() == what]
+        for task in found:
+            task.cancel()
+        return Answer(done=True) if found else None
+
+    async def close(self) -> None:
+        """End what is under way here; what runs in the cell goes on."""
+        self._link.leave()
+        for task in list(self._tasks):
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    # --- loads that are confirmed without a click ---------------------------------------------------------------------
+
+    @property
+    def hold(self) -> float:
+        """s, for which a load has to fit before it is confirmed without a click; 0: never.
+
+        It is the choice of who holds control, and ends with that: the next one has to choose it anew.
+        """
+        if self._chooser is not self.control.holder:
+            self._hold, self._chooser = 0.0, self.control.holder
+        return self._hold
+
+    async def confirm_held(self, configuration: int, step: int) -> None:
+        """Confirm a load that has fitted for long enough, in the name of who holds control and has chosen so."""
+        session = self.control.holder
+        if session is None or not session.pages:
+            return
+        values = {"configuration": configuration, "step": step, "override": False, "reason": ""}
+        answer = await self._link.ask("load_applied", **_fields("load_applied", values, session))
+        outcome = "" if answer.done else f": refused: {answer.text}"
+        place = f"configuration {configuration}, step {step}"
+        self._log(f"load of {place} held for {self.hold:g} s, chosen by {session.name} from {session.address}{outcome}")
+
+
+def _fields(name: str, values: dict[str, Any], session: Session) -> dict[str, Any]:
+    """Return the fields of a service's request."""
+    by = {"operator_name": session.name}
+    match name:
+        case "resume_motion" | "guard_reset":
+            return by
+        case "load_applied":
+            return {**by, **values}
+        case "override_condition":
+            override = ConditionOverride(condition=values["condition"], reason=values["reason"], **by)
+            return {"override": override}
+        case "confirm_mode":
+            return {**by, "operating_mode": RobotState.MODE_MANUAL_REDUCED, "valid_for": float(values["valid_for"])}
+        case "tare":
+            return {"clear": values["clear"], "requested_by": session.name, "reason": "asked for at the panel"}
+        case "self_test":
+            return {"command": STEPS[values["step"]], "mass": float(values["mass"])}
+    return {}

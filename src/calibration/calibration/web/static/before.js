@@ -1,0 +1,115 @@
+// Before a run: is everything in order, which plan, which session, and the instruments' own tests.
+import { h, text, rows, options, hide } from "./dom.js";
+import { w, known } from "./words.js";
+import { ask, folder } from "./link.js";
+import { target } from "./verify.js";
+
+const HOLDS = [0, 1, 2, 3, 5];
+const NEW = "";
+const PURPOSES = ["stiffness", "geometry", "verify"];
+
+export function before(state, told) {
+  const list = h("ul", { class: "plain", id: "checklist" });
+  const summary = h("p", { id: "checked", class: "number" });
+  const plan = h("select", { id: "plan" });
+  const session = h("select", { id: "session" });
+  const name = h("input", { id: "session_name", maxLength: 60, autocomplete: "off" });
+  const named = h("div", {}, h("label", { for: "session_name" }, w("session_name")), name);
+  const wanted = h("input", { id: "wanted", inputMode: "decimal", autocomplete: "off", size: 6 });
+  const enough = h("input", { id: "enough", type: "checkbox" });
+  const hold = h("select", { id: "hold" }, ...HOLDS.map((one) => h("option", { value: String(one) }, one ? w("hold_for", { s: one }) : w("hold_off"))));
+  hold.addEventListener("change", () => ask("hold_time", { seconds: Number(hold.value) }).then(told));
+  const begin = h("button", { class: "go", id: "begin", onclick: () => run() }, w("begin"));
+  const fresh = h("input", { id: "plan_name", maxLength: 60, autocomplete: "off", value: "plan" });
+  const making = h("p", { id: "making", "aria-live": "polite" });
+  const frame = h("iframe", { title: w("plan_report"), sandbox: "allow-scripts", hidden: true });
+  const look = h("button", { id: "plan_look", onclick: () => {
+    frame.src = `/files/${plan.value.replace(/[^/]+$/, "report.html")}`;
+    hide(frame, false);
+  } }, w("plan_look"));
+  const purpose = h("select", { id: "purpose" }, ...PURPOSES.map((one) => h("option", { value: one }, w(`purpose_${one}`))));
+  const judged = target("plan");
+  const against = h("div", { hidden: true }, ...judged.fields);
+  const verifies = () => purpose.value === "verify";
+  const make = h("button", { id: "plan_make", onclick: () => ask("plan", { name: fresh.value.trim(), purpose: purpose.value, ...(verifies() ? judged.value : {}) }).then(told) }, w("plan_make"));
+
+  const mass = h("input", { id: "mass", inputMode: "decimal", size: 6, autocomplete: "off" });
+  const held = h("p", { id: "self_test", "aria-live": "polite" }, w("self_test_1"));
+  const tests = ["clear", "add", "evaluate"].map((step) => h("button", { id: `test_${step}`, onclick: async () => {
+    const answer = told(await ask("self_test", { step, mass: Number(mass.value.replace(",", ".")) || 0 }));
+    text(held, answer.done ? w(`self_test_${step}`) : answer.text);
+  } }, w(`test_${step}`)));
+  const tare = h("button", { id: "tare", onclick: () => ask("tare").then(told) }, w("tare"));
+
+  const card = (name, ...content) => h("section", { class: "card", "aria-label": w(name) }, h("h2", {}, w(name)), ...content);
+  const node = h("div", { class: "grid", id: "before" },
+    card("checklist", summary, list),
+    h("div", { class: "column" },
+      card("measurement", h("label", { for: "plan" }, w("plan")), plan, look, h("label", { for: "session" }, w("session")), session, named, begin),
+      card("options", h("label", { for: "wanted" }, w("wanted")), wanted,
+        h("div", { class: "check" }, enough, h("label", { for: "enough" }, w("stop_when_enough"))),
+        h("label", { for: "hold" }, w("hold")), hold)),
+    h("div", { class: "column" },
+      card("plan_new", h("label", { for: "purpose" }, w("purpose")), purpose, against, h("label", { for: "plan_name" }, w("plan_name")), fresh, make, making),
+      card("instruments", h("p", {}, w("tare_how")), tare, h("hr"), held, h("label", { for: "mass" }, w("mass")), mass, h("div", { class: "row" }, ...tests))),
+    h("section", { class: "wide" }, frame));
+
+  async function run() {
+    const resume = session.value !== NEW;
+    const aim = Number(wanted.value.replace(",", ".")) / 100 || 0;
+    const answer = told(await ask("run", { plan: plan.value, session: resume ? session.value : name.value.trim(), resume, wanted_accuracy: aim, stop_when_enough: enough.checked }));
+    if (answer.done) state.follow();
+  }
+  async function opened() {
+    const found = await folder();
+    options(plan, found.plans.map((one) => [one, one]), true);
+    if (found.plans.includes(state.proposed)) plan.value = state.proposed;
+    state.proposed = "";
+    judged.offer(found.models);
+    options(session, [[NEW, w("session_new")], ...found.sessions.map((one) => [one.name, w("session_resume", { name: one.name })])], true);
+    if (!name.value) name.value = proposed(found.sessions.map((one) => one.name));
+    update();
+  }
+  session.addEventListener("change", update);
+  plan.addEventListener("change", update);
+  for (const field of [purpose, against]) field.addEventListener("input", () => update());
+  function proposed(there) {
+    const wish = state.cell ? state.cell.session : "session";
+    for (let n = 1; ; n += 1) {
+      const one = n === 1 ? wish : `${wish}-${n}`;
+      if (!there.includes(one)) return one;
+    }
+  }
+  let made = "";
+  function update() {
+    if (!state.view) return;
+    const rowsNow = state.check || [];
+    rows(list, rowsNow, (one) => {
+      const verdict = one.met === null ? "unknown" : one.met ? "yes" : "no";
+      const [kind, ...rest] = one.name.split("_");
+      const key = known(`check_${one.name}`) ? `check_${one.name}` : `check_${kind}`;
+      const seen = one.code && known(`${one.code}_${one.seen}`) ? w(`${one.code}_${one.seen}`) : one.seen;
+      const help = verdict === "yes" ? "" : known(`help_${one.name}`) ? w(`help_${one.name}`) : known(`help_${kind}`) ? w(`help_${kind}`) : "";
+      return h("li", { class: verdict, "data-name": one.name },
+        h("span", { class: "mark", "aria-label": w(`check_is_${verdict}`), role: "img" }, { yes: "✓", no: "✗", unknown: "?" }[verdict]),
+        h("span", {}, h("b", {}, w(key, { name: rest.join("_") })), h("span", {}, seen ? `: ${seen}` : ""), help ? h("span", { class: "small" }, h("br"), `→ ${help}`) : null));
+    });
+    const open = rowsNow.filter((one) => one.met === false).length;
+    text(summary, open ? w("check_open", { n: open }) : w("check_fine"));
+    hide(named, session.value !== NEW);
+    const mine = Boolean(state.me.control);
+    begin.disabled = !mine || state.view.running || !plan.value;
+    for (const one of [tare, hold, ...tests]) one.disabled = !mine;
+    hide(against, !verifies());
+    make.disabled = !mine || (verifies() && !judged.ready);
+    if (document.activeElement !== hold) hold.value = String(state.hold || 0);
+    look.disabled = !plan.value.includes("/");
+    const work = state.work_plan;
+    text(making, work ? (work.share < 1 ? `${Math.round(100 * work.share)} % ${work.text}` : work.failed ? `${w("not_done")}: ${work.text}` : w("plan_made", { name: work.text })) : "");
+    if (work && work.share === 1 && !work.failed && made !== work.text) {
+      made = work.text;
+      opened().then(() => { plan.value = made; update(); });
+    }
+  }
+  return { node, update, opened };
+}

@@ -1,0 +1,375 @@
+"""Who may see the panel, who may change something, and what may be asked for: the rules without network and ROS."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.web.access import ABSENT, IDLE, MOST_SESSIONS, TOKEN_LIFE, Access, Control, Rate, Session
+from calibration.web.folder import Folder
+from calibration.web.origin import host_allowed, hosts, origin_allowed
+from calibration.web.request_table import KINDS, RequestError, read
+from calibration.web.shown.band import Held, pull
+from calibration_core.acceptance.decision import WORDS
+
+STATIC = Path(__file__).resolve().parents[1] / "calibration" / "web" / "static"
+
+
+def entered(access: Access, name: str = "Ann", now: float = 0.0) -> Session:
+    session = access.enter(access.token, name, "127.0.0.1", now)
+    assert session is not None
+    return session
+
+
+# --- tokens and sessions ------------------------------------------------------------------------------------------
+
+
+def test_a_token_is_good_for_one_entry() -> None:
+    access = Access(0.0)
+    token = access.token
+    session = access.enter(token, "Ann", "a", 0.0)
+    assert session is not None
+    assert access.token != token
+    assert access.enter(token, "Eve", "b", 0.0) is None
+    assert len({session.cookie, session.token, token, access.token}) == 4
+    assert min(len(session.cookie), len(session.token), len(token)) >= 32
+
+
+def test_a_wrong_token_is_refused_and_uses_nothing_up() -> None:
+    access = Access(0.0)
+    token = access.token
+    assert access.enter("wrong", "Eve", "b", 0.0) is None
+    assert access.enter("", "Eve", "b", 0.0) is None
+    assert access.token == token
+
+
+def test_a_token_and_a_session_grow_old() -> None:
+    access = Access(0.0)
+    old = access.token
+    assert access.enter(old, "Ann", "a", TOKEN_LIFE + 1.0) is None
+    session = entered(access, now=TOKEN_LIFE + 1.0)
+    assert access.find(session.cookie, TOKEN_LIFE + 2.0) is session
+    session.pages = 1  # an open page keeps it
+    assert access.find(session.cookie, 10.0 * IDLE) is session
+    session.pages, session.used = 0, 0.0
+    assert access.find(session.cookie, IDLE + 1.0) is None
+    assert session.cookie not in access.sessions
+
+
+def test_sessions_are_bounded_and_the_one_in_use_stays() -> None:
+    access = Access(0.0)
+    first = entered(access)
+    first.pages = 1
+    for number in range(3 * MOST_SESSIONS):
+        entered(access, now=1.0 + number)
+    assert len(access.sessions) == MOST_SESSIONS
+    assert access.find(first.cookie, 100.0) is first
+
+
+def test_a_change_needs_the_sessions_own_token() -> None:
+    access = Access(0.0)
+    one, other = entered(access), entered(access)
+    assert access.may_change(one, one.token)
+    assert not access.may_change(one, other.token)
+    assert not access.may_change(one, "")
+
+
+# --- control ------------------------------------------------------------------------------------------------------
+
+
+def test_one_at_a_time_holds_control_and_is_asked_for_it() -> None:
+    access, control = Access(0.0), Control()
+    ann, bob = entered(access, "Ann"), entered(access, "Bob")
+    ann.pages = bob.pages = 1
+    assert control.ask(ann, 0.0)
+    assert not control.ask(bob, 1.0)
+    assert (control.holder, control.asking) == (ann, bob)
+    assert not control.answer(bob, give=True)  # it is not his to give
+    assert control.answer(ann, give=False)
+    assert (control.holder, control.asking) == (ann, None)
+    assert not control.ask(bob, 2.0)
+    assert control.answer(ann, give=True)
+    assert control.holder is bob
+    assert not control.answer(bob, give=True)  # nobody asks
+
+
+def test_who_is_gone_is_not_asked() -> None:
+    access, control = Access(0.0), Control()
+    ann, bob = entered(access, "Ann"), entered(access, "Bob")
+    ann.pages = 1
+    assert control.ask(ann, 0.0)
+    ann.pages, ann.left = 0, 10.0
+    assert not control.ask(bob, 10.0 + 0.5 * ABSENT)
+    assert control.ask(bob, 10.0 + ABSENT)
+    control.release(bob)
+    assert control.holder is None
+
+
+def test_a_rate_gives_its_reserve_then_its_rate() -> None:
+    rate = Rate(2.0, 4)
+    assert [rate.take("a", 0.0) for _ in range(6)] == [True] * 4 + [False] * 2
+    assert rate.take("b", 0.0)
+    assert [rate.take("a", 1.0) for _ in range(3)] == [True, True, False]
+
+
+def test_strangers_do_not_fill_the_memory() -> None:
+    rate = Rate(1.0, 2)
+    for number in range(5000):
+        rate.take(str(number), 0.01 * number)
+    assert len(rate._left) < 1500
+
+
+# --- from where ---------------------------------------------------------------------------------------------------
+
+
+def test_served_hosts_are_ours_and_no_others() -> None:
+    served = hosts("192.168.1.7", ["cell-pc"], 8420, tls=False)
+    for host in (
+        "127.0.0.1:8420",
+        "localhost:8420",
+        "LOCALHOST:8420",
+        "[::1]:8420",
+        "192.168.1.7:8420",
+        "cell-pc:8420",
+    ):
+        assert host_allowed(host, served), host
+    for host in (None, "", "evil.example:8420", "127.0.0.1", "127.0.0.1:80", "localhost:8420.evil.example",
+                 "evil.example:8420@localhost:8420", "0.0.0.0:8420"):  # fmt: skip
+        assert not host_allowed(host, served), host
+    assert host_allowed("localhost", hosts("127.0.0.1", [], 443, tls=True))
+    assert not host_allowed("0.0.0.0:1", hosts("0.0.0.0", [], 1, tls=False))
+
+
+def test_an_origin_is_the_page_itself() -> None:
+    host = "127.0.0.1:8420"
+    assert origin_allowed("http://127.0.0.1:8420", host, tls=False)
+    for origin in (None, "null", "", "https://127.0.0.1:8420", "http://127.0.0.1:8421", "http://127.0.0.1",
+                   "http://127.0.0.1:8420.evil.example", "http://evil.example", "http://localhost:8420"):  # fmt: skip
+        assert not origin_allowed(origin, host, tls=False), origin
+    assert not origin_allowed("http://127.0.0.1:8420", host, tls=True)
+
+
+# --- what ---------------------------------------------------------------------------------------------------------
+
+LOAD = {"configuration": 3, "step": 1}
+
+
+def test_a_request_is_read_with_its_defaults() -> None:
+    assert read("load_applied", LOAD) == {**LOAD, "override": False, "reason": ""}
+    assert read("override_condition", {"condition": " t ", "reason": "needed "}) == {
+        "condition": "t",
+        "reason": "needed",
+    }
+    assert read("stop", {}) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "given_"),
+    [
+        ("shutdown", {}),
+        ("stop", {"more": 1}),
+        ("stop", []),
+        ("load_applied", {"configuration": 3}),
+        ("load_applied", {**LOAD, "step": "1"}),
+        ("load_applied", {**LOAD, "step": True}),
+        ("load_applied", {**LOAD, "step": -1}),
+        ("load_applied", {**LOAD, "step": 1.5}),
+        ("load_applied", {**LOAD, "override": 1}),
+        ("load_applied", {**LOAD, "reason": "x" * 501}),
+        ("override_condition", {"condition": "a", "reason": "two\nlines"}),
+        ("override_condition", {"condition": "a", "reason": "\u202eevil"}),
+        ("hold_time", {"seconds": float("nan")}),
+        ("hold_time", {"seconds": 31.0}),
+        ("plan", {"name": "../../etc"}),
+        ("plan", {"name": ".hidden"}),
+        ("plan", {"name": "a/b"}),
+        ("plan", {"name": ""}),
+        ("identify", {"what": "rm -rf", "session": "a"}),
+    ],
+)
+def test_what_is_malformed_is_refused_in_one_line(name: str, given_: Any) -> None:
+    with pytest.raises(RequestError) as caught:
+        read(name, given_)
+    assert "\n" not in str(caught.value)
+    assert "expected" in str(caught.value)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda one: st.lists(one, max_size=3),
+    max_leaves=5,
+)
+
+
+@settings(deadline=None)  # how fast a machine is says nothing of what it reads
+@given(
+    name=st.sampled_from(sorted(KINDS)), given_=st.dictionaries(st.text(max_size=12), JSON, max_size=4), data=st.data()
+)
+def test_whatever_comes_is_read_or_refused(name: str, given_: dict[str, Any], data: st.DataObject) -> None:
+    fields = KINDS[name].fields
+    given_ |= {key: data.draw(JSON) for key in fields if data.draw(st.booleans())}
+    try:
+        values = read(name, given_)
+    except RequestError:
+        return
+    assert values.keys() == fields.keys()
+    json.dumps(values, allow_nan=False)
+
+
+def test_a_stop_needs_no_control_and_everything_that_moves_does() -> None:
+    free = {name for name, kind in KINDS.items() if not kind.control}
+    assert free == {"stop", "control_ask", "control_release"}
+
+
+# --- the load -----------------------------------------------------------------------------------------------------
+
+
+def test_a_pull_fits_within_its_band_alone() -> None:
+    one = pull([0.0, 0.0, -1000.0], [0.0, 50.0, -1000.0], 20.0, 0.1)
+    assert one.direction == (0.0, 0.0, -1.0)
+    assert one.off_angle == pytest.approx(0.05, abs=1e-3)
+    assert one.off_force == pytest.approx(1.25, abs=0.01)
+    assert one.fits
+    assert not pull([0.0, 0.0, -1000.0], [0.0, 150.0, -1000.0], 20.0, 0.1).fits
+    assert not pull([0.0, 0.0, -1000.0], [0.0, 0.0, -979.0], 20.0, 0.1).fits
+    assert not pull([0.0, 0.0, -1000.0], [0.0, 0.0, 1000.0], 20.0, 0.1).fits
+    assert not pull([0.0, 0.0, -1000.0], None, 20.0, 0.1).fits
+    assert pull([0.0, 0.0, 0.0], [3.0, 0.0, 0.0], 5.0, None).fits  # a load that is to be released has no direction
+    assert pull([0.0, 0.0, -1000.0], None, None, None).fits  # nothing is checked
+
+
+def test_a_load_is_held_without_a_break_and_for_its_own_step() -> None:
+    held = Held()
+    assert [held.look(("a", 1), now, fits=True) for now in (0.0, 1.0, 2.5)] == [0.0, 1.0, 2.5]
+    assert held.look(("a", 1), 3.0, fits=False) == 0.0
+    assert [held.look(("a", 1), now, fits=True) for now in (4.0, 5.0)] == [0.0, 1.0]
+    assert held.look(("a", 2), 6.0, fits=True) == 0.0
+
+
+def test_a_load_that_is_held_is_confirmed_once() -> None:
+    held = Held()
+    held.look(("a", 1, -900.0), 0.0, fits=True)
+    assert not held.take(10.0, 0.0)  # never, by default
+    assert [held.take(now, 2.0) for now in (1.0, 2.0, 3.0)] == [False, True, False]
+    held.look(("a", 1, 0.0), 4.0, fits=True)  # the release of the same step
+    assert [held.take(now, 2.0) for now in (5.0, 6.0, 7.0)] == [False, True, False]
+    held.look(("a", 1, 0.0), 8.0, fits=False)
+    held.look(("a", 1, 0.0), 9.0, fits=True)  # the confirmation was refused, and the load fits anew
+    assert held.take(11.0, 2.0)
+
+
+# --- files --------------------------------------------------------------------------------------------------------
+
+
+def test_only_listed_files_of_a_session_are_handed_out(tmp_path: Path) -> None:
+    session = tmp_path / "one"
+    (session / "identify").mkdir(parents=True)
+    for name in ("session.db", "secret.txt", "identify/result.json", "identify/other.txt"):
+        (session / name).write_text("x", "utf-8")
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "plan.yaml").write_text("x", "utf-8")
+    for name in ("one/diagnose/next.yaml", "one/identify/model.yaml", "one/next.yaml", "one/model.yaml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("x", "utf-8")
+    folder = Folder(tmp_path)
+    assert sorted(folder.plans()) == ["made/plan.yaml", "one/diagnose/next.yaml"]
+    assert list(folder.models()) == ["one/identify/model.yaml"]
+    assert [one["name"] for one in folder.sessions()] == ["one"]
+    assert set(folder.files("one")) == {"model.yaml", "identify/model.yaml", "identify/result.json"}
+    for name in ("..", ".", "../one", "a/b", "", "a\x00b", "-rf"):
+        with pytest.raises(RequestError):
+            folder.files(name)
+    assert Folder(tmp_path / "none").sessions() == []
+    assert Folder(tmp_path / "none").free() is None
+
+
+# --- the page -----------------------------------------------------------------------------------------------------
+
+
+def words(language: str) -> dict[str, str]:
+    return dict(json.loads((STATIC / "words" / f"{language}.json").read_text("utf-8")))
+
+
+def test_every_word_of_the_page_is_there_in_both_languages() -> None:
+    english, german = words("en"), words("de")
+    assert english.keys() == german.keys()
+    marks = re.compile(r"\{\w+\}")
+    assert [key for key in english if set(marks.findall(english[key])) != set(marks.findall(german[key]))] == []
+    used = set()
+    for path in STATIC.glob("*.js"):
+        used |= set(re.findall(r'\b(?:w|card)\("(\w+)"', path.read_text("utf-8")))
+    assert len(used) > 80
+    assert used - english.keys() == set()
+
+
+def test_every_code_of_the_nodes_has_words() -> None:
+    pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+    from calibration.manager import NAMES
+    from calibration.web.shown.plain import CONSTANTS
+
+    english = words("en")
+    codes = [f"node_{one}" for one in NAMES]
+    codes += [f"reason_{one}" for one in CONSTANTS["Permission"]["reasons"].values()]
+    codes += [f"state_{one}" for one in CONSTANTS["ProcedureState"]["state"].values()]
+    codes += [f"party_{one}" for one in CONSTANTS["ProcedureState"]["waits_for"].values()]
+    codes += [f"verdict_{one}" for one in CONSTANTS["ProcedureState"]["reading_verdict"].values()]
+    codes += [f"stream_{one}" for one in CONSTANTS["SampleCheck"]["problem"].values()]
+    codes += [f"mode_{one}" for one in CONSTANTS["RobotState"]["operating_mode"].values()]
+    codes += [f"drives_{one}" for one in CONSTANTS["RobotState"]["drives"].values()]
+    codes += [f"decision_{one}" for one in WORDS]
+    codes += [f"purpose_{one}" for one in KINDS["plan"].fields["purpose"].choices]
+    faults = Path(STATIC.parents[1] / "status" / "faults.py").read_text("utf-8")
+    found = re.findall(r'_fault\(Fault[^"]*"(\w+)"|code = "(\w+)" if .* else "(\w+)"', faults)
+    codes += [f"fault_{one}" for row in found for one in row if one]
+    assert [one for one in codes if one not in english] == []
+
+
+def test_the_page_is_small_and_brings_everything_with_it() -> None:
+    files = [path for path in STATIC.rglob("*") if path.is_file()]
+    assert sum(path.stat().st_size for path in files) <= 300_000
+    for path in files:
+        text = path.read_text("utf-8")
+        foreign = [one for one in re.findall(r"https?://[^\s\"'`]+", text) if not one.startswith("http://www.w3.org/")]
+        assert foreign == [], path
+        for sink in (
+            "innerHTML",
+            "outerHTML",
+            "insertAdjacentHTML",
+            "document.write",
+            "eval(",
+            "new Function",
+            "srcdoc",
+        ):
+            assert sink not in text, f"{path}: {sink}"
+    page = (STATIC / "index.html").read_text("utf-8")
+    assert not re.search(r"\son\w+=|<style|javascript:", page)
+    assert re.findall(r"<script([^>]*)>([^<]*)</script>", page) == [(' type="module" src="/static/app.js"', "")]
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast of two colours (WCAG 2.2, relative luminance)."""
+
+    def luminance(colour: str) -> float:
+        parts = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+        r, g, b = (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts)
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_colours_can_be_read_in_sunlight() -> None:
+    css = (STATIC / "panel.css").read_text("utf-8")
+    colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", css))
+    on_paper = ("ink", "good", "bad", "accent", "pull", "felt", "line")
+    assert {name: contrast(colours[name], colours["paper"]) >= 7.0 for name in on_paper} == dict.fromkeys(
+        on_paper, True
+    )
+    assert contrast(colours["ink"], colours["soft"]) >= 7.0
+    assert contrast("#404040", "#ffffff") >= 7.0  # what cannot be pressed now

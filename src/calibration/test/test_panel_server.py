@@ -1,0 +1,328 @@
+"""What the panel's server answers: malformed requests, headers, files, control, TLS, and what it writes down."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import shutil
+import ssl
+import subprocess
+import threading
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from conftest import Spinning
+from panel_client import client, parameters, printed, run
+
+CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml"
+
+
+def test_what_is_malformed_is_refused(panel: Any) -> None:
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token)
+            await one.ask("control_ask")
+            assert (await one.ask("shutdown"))[0] == 400
+            assert (await one.ask("stop", more=1))[0] == 400
+            status, found = await one.ask("plan", name="../x")
+            assert status == 400
+            assert "expected" in found["text"]
+            headers = one.headers(**{"Content-Type": "application/json"})
+            for body in (b"", b"{", b"[1]", b"nan", b'{"a":1e999}', b"\xff\xfe", b"[" * 5000):
+                answer = await one.http.post(f"{address}/api/do/stop", data=body, headers=headers)
+                assert answer.status == 400, body[:20]
+            for path in (
+                "/static/../panel.py",
+                "/static/%2e%2e/server.py",
+                "/files/..%2f/bag.tar",
+                "/files/a/..%2f..%2fx",
+            ):
+                assert (await one.http.get(address + path)).status in (400, 404), path
+
+    run(work())
+
+
+def test_answers_carry_their_headers(panel: Any) -> None:
+    address, _ = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one:
+            for path in ("/", "/static/app.js", "/api/me", "/nowhere"):
+                answer = await one.http.get(address + path)
+                policy = answer.headers["Content-Security-Policy"]
+                assert "default-src 'none'" in policy
+                assert "frame-ancestors 'none'" in policy
+                assert "unsafe" not in policy
+                assert answer.headers["X-Content-Type-Options"] == "nosniff"
+                assert answer.headers["Referrer-Policy"] == "no-referrer"
+                assert answer.headers["Cache-Control"] == "no-store"
+                assert "Python" not in answer.headers["Server"]
+                assert "Access-Control-Allow-Origin" not in answer.headers
+
+    run(work())
+
+
+def test_a_report_runs_in_a_sandbox(panel: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "session" / "identify"
+    folder.mkdir(parents=True)
+    (folder / "report.html").write_text("<script>1</script>", "utf-8")
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token)
+            answer = await one.http.get(f"{address}/files/session/identify/report.html")
+            policy = answer.headers["Content-Security-Policy"]
+            assert policy.startswith("sandbox allow-scripts;")
+            assert "allow-same-origin" not in policy
+            assert "connect-src" not in policy  # what default-src 'none' forbids stays forbidden
+            taken = await one.http.get(f"{address}/files/session/identify/report.html?download")
+            assert taken.headers["Content-Disposition"].startswith("attachment")
+
+    run(work())
+
+
+def test_only_who_holds_control_asks(panel: Any) -> None:
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as ann, client(address) as bob:
+            await ann.enter(token)
+            await bob.enter(panel.where()[1], "Bob")
+            assert (await ann.ask("control_ask"))[1]["done"]
+            assert (await bob.ask("pause"))[0] == 409
+            assert (await bob.ask("stop"))[0] == 200  # heard by nobody here, and not refused for want of control
+            async with ann.http.ws_connect(f"{address}/pages", headers=ann.headers()):
+                assert not (await bob.ask("control_ask"))[1]["done"]
+                assert (await ann.ask("control_answer", give=True))[1]["done"]
+            assert (await ann.ask("pause"))[0] == 409
+            assert (await bob.ask("pause"))[0] == 200
+
+    run(work())
+
+
+def test_confirming_without_a_click_ends_with_the_control_of_who_chose_it(panel: Any) -> None:
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as ann, client(address) as bob:
+            await ann.enter(token)
+            await bob.enter(panel.where()[1], "Bob")
+            await ann.ask("control_ask")
+            assert (await bob.ask("hold_time", seconds=2))[0] == 409
+            assert (await ann.ask("hold_time", seconds=2))[1]["done"]
+            await bob.listen(lambda shown: shown.get("hold") == 2.0)
+            await ann.ask("control_release")
+            await bob.ask("control_ask")
+            await bob.listen(lambda shown: shown.get("hold") == 0.0)
+
+    run(work())
+
+
+def test_every_request_is_told_with_name_and_address(panel: Any, spinning: Any, until: Any) -> None:
+    from calibration_interfaces.msg import SessionEvent
+
+    from calibration.topics import EVENT
+
+    heard: list[Any] = []
+    spinning.plain("outside").create_subscription(SessionEvent, EVENT.relative, heard.append, EVENT.qos)
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one, client(address) as eve:
+            await one.enter(token, "Ann")
+            await eve.enter("guess", "Eve")
+            await one.ask("control_ask")
+            await one.ask("stop")
+
+    run(work())
+    until(lambda: len(heard) >= 4)
+    assert {one.kind for one in heard} == {SessionEvent.OPERATOR_ACTION}
+    texts = [one.text for one in heard]
+    assert texts[0] == "Ann has entered from 127.0.0.1"
+    assert texts[1].startswith("127.0.0.1 was refused")
+    assert "control_ask by Ann from 127.0.0.1" in texts[2]
+    assert texts[3].startswith("stop by Ann from 127.0.0.1: refused: sequencer/stop is not there")
+
+
+def certificate(folder: Path) -> tuple[Path, Path]:
+    key, made = folder / "key.pem", folder / "certificate.pem"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2",
+         "-keyout", key, "-out", made, "-subj", "/CN=cell", "-addext", "subjectAltName=IP:127.0.0.1"],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    return made, key
+
+
+def test_with_a_certificate_it_is_served_over_tls_alone(
+    spinning: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from calibration.panel import PanelNode
+    from calibration_core.errors import InputError
+
+    made, key = certificate(tmp_path)
+    common = {"cell": str(CELL), "session": str(tmp_path / "session"), "port": 0}
+    given = parameters(**common, tls_certificate=str(made), tls_key=str(key))
+    spinning.add(PanelNode(context=spinning.context, parameter_overrides=given))
+    address, token = printed(capsys.readouterr().out)
+    assert address.startswith("https://")
+    context = ssl.create_default_context(cafile=str(made))
+
+    async def work() -> None:
+        connector = aiohttp.TCPConnector(ssl=context)
+        async with aiohttp.ClientSession(connector=connector) as http:
+            answer = await http.post(
+                f"{address}/api/enter", json={"token": token, "name": "Ann"}, headers={"Origin": address}
+            )
+            assert answer.status == 200
+            assert "Secure" in answer.headers["Set-Cookie"]
+            with pytest.raises(aiohttp.ClientError):
+                await http.get(address.replace("https", "http"))
+
+    run(work())
+    with pytest.raises(InputError, match="certificate and key"):
+        PanelNode(context=spinning.context, parameter_overrides=parameters(**common, tls_certificate=str(made)))
+    given = parameters(**common, tls_certificate=str(key), tls_key=str(key))
+    with pytest.raises(InputError, match="expected a certificate"):
+        PanelNode(context=spinning.context, parameter_overrides=given)
+
+
+def test_it_comes_back_at_the_same_place(panel: Any) -> None:
+    from calibration.lifecycle import machine
+
+    address, token = panel.where()
+    assert panel.change(machine.DEACTIVATE)
+
+    async def gone() -> None:
+        async with client(address) as one:
+            with pytest.raises(aiohttp.ClientError):
+                await one.http.get(address)
+
+    run(gone())
+    assert panel.change(machine.ACTIVATE)
+
+    async def back() -> None:
+        async with client(address) as one:
+            assert await one.enter(panel.where()[1]) == 200
+            await one.listen(lambda shown: shown.get("silent") is True)
+
+    run(back())
+    assert token
+
+
+def test_a_message_for_all_pages_is_small(panel: Any) -> None:
+    """A page that is told nothing new is told little: tablets and their networks are slow."""
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token)
+            async with one.http.ws_connect(f"{address}/pages", headers=one.headers()) as socket:
+                first = json.loads(await socket.receive_str(timeout=2.0))
+                assert {"cell", "me"} <= first.keys()
+                await asyncio.sleep(1.0)
+                later = [await socket.receive_str(timeout=2.0) for _ in range(3)]
+                assert later[-1] == "{}"
+
+    run(work())
+
+
+def test_a_model_is_verified_by_another_session(
+    spinning: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the command `verify` does, with its certificate beside the session's bag; given up, it leaves nothing."""
+    from calibration.panel import PanelNode
+    from calibration_core import cli
+
+    cell, bag = CELL.with_name("small.cell.yaml"), CELL.parents[2] / "bags" / "small_loaded"
+    identified, session = tmp_path / "first" / "identify", tmp_path / "second"
+    assert cli.main(["identify", str(bag), "--cell", str(cell), "--out", str(identified), "--no-report"]) == 0
+    (identified / "result.json").unlink()  # which says that the model was identified from the same recording
+    shutil.copytree(bag, session / "bag")
+    (session / "session.db").touch()
+    given = parameters(cell=str(cell), session=str(tmp_path / "third"), port=0)
+    spinning.add(PanelNode(context=spinning.context, parameter_overrides=given))
+    address, token = printed(capsys.readouterr().out)
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token)
+            await one.ask("control_ask")
+            found = await (await one.http.get(f"{address}/api/folder")).json()
+            assert found["models"] == ["first/identify/model.yaml"]
+            asked = {"session": "second", "model": found["models"][0], "tolerance": 1e-4}
+            assert (await one.ask("verify", **asked, fit_tracker=1))[0] == 400
+            for model in ("../x", "first/identify/result.json"):
+                assert (await one.ask("verify", **asked | {"model": model}))[1]["done"]
+                expected = f"'{model}', expected one of first/identify/model.yaml"
+                await one.listen(lambda shown, it=expected: it in shown.get("work_verification", {}).get("text", ""))
+            assert (await one.ask("verify", **asked))[1]["done"]
+            assert (await one.ask("verify", **asked))[1] == {"done": False, "text": "one is under way"}
+            assert (await one.ask("cancel_evaluation"))[1]["done"]
+            await one.listen(lambda shown: shown["work_verification"]["text"] == "cancelled")
+            assert not (session / "verify").exists()
+            assert (await one.ask("verify", **asked))[1]["done"]
+            await one.listen(lambda shown: shown["work_verification"]["text"] == "second: verify", 240.0)
+            result = await (await one.http.get(f"{address}/files/second/verify/result.json")).json()
+            assert result["decision"] in ("conforming", "not_conforming", "undecided")
+            answer = await one.http.get(f"{address}/files/second/verify/certificate.pdf?download")
+            assert (await answer.read()).startswith(b"%PDF")
+            asked = {"name": "again", "purpose": "verify", "model": "none", "tolerance": 1e-4}
+            assert (await one.ask("plan", **asked))[1]["done"]
+            await one.listen(lambda shown: shown.get("work_plan", {}).get("failed"))
+            assert "expected one of" in one.shown["work_plan"]["text"]
+
+    run(work())
+
+
+def test_it_ends_while_a_run_that_was_begun_there_goes_on(
+    panel: Any, spinning: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nothing of the page is left behind, and whoever measures finds the one gone who would take the feedback."""
+    from calibration_interfaces.action import RunPlan
+    from rclpy.action import ActionServer
+
+    from calibration.lifecycle import machine
+
+    begun, go_on = threading.Event(), threading.Event()
+
+    def measure(handle: Any) -> Any:
+        begun.set()
+        go_on.wait(20.0)
+        handle.succeed()
+        return RunPlan.Result()
+
+    other = Spinning(spinning.context)
+    node = other.plain("sequencer")
+    ActionServer(node, RunPlan, "sequencer/run", measure)
+    other.start()
+    (tmp_path / "plan.yaml").write_text("x", "utf-8")
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token)
+            await one.ask("control_ask")
+            asked = {"plan": "plan.yaml", "session": "one", "resume": False}
+            assert (await one.ask("run", **asked))[1] == {"done": True, "text": ""}
+
+    run(work())
+    try:
+        assert begun.wait(10.0)
+        for change in (machine.DEACTIVATE, machine.ACTIVATE, machine.DEACTIVATE, machine.CLEANUP):
+            assert panel.change(change), panel.trouble
+        gc.collect()
+        assert "never" not in caplog.text
+        assert "pending" not in caplog.text
+    finally:
+        go_on.set()
+        other.stop()

@@ -1,0 +1,107 @@
+"""The panel in a terminal: what it shows of a state, and that its keys ask what they say."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
+
+from calibration_interfaces.msg import Fault, Permission, ProcedureState, SessionEvent, State
+from calibration_interfaces.srv import LoadApplied
+from panel_client import run
+from rclpy.qos import QoSProfile
+from std_srvs.srv import Trigger
+from textual.widgets import Static
+
+from calibration.topics import EVENT, STATE
+from calibration.web.shown import text
+from calibration.web.shown.plain import plain
+from calibration.web.shown.terminal import Terminal
+from calibration.web.shown.view import view
+from calibration.web.shown.words import Words
+
+
+def loading() -> State:
+    """A state in which the operator is to pull, and pulls too little."""
+    procedure = ProcedureState(
+        state=ProcedureState.LOADING, waits_for=ProcedureState.OPERATOR, configuration=7, step=1, steps=4,
+        configurations_total=18, configurations_done=6, load_awaited=True, load_felt_known=True, band_force=25.0,
+        band_angle=0.1, share_done=0.33, seconds_left=math.nan,
+    )  # fmt: skip
+    procedure.target.force.z, procedure.load_felt.force.z = -1000.0, -900.0
+    permission = Permission(permitted=True, speed=0.0, speed_limit=0.25, speed_point="flange")
+    fault = Fault(level=Fault.WARN, code="suspicious", source="configuration 5", text="[5] is odd", remedy="again")
+    return State(
+        procedure=procedure, procedure_known=True, permission=permission, permission_known=True, faults=[fault],
+        waiting="operator: pull",
+    )  # fmt: skip
+
+
+def test_a_load_is_told_with_what_speaks_against_it() -> None:
+    shown = view(plain(loading()))
+    lines = text.load(shown, Words("en"))
+    assert lines[0] == "Pull with 1000 N"
+    assert "Felt: 900 N, off by -100 N (band ± 25 N)" in lines
+    assert lines[-1] == "Pull harder."
+    assert text.load(shown, Words("de"))[-1] == "Stärker ziehen."
+    assert text.load({**shown, "load": {**shown["load"], "awaited": False}}, Words("en")) == []
+
+
+def test_a_guard_that_is_silent_permits_nothing() -> None:
+    state = loading()
+    state.permission_known = False
+    assert text.permission(view(plain(state)), Words("en")) == ["The robot may not move", "the guard is silent"]
+
+
+def test_the_keys_ask_what_they_say(spinning: Any, until: Any) -> None:
+    node, cell = spinning.plain("panel_terminal"), spinning.plain("cell")
+    stopped: list[Any] = []
+    loads: list[Any] = []
+    events: list[Any] = []
+
+    def on_stop(request: Any, response: Any) -> Any:
+        stopped.append(request)
+        response.success = True
+        return response
+
+    def on_load(request: Any, response: Any) -> Any:
+        loads.append(request)
+        response.outcome.code, response.outcome.text = response.outcome.NOT_REACHED, "pull harder"
+        return response
+
+    cell.create_service(Trigger, "sequencer/stop", on_stop)
+    cell.create_service(LoadApplied, "sequencer/load_applied", on_load)
+    cell.create_subscription(SessionEvent, EVENT.relative, events.append, QoSProfile(depth=10))
+    publisher = cell.create_publisher(STATE.message, STATE.relative, STATE.qos)
+
+    async def work() -> None:
+        app = Terminal(node, "Ann", "en")
+        async with app.run_test() as pilot:
+
+            def said(place: str) -> str:
+                return str(app.query_one(f"#{place}", Static).render())
+
+            for _ in range(200):
+                publisher.publish(loading())
+                await pilot.pause(0.1)
+                if "configuration 7" in said("status"):
+                    break
+            assert "6 of 18" in said("status")
+            assert "Pull harder." in said("load")
+            assert "[5] is odd" in said("faults")  # as it came, no markup
+            assert app.query_one("#permission").has_class("yes")
+            for key, found in (("s", stopped), ("c", loads)):
+                for _ in range(50):
+                    await pilot.press(key)
+                    await pilot.pause(0.2)
+                    if found:
+                        break
+                assert found, key
+            assert (loads[0].operator_name, loads[0].configuration, loads[0].step) == ("Ann", 7, 1)
+            assert "pull harder" in said("answer")
+
+    run(work())
+    until(lambda: any("stop by Ann at a terminal" in one.text for one in events))
