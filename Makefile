@@ -3,19 +3,22 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup lint test demo record bench bench-peers prove prove-cell prove-input clean
+.PHONY: help setup lint test demo record docs bench bench-peers prove prove-fleet setup-fleet prove-cell prove-input prove-use clean
 
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
-JOBS ?= 2
+JOBS ?= $(shell nproc)
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
 RECORD := build/record
 STILL := src/calibration_core/test src/calibration_sim/test test
 CONCEALED := test/test_concealed.py
-INPUTS := test/test_fuzz.py
-LIVE := src/calibration/test test/ros/test_ros_end_to_end.py test/ros/test_ros_namespaces.py test/ros/test_ros_readings.py
+INPUTS := test/test_fuzz.py test/test_absurd_inputs.py test/test_bias.py
+FLEET := test/test_fleet_proof.py test/test_fleet_speed.py
+USE := test/test_use.py test/test_real_use.py test/test_ageing.py
+NODES := src/calibration/test
+WHOLE := test/ros/test_ros_end_to_end.py test/ros/test_ros_kills.py test/ros/test_ros_namespaces.py test/ros/test_ros_readings.py test/ros/test_ros_compensation.py
 # Published; for development other seeds were used.
 PROVE_SEED ?= 20261
 CELL := config/cells/demo.cell.yaml
@@ -29,11 +32,16 @@ help:
 	@echo "make record      without nodes: simulate a loaded recording, identify it, name the report"
 	@echo "make test        lint, types and all tests"
 	@echo "make setup       virtual environment, packages, messages"
+	@echo "make setup-fleet the packages of calibration fleet besides: Dask and Parquet (170 MB)"
 	@echo "make lint        ruff and mypy alone"
+	@echo "make docs        the documentation as a site, build/docs/site"
 	@echo "make bench       speed and accuracy against the peer tools"
 	@echo "make prove       the slow tests of the core and the simulation, and the proof on concealed effects (under 3 hours)"
-	@echo "make prove-input 5,000 changed inputs, every reader and every command (under 2 hours)"
-	@echo "make prove-cell  the slow tests of the live cell: faults, crashes, recovery, soak (under 2 hours)"
+	@echo "make prove-input 5,000 changed inputs, absurd inputs, 2,000 good ones, coverage of Table 2 (under 2 hours)"
+	@echo "make prove-use   50 calibrated robots drill and mill under load (under half an hour)"
+	@echo "make prove-fleet a simulated plant of 600 robots: damages found, speed, memory, kills (under 2 hours)"
+	@echo "make prove-cell  the slow tests of the live cell: faults, crashes, recovery, soak (under 2 hours on four cores)"
+	@echo "make prove-panel the operator's page in a real browser: sizes, faults, load, stop (under 20 minutes on four idle cores)"
 	@echo "make clean       remove everything that was made"
 
 setup:
@@ -44,23 +52,39 @@ lint: setup
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-# Tests of live nodes measure time: they run alone, the others share the cores.  One process takes a whole file, so
-# that what its tests have in common is made once; the concealed effects are diagnosed by two processes of their own.
-test: lint
+# A test that runs a whole cell runs alone; the others share the cores.  One process takes a whole file, so that what
+# its tests have in common is made once; the concealed effects are diagnosed by two processes of their own.
+# Drawn inputs are the same in every run (one tree, one answer); `make prove` draws them anew.
+test: PYTEST += --hypothesis-seed=0
+test: lint setup-fleet
 	@$(PYTEST) -n $(JOBS) --dist loadfile -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
 	@$(PYTEST) $(CONCEALED)
-	@$(PYTEST) -m "not slow" $(LIVE)
+	@$(PYTEST) -n $(JOBS) --dist loadfile -m "not slow and not alone" $(NODES)
+	@$(PYTEST) -m "alone and not slow" $(NODES)
+	@$(PYTEST) -m "not slow" $(WHOLE)
 
-prove: setup
-	@$(PYTEST) -m slow $(STILL) --ignore=$(INPUTS) --ignore=test/ros
+prove: setup-fleet
+	@$(PYTEST) -n $(JOBS) -m "hypothesis and not slow" $(STILL) $(NODES)
+	@$(PYTEST) -m slow $(STILL) $(INPUTS:%=--ignore=%) $(USE:%=--ignore=%) $(FLEET:%=--ignore=%) --ignore=test/ros
 	@$(BIN)/calibration-prove --seed $(PROVE_SEED) --out build/prove/$(PROVE_SEED) --jobs $(JOBS) --batch
 	@$(BIN)/calibration-prove --kinds all --seed $(PROVE_SEED) --out build/prove/$(PROVE_SEED)-second --jobs $(JOBS) --batch
 
 prove-input: setup
 	@$(PYTEST) -m slow -s $(INPUTS)
 
+prove-use: setup
+	@$(PYTEST) -m slow -s $(USE)
+	@$(PYTEST) -s test/ros/test_ros_compensation.py
+
+# FLEET_ROBOTS=60 for a plant of 60 robots instead of 600.
+prove-fleet: setup-fleet
+	@$(PYTEST) -m slow -s $(FLEET)
+
+# A whole cell wants two cores for itself: on four cores two of them run, on two one.
+CELLS := $(shell expr $(JOBS) / 2 \| 1)
+prove-cell: PYTEST += -n $(CELLS) --dist loadfile
 prove-cell: setup
-	@$(PYTEST) -m slow src/calibration/test
+	@$(PYTEST) -m slow src/calibration/test $(PANEL:%=--ignore=%)
 	@$(PYTEST) test/ros
 
 demo: setup
@@ -70,6 +94,13 @@ record: setup
 	@rm -rf $(RECORD)
 	@$(BIN)/calibration-sim record --cell $(CELL) --out $(RECORD)/recording --seed 1
 	@$(BIN)/calibration identify $(RECORD)/recording --cell $(CELL) --out $(RECORD)/identify
+
+# Dask and Parquet, of which no other command needs anything.
+setup-fleet: setup
+	@.ci/fleet
+
+docs: setup
+	@.ci/docs "$(python)"
 
 bench-peers: setup
 	@.ci/peers "$(python)"
@@ -81,3 +112,9 @@ clean:
 	rm -rf .venv build install log .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find src test -name __pycache__ -prune -exec rm -rf {} +
 	rm -rf src/*/*.egg-info
+
+# The operator's page in a real browser: a measurement at two sizes, faults, load, stop, clicks, accessibility (under 20 minutes).
+.PHONY: prove-panel
+PANEL := $(addprefix src/calibration/test/test_panel_,browser.py faults.py load.py)
+prove-panel: setup
+	@$(PYTEST) -m slow -s $(PANEL)

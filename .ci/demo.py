@@ -31,10 +31,11 @@ from rclpy.action import ActionClient
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
-from calibration_core.procedure.session import Session
+from calibration.transport import sockets_only
+from calibration_core.measurement.session import Session
 from calibration_core.timeseries import NANOSECONDS
 from calibration_sim.proving.writing import folder_of, open_labels, write_recordings
-from calibration_sim.scenarios import grid
+from calibration_sim.scenarios.grid import grid
 
 ROOT = Path(__file__).resolve().parents[1]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
@@ -267,7 +268,7 @@ def main() -> int:
     out.mkdir(parents=True)
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    sockets_only(os.environ)
     for number in SIGNALS:
         signal.signal(number, leave)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+from collections import Counter
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -17,14 +19,47 @@ SOURCES = {
     if (ROOT / "src" / name / name).is_dir()
 }
 MAX_LINES = 400
+MAX_MODULES = 15  # Python files of a folder
 TOP_LEVEL = {"src", "config", "test", "bags", "README.md", "colcon.meta", "Makefile", "LICENSE"}
 
-CHAIN = ("timeseries", "recording", "observations", "model", "input_checks", "identification", "diagnosis", "report")
-FOR_ALL = {"errors", "files", "cell"}
-FOR_PROCEDURE = {"timeseries", "recording", "model", "procedure", "identification.observability"}
-ENTRY = {"cli", "commands", "__main__"}
-FOR_SIM = {"errors", "files", "cell", "timeseries", "recording"}
-SIM_NODE = {"calibration_sim.node", "calibration_sim.node_cell", "calibration_sim.node_messages"}
+CHAIN = (
+    "timeseries",
+    "recording",
+    "observations",
+    "model",
+    "input_checks",
+    "identification",
+    "estimation",
+    "compensation",
+    "diagnosis",
+    "report",
+)
+# Families of a layer and its single modules: each may import itself and what stands before it.
+FAMILIES = {
+    "identification": (
+        "statistics", "circle_point", "wrist", "result", "checks", "geometry", "stiffness", "absolute", "standard",
+        "identify", "progress",
+    ),
+    "diagnosis": (
+        "location", "comparison", "result", "data_checks", "evidence", "empirical", "findings", "proposals", "tested",
+        "model_estimate", "bias", "loaded", "positions", "diagnose",
+    ),
+}  # fmt: skip
+FOR_ALL = {"errors", "files", "cell", "loading"}
+BESIDE_THE_CHAIN = {
+    "motion": {"timeseries", "model", "motion"},
+    "planning": {"timeseries", "recording", "model", "motion", "planning", "identification.result.observability"},
+    "measurement": {"timeseries", "recording", "model", "planning.plans", "measurement"},
+    "formats": {"timeseries", "model", "formats"},
+    "acceptance": {"timeseries", "observations", "model", "identification", "acceptance"},
+    "engine": {"engine"},
+}
+# Above all of these: what commands and library compute, and the whole reports of it.
+OUTCOMES = {*CHAIN, *BESIDE_THE_CHAIN, "outcomes"}
+DOCUMENTS = "report.documents"
+ENTRY = {"cli", "commands", "library", "fleet", "__main__"}
+FOR_SIM = {"errors", "files", "cell", "loading", "timeseries", "recording", "engine"}
+SIM_NODE = {f"calibration_sim.living_cell.{name}" for name in ("process", "node", "messages")}
 MESSAGES = re.compile(r"(.*_(msgs|interfaces)|rclpy|rosidl_.*|launch|launch_ros|ament_.*)(\..*)?")
 
 
@@ -82,15 +117,29 @@ def _core_may_import(inside: str, part: str) -> bool:
     layer = inside.partition(".")[0]
     if layer in ENTRY:
         return True
-    if layer in {"", "errors"}:  # the package itself and the errors stand on nothing else
-        return not within(part.partition(".")[0], {*CHAIN, "cell", "procedure", *ENTRY})
+    document = within(inside, {DOCUMENTS})
+    if layer == "outcomes" or document or within(part, {DOCUMENTS}):
+        return within(part, {*OUTCOMES, *FOR_ALL}) and (document or not within(part, {DOCUMENTS}))
+    if not layer and within(part, {"library", "cell", "errors"}):  # the package's names are the library's
+        return True
+    if layer in {"", "errors"}:  # besides, the package itself and the errors stand on nothing else
+        return not within(part.partition(".")[0], {*OUTCOMES, "cell", *ENTRY})
     if layer == "files":
         return within(part, {"errors", "files"})
     if part == "__version__" or within(part, FOR_ALL):
         return True
-    if layer == "procedure":
-        return within(part, FOR_PROCEDURE)
-    return layer in CHAIN and within(part, set(CHAIN[: CHAIN.index(layer) + 1]))
+    if layer in BESIDE_THE_CHAIN:
+        return within(part, BESIDE_THE_CHAIN[layer])
+    return layer in CHAIN and within(part, set(CHAIN[: CHAIN.index(layer) + 1])) and _within_families(inside, part)
+
+
+def _within_families(inside: str, part: str) -> bool:
+    """Whether, within one layer, a family imports itself or one before it; between layers there is no more to say."""
+    (layer, _, mine), (other, _, target) = inside.partition("."), part.partition(".")
+    if layer != other or layer not in FAMILIES:
+        return True
+    families = FAMILIES[layer]
+    return target.partition(".")[0] in families[: families.index(mine.partition(".")[0]) + 1]
 
 
 def python_files() -> list[tuple[str, Path]]:
@@ -111,6 +160,34 @@ def test_imports_follow_the_arrows() -> None:
     assert wrong == []
 
 
+@pytest.mark.parametrize("layer", FAMILIES)
+def test_families_are_those_that_exist(layer: str) -> None:
+    inside = (SOURCES["calibration_core"] / layer).iterdir()
+    names = {path.stem for path in inside if path.suffix == ".py" or (path / "__init__.py").is_file()}
+    assert names - {"__init__"} == set(FAMILIES[layer])
+
+
+def without_types(code: str) -> str:
+    """Code without what only a type checker reads."""
+    tree = ast.parse(code)
+    tree.body = [
+        node for node in tree.body if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
+    ]
+    return ast.unparse(tree)
+
+
+def test_no_module_needs_itself() -> None:
+    paths = {module_name(path, SOURCES[name]): path for name, path in python_files()}
+    needs: dict[str, set[str]] = {}
+    for module, path in paths.items():
+        code = without_types(path.read_text(encoding="utf-8"))
+        targets = {target for _, target in imports(code, module, path.name == "__init__.py")}
+        homes = {target if target in paths else target.rpartition(".")[0] for target in targets}
+        needs[module] = {home for home in homes if home in paths and home != module}
+    assert sum(map(len, needs.values())) > 2000
+    TopologicalSorter(needs).prepare()  # raises CycleError with the circle
+
+
 @pytest.mark.parametrize(
     ("module", "line", "allowed"),
     [
@@ -120,32 +197,99 @@ def test_imports_follow_the_arrows() -> None:
         ("calibration_core.model.robot", "from calibration_core import report", False),
         ("calibration_core.model.robot", "from ..diagnosis import findings", False),
         ("calibration_core.model.robot", "from .chain import Chain", True),
-        ("calibration_core.model.effects.creep", "def f():\n    import calibration_core.diagnosis.evidence", False),
-        ("calibration_core.report.document", "from calibration_core.recording.csv import read", True),
-        ("calibration_core.recording.bag", "from calibration_core.observations import plateaus", False),
-        ("calibration_core.recording.bag", "from sensor_msgs.msg import JointState", False),
-        ("calibration_core.recording.bag", "import importlib\nimportlib.import_module('rclpy.node')", False),
-        ("calibration_core.recording.bag", "from calibration_interfaces.msg import MeasurementStep", False),
-        ("calibration_core.recording.bag", "from rosbags.highlevel import AnyReader", True),
+        (
+            "calibration_core.model.effects.joint_law.creep",
+            "def f():\n    import calibration_core.diagnosis.evidence.bayes_factors",
+            False,
+        ),
+        ("calibration_core.report.document", "from calibration_core.recording.tables.table import read", True),
+        ("calibration_core.recording.bags.bag", "from calibration_core.observations import plateaus", False),
+        ("calibration_core.recording.bags.bag", "from sensor_msgs.msg import JointState", False),
+        ("calibration_core.recording.bags.bag", "import importlib\nimportlib.import_module('rclpy.node')", False),
+        ("calibration_core.recording.bags.bag", "from calibration_interfaces.msg import MeasurementStep", False),
+        ("calibration_core.recording.bags.bag", "from rosbags.highlevel import AnyReader", True),
         ("calibration_core.timeseries", "from calibration_core.cell import Cell", True),
         ("calibration_core.errors", "from calibration_core.cell import Cell", False),
         ("calibration_core.files.yaml_file", "from calibration_core.errors import InputError", True),
         ("calibration_core.files.yaml_file", "from calibration_core.cell import Cell", False),
         ("calibration_core.cell", "from calibration_core.files.yaml_file import read_yaml", True),
-        ("calibration_core.procedure.plan", "from calibration_core.identification.observability import rank", True),
-        ("calibration_core.procedure.plan", "from calibration_core.identification.solve import solve", False),
-        ("calibration_core.procedure.plan", "from calibration_core.model.robot import Robot", True),
-        ("calibration_core.diagnosis.evidence", "from calibration_core.procedure import plan", False),
-        ("calibration_core.diagnosis.evidence", "from calibration_core.cli import main", False),
+        (
+            "calibration_core.planning.plans.plan",
+            "from calibration_core.identification.result.observability import rank",
+            True,
+        ),
+        (
+            "calibration_core.planning.route",
+            "from calibration_core.identification.statistics.solve import solve",
+            False,
+        ),
+        ("calibration_core.planning.route", "from calibration_core.model.robot import Robot", True),
+        ("calibration_core.planning.route", "from calibration_core.motion.speed import speed", True),
+        ("calibration_core.planning.route", "from calibration_core.measurement.sequence import Sequence", False),
+        ("calibration_core.motion.speed", "from calibration_core.planning.route import stops", False),
+        ("calibration_core.measurement.sequence", "from calibration_core.planning.plans.plan import Plan", True),
+        ("calibration_core.measurement.sequence", "from calibration_core.planning.route import stops", False),
+        ("calibration_core.outcomes.prediction", "from calibration_core.report.rounding import counted", True),
+        ("calibration_core.outcomes.prediction", "from calibration_core.report.documents import plan", False),
+        ("calibration_core.outcomes.prediction", "from calibration_core.commands.shared import common", False),
+        ("calibration_core.report.documents.plan", "from calibration_core.outcomes.spaces import planned_space", True),
+        ("calibration_core.report.documents.plan", "from calibration_core.commands.shared import common", False),
+        ("calibration_core.report.content", "from calibration_core.report.documents import plan", False),
+        ("calibration_core.report.content", "from calibration_core.outcomes import prediction", False),
+        ("calibration_core.identification.geometry.fit", "from calibration_core.identification import progress", False),
+        (
+            "calibration_core.identification.geometry.problem",
+            "from calibration_core.identification.stiffness.problem import build_problem",
+            False,
+        ),
+        (
+            "calibration_core.identification.stiffness.loaded",
+            "from calibration_core.identification.geometry.frames import fit_frames",
+            True,
+        ),
+        (
+            "calibration_core.identification.stiffness.loaded",
+            "from calibration_core.identification.stiffness.problem import build_problem",
+            True,
+        ),
+        (
+            "calibration_core.diagnosis.data_checks.noise",
+            "from calibration_core.diagnosis.diagnose import diagnose",
+            False,
+        ),
+        (
+            "calibration_core.diagnosis.data_checks.noise",
+            "from calibration_core.identification.progress import progress",
+            True,
+        ),
+        ("calibration_core.formats.urdf", "from calibration_core.model.chain import Chain", True),
+        ("calibration_core.formats.urdf", "from calibration_core.report import document", False),
+        (
+            "calibration_core.diagnosis.evidence.bayes_factors",
+            "from calibration_core.planning.plans import plan",
+            False,
+        ),
+        ("calibration_core.diagnosis.evidence.bayes_factors", "from calibration_core.cli import main", False),
         ("calibration_core.cli", "from calibration_core.report import document", True),
+        ("calibration_core", "from calibration_core.library.identification import identify", True),
+        ("calibration_core", "from calibration_core.identification.identify import identify", False),
+        ("calibration_core.commands.planning.plan", "from calibration_core.library.planning import plan", True),
+        ("calibration_core.report.summary", "from calibration_core.library.result import Result", False),
         ("calibration_core.cli", "from calibration_sim.cli import main", False),
         ("calibration_core.cli", "from calibration.topics import TOPICS", False),
-        ("calibration_sim.sensors", "from calibration_core.recording.writer import write", True),
-        ("calibration_sim.sensors", "from calibration_core.model.robot import Robot", False),
-        ("calibration_sim.sensors", "import calibration_core", False),
-        ("calibration_sim.sensors", "from std_msgs.msg import String", False),
-        ("calibration_sim.node", "from std_msgs.msg import String", True),
-        ("calibration_sim.node", "from calibration.topics import TOPICS", False),
+        ("calibration_sim.cell.sensors", "from calibration_core.recording.bags.writer import write", True),
+        ("calibration_sim.cell.sensors", "from calibration_core.model.robot import Robot", False),
+        ("calibration_sim.cell.sensors", "import calibration_core", False),
+        ("calibration_sim.proving.running", "from calibration_core.engine.pieces import run_all", True),
+        ("calibration_core.engine.pieces", "from calibration_core.fleet.recordings.task import measure", False),
+        (
+            "calibration_core.diagnosis.evidence.bayes_factors",
+            "from calibration_core.engine.pieces import run_all",
+            False,
+        ),
+        ("calibration_sim.cell.sensors", "from std_msgs.msg import String", False),
+        ("calibration_sim.living_cell.process", "from std_msgs.msg import String", True),
+        ("calibration_sim.living_cell.process", "from calibration.topics import TOPICS", False),
         ("calibration.topics", "from sensor_msgs.msg import JointState", True),
         ("calibration.topics", "from calibration_sim.cli import main", False),
     ],
@@ -191,7 +335,7 @@ def tracked() -> list[Path]:
     """Files that belong to the project, relative to its root."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
     if listed.returncode:
-        pytest.skip("not a git checkout: which files belong to the project cannot be told")
+        pytest.skip("not a git checkout: which files belong to the project is not known")
     names = [Path(name) for name in listed.stdout.split("\0") if name]
     return [name for name in names if (ROOT / name).is_file()]
 
@@ -205,6 +349,12 @@ def test_top_level_holds_the_agreed_names_only(tracked: list[Path]) -> None:
 def test_files_hold_one_idea(tracked: list[Path]) -> None:
     lengths = {path: len((ROOT / path).read_text(encoding="utf-8").splitlines()) for path in tracked if is_python(path)}
     assert {str(path): lines for path, lines in lengths.items() if lines > MAX_LINES} == {}
+
+
+def test_folders_are_read_in_a_minute() -> None:
+    modules = Counter(path.parent.relative_to(SOURCES[name].parent).as_posix() for name, path in python_files())
+    assert len(modules) > 40
+    assert {folder for folder, number in modules.items() if number > MAX_MODULES} == set()
 
 
 def is_python(path: Path) -> bool:

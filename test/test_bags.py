@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration_core.cell import load_cell
 from calibration_core.observations.observe import observe_recording
-from calibration_core.recording.bag import read_bag
+from calibration_core.recording.bags.bag import read_bag
 
 ROOT = Path(__file__).resolve().parents[1]
 

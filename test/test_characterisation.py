@@ -25,7 +25,7 @@ import yaml
 
 from calibration_core.cli import main as calibration
 from calibration_sim.proving.writing import CELL, TABLE, folder_of, write_recordings
-from calibration_sim.scenarios import grid, sample
+from calibration_sim.scenarios.grid import grid, sample
 
 ROOT = Path(__file__).resolve().parents[1]
 BESIDE = Path("shared/data/real")  # beside the project, or beside the folder of its work trees
@@ -98,6 +98,7 @@ def _result(result: Mapping[str, Any]) -> Lines:
     return lines
 
 
+NO_ANSWERS = {"cell", "joints", "robot", "robot_sha256", "parameters", "covariance", "valid_range"}  # of a model file
 ANOMALY = ("kind", "location", "configurations", "magnitude")
 
 
@@ -115,7 +116,7 @@ def _finding(one: Mapping[str, Any]) -> str:
 
 def _model(model: Mapping[str, Any], *, brief: bool) -> Lines:
     """Return the model file, a line a branch; briefly: its effects."""
-    keys = ["effects"] if brief else [key for key in model if key not in {"cell", "joints", "robot"}]
+    keys = ["effects"] if brief else [key for key in model if key not in NO_ANSWERS]
     lines = []
     for key in keys:
         value = model.get(key)

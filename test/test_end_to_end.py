@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from calibration_core.cell import load_cell
-from calibration_sim.configurations import random_protocol
+from calibration_sim.cell.configurations import random_protocol
 
 ROOT = Path(__file__).parents[1]
 CELL = ROOT / "config/cells/demo.cell.yaml"

@@ -17,7 +17,7 @@ from hostile_cases import CASES, CELL, UNIDENTIFIED, prepare
 from calibration_core.cell import load_cell
 from calibration_core.commands import NAMES
 from calibration_core.errors import InputError
-from calibration_core.model.model_file import model_text
+from calibration_core.model.identified.model_file import model_text
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.observations.observe import observe
 
@@ -65,11 +65,23 @@ for line in sys.stdin:
 COMMANDS = {  # what each command reads of a case, and how it is called; a new command is tested by adding its name
     "plan": ("cell", "--cell {cell} --out {out}"),
     "simulate": ("cell", "--cell {cell} --out {out}"),
+    "verify": ("recording", "{recording} --cell {cell} --model {model} --tolerance 1e-4 --out {out}"),
+    "compare": ("recording", "{recording} {recording} --cell {cell} --out {out}"),
     "identify": ("recording", "{recording} --cell {cell} --out {out}"),
     "diagnose": ("recording", "{recording} --cell {cell} --out {out}"),
     "predict": ("recording", "{recording} --cell {cell} --model {model} --out {out}"),
+    "deflect": ("cell", "--cell {cell} --model {model} --q 0.1,0.2,0.3 --wrench 1,2,3,0,0,0 --out {out}"),
+    "compensate": ("cell", "{task} --cell {cell} --model {model} --out {out}"),
+    "export": ("cell", "--cell {cell} --model {model} --format dh --out {out}"),
 }
-OTHERWISE = {"import", "describe"}  # they take no cell file and have tests of their own
+OTHERWISE = {
+    "import",
+    "describe",
+    "init",
+    "check",
+    "completion",
+    "fleet",
+}  # otherwise called: they have tests of their own
 
 
 def test_every_command_is_tested() -> None:
@@ -83,6 +95,7 @@ def test_the_program(command: str, tmp_path: Path) -> None:
     (tmp_path / "good.yaml").write_text(CELL)
     good = load_cell(tmp_path / "good.yaml")
     (tmp_path / "model.yaml").write_text(model_text(nominal_parameters(good), good))
+    (tmp_path / "task.csv").write_text("q1,q2,q3\n0.1,0.2,0.3\n")
     names = [name for name in CASES if reads == "recording" or name.startswith("cell: ")]
     cases = []
     for i, name in enumerate([*names, *(UNIDENTIFIED if command == "identify" else ())]):
@@ -90,7 +103,8 @@ def test_the_program(command: str, tmp_path: Path) -> None:
         out = tmp_path / str(i) / "out"
         out.mkdir()
         (out / "result.json").write_text("of an earlier run")
-        files = {"cell": cell, "recording": data, "out": out, "model": tmp_path / "model.yaml"}
+        files = {"cell": cell, "recording": data, "out": out, "model": tmp_path / "model.yaml",
+                 "task": tmp_path / "task.csv"}  # fmt: skip
         words = [word.format(**files) for word in form.split(" ")]
         cases.append({"name": name, "arguments": [command, *words], "out": str(out)})
     lines = "".join(json.dumps(one) + "\n" for one in cases)

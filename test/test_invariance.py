@@ -17,13 +17,13 @@ import yaml
 
 from calibration_core.cell import load_cell
 from calibration_core.diagnosis.diagnose import diagnose
-from calibration_core.report.diagnosis_result import diagnosis_dict
+from calibration_core.report.results.diagnosis import diagnosis_dict
 from calibration_core.timeseries import Readings
-from calibration_sim.look import Noise
-from calibration_sim.names import renamed
-from calibration_sim.realise import realise
-from calibration_sim.scenarios import Planned, Scenario
-from calibration_sim.transforms import rotation_vector
+from calibration_sim.mechanics.transforms import rotation_vector
+from calibration_sim.scenarios.generate import generate
+from calibration_sim.scenarios.grid import Planned, Scenario
+from calibration_sim.scenarios.measure import Noise
+from calibration_sim.scenarios.names import renamed
 
 RELATIVE = 1e-9
 NOISE = Noise(1.1, correlated=True, spherical_claim=True)
@@ -46,7 +46,7 @@ Change = Callable[[Readings, Content], tuple[Readings, Content]]
 @functools.cache
 def _recording(name: str) -> tuple[Readings, Content]:
     robot, protocol, seed, planned = RECORDINGS[name]
-    made = realise(Scenario(0, "any", robot, protocol, seed, planned, 0.0, NOISE, second=True))
+    made = generate(Scenario(0, "any", robot, protocol, seed, planned, 0.0, NOISE, second=True))
     return made.readings, made.cell
 
 

@@ -18,13 +18,13 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import gravity_torque
-from calibration_core.procedure.speed import Monitored, hermite_bound
-from calibration_core.recording.table import write_table
-from calibration_sim.chain import read_chain
-from calibration_sim.protocol import read_plan
-from calibration_sim.statics import Mechanism
-from calibration_sim.table import simulate_readings
-from calibration_sim.truth import WORKSHOP, draw_truth
+from calibration_core.motion.speed import Monitored, hermite_bound
+from calibration_core.recording.tables.table import write_table
+from calibration_sim.cell.protocol import read_plan
+from calibration_sim.cell.table import simulate_readings
+from calibration_sim.cell.truth import WORKSHOP, draw_truth
+from calibration_sim.mechanics.chain import read_chain
+from calibration_sim.mechanics.statics import Mechanism
 
 CELLS = Path(__file__).parents[1] / "config" / "cells"
 SEEDS = (3, 4, 5)

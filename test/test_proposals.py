@@ -1,6 +1,6 @@
 """What a proposal is worth: one proposed configuration against four taken at random.
 
-Recordings with one concealed effect are diagnosed.  Where the finding cannot be told from something else, the proposed
+Recordings with one concealed effect are diagnosed.  Where the finding is confounded with something else, the proposed
 configuration is measured in the same simulated cell, again and again with new noise, and so are sets of four of those
 that could have been proposed, drawn by lot.  What counts is by how much the truth then stands out, on average, from
 the nearest rival that either of the two can part from it; an exact alias is parted by neither and left out.
@@ -17,21 +17,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-import calibration_sim.realise as simulator
+import calibration_sim.scenarios.generate as simulator
 from calibration_core.cell import Cell, load_cell
-from calibration_core.commands.offers import offers_for
-from calibration_core.diagnosis.evidence import base_of, field, log_bayes_factors
-from calibration_core.diagnosis.extended import design_at, loaded_state
-from calibration_core.diagnosis.finding import Diagnosis
+from calibration_core.commands.evaluation.candidate_measurements import offers_for
+from calibration_core.diagnosis.evidence.bayes_factors import gram_cache, log_bayes_factors, marginal_model
+from calibration_core.diagnosis.evidence.extended import design_at, loaded_state
 from calibration_core.diagnosis.loaded import diagnose_loaded
-from calibration_core.diagnosis.next_offers import Offer, alternating
+from calibration_core.diagnosis.proposals.candidates import Offer, alternating
+from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.identification.loaded import Options, prepare_loaded
+from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
 from calibration_core.model.effects import candidates
-from calibration_core.recording.table import read_table, write_table
+from calibration_core.recording.tables.table import read_table, write_table
 from calibration_core.timeseries import Float1D, Readings
-from calibration_sim.protocol import Configuration, Protocol
-from calibration_sim.scenarios import Scenario, grid, sample
+from calibration_sim.cell.protocol import Configuration, Protocol
+from calibration_sim.scenarios.grid import Scenario, grid, sample
 
 SEEDS = (31, 32, 3, 11, 5, 2)  # for development; neither that of make prove nor that of the small proof
 EFFECTS = (  # often ambiguous
@@ -78,7 +78,7 @@ def case_of(scenario: Scenario, folder: Path) -> Case | None:
     """Diagnose, measure what is proposed and what is drawn; None where nothing is ambiguous that could be parted."""
     folder = folder / f"{scenario.seed}"
     folder.mkdir()
-    made = simulator.realise(scenario)
+    made = simulator.generate(scenario)
     cell = written(made.cell, folder)
     readings = table(made.readings, cell, folder)
     offers = offers_for(readings, cell)
@@ -128,7 +128,7 @@ def more(scenario: Scenario, measured: Sequence[Offer], cell: Cell, folder: Path
     protocol = Protocol(tuple(Configuration(FIRST + k, offer.q, offer.steps) for k, offer in enumerate(measured)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulator, "make_protocol", lambda *_: protocol)
-        return table(simulator.realise(scenario).readings, cell, folder)
+        return table(simulator.generate(scenario).readings, cell, folder)
 
 
 def written(content: Mapping[str, Any], folder: Path) -> Cell:
@@ -164,10 +164,10 @@ def margins(readings: Readings, cell: Cell, found: Diagnosis, places: Sequence[P
     asked = tuple(c for c in candidates(state) if (c.effect, dict(c.location)) in places)
     rows = prepared.problem.linearise(found.compliance).rows
     factor = (found.noise / found.identification.noise.claimed) ** 2
-    used = np.flatnonzero(prepared.screened.used)
+    used = np.flatnonzero(prepared.rejection.used)
     rows = dataclasses.replace(rows, noise=rows.noise * factor).select(used)
     design = design_at(prepared.problem, cell, found.compliance, rows, used, asked, prepared.frames)[1]
-    scores = log_bayes_factors(field(base_of(design), (), 0.0))
+    scores = log_bayes_factors(marginal_model(gram_cache(design), (), 0.0))
     best = [
         max(s for s, c in zip(scores, asked, strict=True) if (c.effect, dict(c.location)) == place) for place in places
     ]

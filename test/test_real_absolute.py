@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
-from calibration_core.identification.estimate import Identification
 from calibration_core.identification.identify import identify
-from calibration_core.recording.table import read_table
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.recording.tables.table import read_table
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 UR10_BARS = {"A": 0.45e-3, "B": 0.46e-3, "C": 0.50e-3, "D": 0.41e-3}  # m, 3-d rms, cross-validated by configuration

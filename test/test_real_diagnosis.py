@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
-from calibration_core.diagnosis.finding import Diagnosis
 from calibration_core.diagnosis.loaded import diagnose_loaded
+from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.observations.observe import observe
 
 REAL = Path(__file__).parents[2] / "shared/data/real"
@@ -40,3 +41,14 @@ def test_few_added_parameters_predict_left_out_loads_better(fanuc: Diagnosis) ->
     assert sum(len(finding.parameters) for finding in fanuc.findings) <= 9
     assert figures["held_out_mean_before"] == pytest.approx(0.33e-3, rel=0.03)
     assert figures["held_out_mean_after"] <= BAR
+
+
+def test_no_compliance_is_negative_and_no_hinge_twists_without_bending(fanuc: Diagnosis) -> None:
+    hinges = [f for f in fanuc.findings if {p.name for p in f.parameters} >= {"compliance_x", "compliance_y"}]
+    assert len(hinges) > 1
+    for finding in hinges:
+        value = {p.name: p.value for p in finding.parameters}
+        matrix = np.array(
+            [[value["compliance_x"], value["compliance_xy"]], [value["compliance_xy"], value["compliance_y"]]]
+        )
+        assert np.linalg.eigvalsh(matrix)[0] >= -1e-9 * np.abs(matrix).max()

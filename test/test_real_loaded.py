@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.identification.loaded import Options, identify_loaded
+from calibration_core.identification.stiffness.loaded import Options, identify_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.timeseries import Readings
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
-from calibration_core.identification.absolute_problem import absolute_problem
-from calibration_core.identification.kinematic_phases import identify_kinematics
+from calibration_core.identification.geometry.problem import absolute_problem
+from calibration_core.identification.standard.kinematic_phases import identify_kinematics
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
-from calibration_core.recording.table import read_table
+from calibration_core.recording.tables.table import read_table
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 # m, by the direct fit of frames and geometry: mean error on poses that were not fitted (UR5, WAM), rms (UR10)

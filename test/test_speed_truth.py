@@ -14,13 +14,13 @@ import pytest
 from calibration_core.cell import Cell, load_cell
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.planning import make_plan
-from calibration_core.procedure.speed import Monitored
-from calibration_core.procedure.trajectory import MotionLimits, plan_motion
-from calibration_sim.live import LiveCell
-from calibration_sim.live import Path as Way
-from calibration_sim.motion_log import MotionLog, true_speeds
-from calibration_sim.truth import nominal_truth
+from calibration_core.motion.speed import Monitored
+from calibration_core.motion.trajectory import MotionLimits, plan_motion
+from calibration_core.planning.loaded import make_plan
+from calibration_sim.cell.truth import nominal_truth
+from calibration_sim.living_cell.live import LiveCell
+from calibration_sim.living_cell.live import Path as Way
+from calibration_sim.living_cell.motion_log import MotionLog, true_speeds
 
 CELLS = Path(__file__).resolve().parents[1] / "config" / "cells"
 LIMIT = 0.25

@@ -23,8 +23,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.choice import candidates, choose, choose_frames
-from calibration_core.identification.geometry import AbsoluteProblem, fit_geometry
+from calibration_core.identification.geometry.fit import AbsoluteProblem, fit
+from calibration_core.identification.geometry.identifiability import candidates, select_frames, select_identifiable
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
@@ -77,14 +77,14 @@ def fit_ours(cell: Cell, q: np.ndarray, positions: np.ndarray, repetitions: int 
     nominal = nominal_parameters(cell)
     problem = AbsoluteProblem(chain, q, np.ascontiguousarray(positions.T), ("mp1",), None, 1 / SIGMA)
     start = time.perf_counter()
-    frames, _ = choose_frames(problem, nominal)
-    choice = choose(problem, nominal, frames, candidates(cell))
+    frames, _ = select_frames(problem, nominal)
+    choice = select_identifiable(problem, nominal, frames, candidates(cell))
     choosing = time.perf_counter() - start
     seconds = []
     result = None
     for _ in range(repetitions):
         start = time.perf_counter()
-        result = fit_geometry(chain, q, positions, SIGMA, nominal, [*frames, choice.term])
+        result = fit(problem, nominal, [*frames, choice.term])
         seconds.append(time.perf_counter() - start)
     assert result is not None
     rms = float(np.sqrt(np.mean(problem.residual(result.parameters) ** 2)))

@@ -23,9 +23,9 @@ import pytest
 from planning_problems import CELL, kinematic_candidates, stiffness_candidates
 from planning_worth import promised_and_seen, random_over_planned
 
-from calibration_core.procedure.design import choose
-from calibration_core.procedure.optimum import Candidates
-from calibration_core.procedure.planning import make_plan
+from calibration_core.planning.loaded import make_plan
+from calibration_core.planning.optimal_design.design import choose
+from calibration_core.planning.optimal_design.optimum import Candidates
 
 HERE = Path(__file__).resolve().parent
 PEER = HERE.parents[1] / "build" / "peers" / "figaroh" / "bin" / "python"
@@ -35,8 +35,8 @@ CHOICE = """
 import json, sys, time
 from pathlib import Path
 import numpy as np
-from calibration_core.procedure.design import choose
-from calibration_core.procedure.optimum import Candidates
+from calibration_core.planning.optimal_design.design import choose
+from calibration_core.planning.optimal_design.optimum import Candidates
 information = np.load(sys.argv[1])["information"]
 seconds = []
 for _ in range(int(sys.argv[3])):

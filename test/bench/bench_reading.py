@@ -36,9 +36,9 @@ WRENCHES = {"/force_torque/wrench": ("WRENCH", 1000, 6)}
 def _write(path: Path, storage: str, streams: dict[str, tuple[str, int, int]], seconds: float) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    from calibration_core.recording.encode import encode
-    from calibration_core.recording.kinds import Kind
-    from calibration_core.recording.typed import standard_types
+    from calibration_core.recording.messages.encode import encode
+    from calibration_core.recording.messages.kinds import StreamKind
+    from calibration_core.recording.messages.typed import standard_types
     from calibration_core.timeseries import TimeSeries
 
     rng = np.random.default_rng(0)
@@ -46,10 +46,10 @@ def _write(path: Path, storage: str, streams: dict[str, tuple[str, int, int]], s
     with Writer(path, version=9, storage_plugin=plugin) as writer:
         messages = []
         for topic, (name, rate, columns) in streams.items():
-            kind = Kind[name]
+            kind = StreamKind[name]
             stamp = START + np.arange(int(seconds * rate)) * (1_000_000_000 // rate)
             series = TimeSeries(stamp, rng.normal(size=(len(stamp), columns)), stamp + 1000, "a_frame")
-            efforts = rng.normal(size=series.values.shape) if kind is Kind.JOINTS else None
+            efforts = rng.normal(size=series.values.shape) if kind is StreamKind.JOINTS else None
             connection = writer.add_connection(topic, kind.value, typestore=standard_types())
             payloads = encode(kind, series, JOINTS, efforts)
             messages += zip(series.received.tolist(), [connection] * len(stamp), payloads, strict=True)
@@ -60,12 +60,12 @@ def _write(path: Path, storage: str, streams: dict[str, tuple[str, int, int]], s
 
 
 def _ours(path: Path, streams: dict[str, tuple[str, int, int]]) -> list[float]:
-    from calibration_core.recording.bag import read_contents
-    from calibration_core.recording.files import bag_files
-    from calibration_core.recording.kinds import Kind
-    from calibration_core.recording.streams import to_series
+    from calibration_core.recording.bags.bag import read_contents
+    from calibration_core.recording.bags.files import bag_files
+    from calibration_core.recording.bags.streams import to_series
+    from calibration_core.recording.messages.kinds import StreamKind
 
-    kinds = {topic: Kind[name] for topic, (name, _, _) in streams.items()}
+    kinds = {topic: StreamKind[name] for topic, (name, _, _) in streams.items()}
     times = []
     total = 0.0
     for _ in range(REPEATS):

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import load_cell
-from calibration_core.identification.loaded import identify_loaded
-from calibration_sim.configurations import random_protocol
-from calibration_sim.table import measure, solve
-from calibration_sim.truth import draw_truth
+from calibration_core.identification.stiffness.loaded import identify_loaded
+from calibration_sim.cell.configurations import random_protocol
+from calibration_sim.cell.table import measure, solve
+from calibration_sim.cell.truth import draw_truth
 
 SEEDS = range(1000, 1200)
 REPEATS = range(200)

@@ -1,4 +1,7 @@
-"""Stiffness from 100,000 configurations: regressor, solution and covariance against a pinocchio loop and lstsq."""
+"""Equation (7) of CWA 17384 on 100,000 configurations: regressor, solution, covariance; beside a pinocchio loop.
+
+The observation matrix of configuration i is A_i = J_MP diag(J_WP^T W_i); it is never stored as a whole.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,12 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 
 import numpy as np
 
 M = 100_000
+BLOCK = 2000  # configurations at a time: the arrays of one block stay in the cache
 SIGMA = 2e-5
 
 
@@ -38,29 +43,47 @@ def _problem() -> tuple:
     return chain, q, wrench, load, point, stiffness, rng
 
 
-def _deflection(chain, q, load, point, stiffness, rng) -> np.ndarray:
-    from calibration_core.identification.standard import observation_matrix
+def _blocks(chain, q, load, point) -> Iterator[tuple[slice, np.ndarray]]:
+    """Yield the rows of a block and their observation matrix, (3, n, rows) m per rad/(N*m)."""
+    from calibration_core.model.kinematics import linear_jacobian, posture
+    from calibration_core.model.statics import load_torque
 
-    parts = []
-    for start in range(0, M, 2000):
-        rows = slice(start, start + 2000)
-        columns = observation_matrix(chain, q[rows], load.rows(rows), point)
-        parts.append(np.einsum("anm,n->ma", columns, 1 / stiffness))
+    for start in range(0, M, BLOCK):
+        rows = slice(start, start + BLOCK)
+        at = posture(chain, q[rows])
+        yield rows, np.stack(linear_jacobian(at, at.point(point)), axis=1) * load_torque(at, load.rows(rows))
+
+
+def _deflection(chain, q, load, point, stiffness, rng) -> np.ndarray:
+    parts = [np.einsum("anm,n->ma", columns, 1 / stiffness) for _, columns in _blocks(chain, q, load, point)]
     return np.vstack(parts) + rng.normal(0, SIGMA, (M, 3))
 
 
-def _ours() -> None:
-    from calibration_core.identification.standard import fit_standard
+def _fitted(chain, q, load, point, deflection) -> tuple[np.ndarray, np.ndarray]:
+    """Return compliances, not negative, and their standard deviations."""
+    from calibration_core.identification.statistics.solve import solve_non_negative
 
+    matrix, vector = np.zeros((chain.n, chain.n)), np.zeros(chain.n)
+    for rows, columns in _blocks(chain, q, load, point):
+        flat, measured = columns.transpose(1, 0, 2).reshape(chain.n, -1), deflection[rows].T.reshape(-1)
+        matrix += flat @ flat.T
+        vector += flat @ measured
+    solution = solve_non_negative(matrix, vector, np.zeros(chain.n))
+    c = solution.value
+    rest = float(np.vdot(deflection, deflection) - 2 * c @ vector + c @ matrix @ c)
+    return c, np.sqrt(np.diag(solution.covariance) * rest / (3 * M - chain.n))
+
+
+def _ours() -> None:
     chain, q, _, load, point, stiffness, rng = _problem()
     deflection = _deflection(chain, q, load, point, stiffness, rng)
     times = []
     for _ in range(5):
         start = time.perf_counter()
-        fit = fit_standard(chain, q, load, point, deflection)
+        compliance, std = _fitted(chain, q, load, point, deflection)
         times.append(time.perf_counter() - start)
-    np.testing.assert_allclose(1 / fit.solution.value, stiffness, rtol=0.01)
-    print(np.median(times), *fit.solution.value, *np.sqrt(np.diag(fit.covariance)))
+    np.testing.assert_allclose(1 / compliance, stiffness, rtol=0.01)
+    print(np.median(times), *compliance, *std)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 

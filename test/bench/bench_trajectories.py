@@ -11,8 +11,8 @@ import pytest
 from calibration_core.cell import load_cell
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.speed import Monitored
-from calibration_core.procedure.trajectory import MotionLimits, plan_motion
+from calibration_core.motion.speed import Monitored
+from calibration_core.motion.trajectory import MotionLimits, plan_motion
 
 CELLS = Path(__file__).parents[2] / "config" / "cells"
 MOTIONS, SAMPLES, BLOCK = 200, 100_000, 5000

@@ -8,12 +8,12 @@ import numpy as np
 from bench_geometry import bench_cell
 
 from calibration_core.cell import load_cell
-from calibration_core.identification.pose_information import geometry_terms, pose_information
-from calibration_core.identification.terms import names_of
+from calibration_core.identification.geometry.pose_information import geometry_terms, pose_information
+from calibration_core.identification.geometry.terms import names_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.loads import LoadRules, full_pulls, information
-from calibration_core.procedure.space import SpaceRules, joint_range
+from calibration_core.planning.feasible.loads import LoadRules, full_pulls, information
+from calibration_core.planning.feasible.space import SpaceRules, joint_range
 
 CELL = load_cell(Path(__file__).parents[2] / "config" / "cells" / "demo.cell.yaml")
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from planning_problems import CELL
 
-from calibration_core.identification.loaded import identify_loaded
+from calibration_core.identification.stiffness.loaded import identify_loaded
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.procedure.candidates import draw_postures, loaded_postures
-from calibration_core.procedure.criteria import CRITERIA
-from calibration_core.procedure.design import choose
-from calibration_core.procedure.loads import LoadRules
-from calibration_core.procedure.optimum import Candidates
-from calibration_core.procedure.planning import ground_of, make_plan
-from calibration_core.procedure.space import SpaceRules
-from calibration_sim.protocol import Configuration, Protocol
-from calibration_sim.table import measure, solve
-from calibration_sim.truth import draw_truth
+from calibration_core.planning.feasible.candidates import draw_postures, loaded_postures
+from calibration_core.planning.feasible.loads import LoadRules
+from calibration_core.planning.feasible.space import SpaceRules
+from calibration_core.planning.loaded import ground_of, make_plan
+from calibration_core.planning.optimal_design.criteria import CRITERIA
+from calibration_core.planning.optimal_design.design import choose
+from calibration_core.planning.optimal_design.optimum import Candidates
+from calibration_sim.cell.protocol import Configuration, Protocol
+from calibration_sim.cell.table import measure, solve
+from calibration_sim.cell.truth import draw_truth
 
 COUNT = 18
 

@@ -14,8 +14,8 @@ import numpy as np
 import zstandard
 
 from calibration_core.cell import load_cell
-from calibration_core.recording.bag_writer import write_bag
-from calibration_core.timeseries import Provenance, Recording, TimeSeries
+from calibration_core.recording.bags.writer import write_bag
+from calibration_core.timeseries import Provenance, Streams, TimeSeries
 
 CELL = """name: a cell
 robot:
@@ -201,13 +201,13 @@ case("mcap: 2 GB of rubbish", sparse("bag.mcap", 2 << 30))
 case("mcap: a start and 2 GB of rubbish", sparse("bag.mcap", 2 << 30, START))
 
 
-def recording(joints: tuple[str, ...] = ("j1", "j2", "j3"), *, finite: bool = True, still: bool = True) -> Recording:
+def recording(joints: tuple[str, ...] = ("j1", "j2", "j3"), *, finite: bool = True, still: bool = True) -> Streams:
     time = 10**18 + np.arange(200) * 10_000_000
     angles = np.zeros((200, len(joints))) if still else np.cumsum(np.full((200, len(joints)), 0.01), axis=0)
     points = np.ones((200, 3)) if finite else np.full((200, 3), np.nan)
     series = TimeSeries(time, points, time)
     joint_states = TimeSeries(time, angles, time)
-    return Recording(joint_states, {"mp1": series}, None, None, None, "", Provenance("", "", {}, {}))
+    return Streams(joint_states, {"mp1": series}, None, None, None, "", Provenance("", "", {}, {}))
 
 
 def bag(change: Callable[[Path], None] | None = None, names: str = "[j1, j2, j3]", **options: object) -> Case:

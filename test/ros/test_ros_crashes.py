@@ -17,15 +17,18 @@ from rosbags.typesys import Stores, get_typestore
 
 pytest.importorskip("rclpy")
 
+from calibration.process_tree import SIMULATED_CELL
 from calibration_core.cell import Cell, load_cell
-from calibration_core.procedure.session import Session
-from calibration_core.recording.bag import read_bag
+from calibration_core.measurement.load_time import LOAD_TIME
+from calibration_core.measurement.session import Session
+from calibration_core.recording.bags.bag import read_bag
 from calibration_core.recording.session_values import ConfirmedReading
 from calibration_core.timeseries import NANOSECONDS
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRST, CONFIGURATIONS = 3, 18  # of the short plan and of the whole one
-KILLS = 30
+KILLS = 20
+SPEED = 20.0  # times real time
 Samples = tuple[np.ndarray, np.ndarray]  # stamps and positions
 WITHIN = 2.0  # s, a process may take to end
 
@@ -52,11 +55,7 @@ def test_sigint_while_the_robot_moves(suite: Any, plan: Path, cell: Cell) -> Non
     """The motion is cancelled, the bag closed, every process ends well and soon."""
     log = suite.directory / "cell.csv"
     log.touch()
-    suite.start("simulated_cell", clock=True, event_log=log)
-    for name in ("guard", "tracker", "force_torque"):
-        suite.start(name, use_sim_time=True)
-    suite.start("recorder", use_sim_time=True, out=suite.bag)
-    suite.start("sequencer", use_sim_time=True, motion__backend="simulated", load__by="device", server_wait=30.0)
+    suite.start_tree(SIMULATED_CELL, {"simulated_cell": {"event_log": log}, "sequencer": {"server_wait": 30.0}})
     suite.run(plan)
     wait(lambda: "motion" in log.read_text(), 60.0, suite.log("sequencer"))
     time.sleep(1.0)
@@ -65,7 +64,7 @@ def test_sigint_while_the_robot_moves(suite: Any, plan: Path, cell: Cell) -> Non
     assert log.read_text().splitlines()[-1].endswith(("cancel", "rest"))
     wait(lambda: log.read_text().splitlines()[-1].endswith("rest"), 5.0, log.read_text())
     assert "stop_commanded" in suite.log("sequencer")
-    for name in ("recorder", "guard", "tracker", "force_torque", "simulated_cell"):
+    for name in ("manager", "identification", "recorder", "guard", "tracker", "force_torque", "simulated_cell"):
         code, took = suite.end(name)
         assert (code, took < WITHIN) == (0, True), (name, took, suite.log(name))
     notes = [note.kind for note in read_bag(suite.bag, cell).notes]
@@ -100,7 +99,7 @@ class Killing:
         self.seen: set[tuple[Any, ...]] = set()  # readings that were on the disk at any moment
         self.blind: set[int] = set()  # configurations under way while nothing was recorded
         suite.directory.mkdir()
-        suite.start_fast()
+        suite.start_tree(SIMULATED_CELL, speed=SPEED)
         self.run = suite.run(plan)
 
     def strike(self, cell: Cell) -> bool:
@@ -208,7 +207,7 @@ def recording(bag: Path) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sequencer", "guard", "tracker", "force_torque", "recorder", "simulated_cell"])
 def test_a_killed_process_loses_nothing(suite: Any, brisk_plan: Path, cell: Cell, name: str) -> None:
-    """Thirty times, at random moments, in as many measurements as that takes."""
+    """Twenty times, at random moments, in as many measurements as that takes."""
     from calibration_interfaces.msg import Reading
 
     rng = np.random.default_rng(sum(name.encode()))
@@ -229,8 +228,33 @@ def test_a_killed_process_loses_nothing(suite: Any, brisk_plan: Path, cell: Cell
 
 
 @pytest.mark.slow
+def test_a_sensor_that_dies_while_a_load_comes_or_goes_costs_no_run(suite: Any, short_plan: Path) -> None:
+    """What pulls is not known then: the run waits for the sensor, and goes on when the operator says so."""
+    from calibration_interfaces.msg import MeasurementStep
+
+    steps: list[Any] = []
+    suite.client.create_subscription(MeasurementStep, "calibration/step", steps.append, 100)
+    suite.start_tree(SIMULATED_CELL, speed=SPEED)
+    run = suite.run(short_plan)
+    for phase in (MeasurementStep.LOADING, MeasurementStep.UNLOADING):
+        wait(lambda phase=phase: steps and steps[-1].phase == phase, 120.0, suite.log("sequencer"))
+        suite.end("force_torque", signal.SIGKILL)
+        time.sleep(2 * LOAD_TIME)
+        assert not run.over, suite.log("sequencer")
+        suite.again("force_torque")
+        passed = len(steps)
+        end = time.monotonic() + 60.0
+        while len(steps) == passed:
+            assert time.monotonic() < end, suite.log("sequencer")
+            time.sleep(1.0)
+            go_on(suite)
+    allow(suite, lambda: run.over)
+    assert run.result(1.0).configurations_done == FIRST, suite.log("sequencer")
+
+
+@pytest.mark.slow
 def test_a_killed_identification_answers_again(suite: Any) -> None:
-    """Thirty times, at random moments of an evaluation: nothing is written half."""
+    """Twenty times, at random moments of an evaluation: nothing is written half."""
     from calibration_interfaces.msg import Outcome
     from calibration_interfaces.srv import IdentifyStiffness
 
@@ -256,7 +280,7 @@ def test_a_killed_identification_answers_again(suite: Any) -> None:
 
 
 def test_a_killed_sequencer_goes_on_at_the_next_configuration(suite: Any, short_plan: Path, cell: Cell) -> None:
-    suite.start_fast()
+    suite.start_tree(SIMULATED_CELL, speed=SPEED)
     suite.run(short_plan)
 
     def one_done() -> bool:

@@ -83,6 +83,6 @@ def test_to_the_end(demonstration: Demonstration, still_running: Any) -> None:
     for line in told.splitlines():
         if line.startswith("report, "):
             assert Path(line.partition(": ")[2]).is_file(), line
-    assert told.count("\nreport, ") == 3
+    assert told.count("\nreport, ") == 4  # of the plan, the stiffness and both diagnoses
     assert still_running(demonstration.mark) == []
     assert took < LONGEST

@@ -16,14 +16,14 @@ import yaml
 pytest.importorskip("rclpy")
 
 from calibration_core.cell import load_cell
+from calibration_core.measurement.session import Session
 from calibration_core.observations.observe import observe
-from calibration_core.procedure.plan import REFERENCE_NUMBER
-from calibration_core.procedure.session import Session
+from calibration_core.planning.plans.plan import REFERENCE_NUMBER
 from calibration_core.recording.session_values import as_readings
 from calibration_core.timeseries import NANOSECONDS
-from calibration_sim.live import LiveCell
-from calibration_sim.motion_log import true_speeds
-from calibration_sim.truth import draw_truth
+from calibration_sim.cell.truth import draw_truth
+from calibration_sim.living_cell.live import LiveCell
+from calibration_sim.living_cell.motion_log import true_speeds
 
 ROOT = Path(__file__).resolve().parents[2]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"

@@ -14,18 +14,18 @@ import yaml
 pytest.importorskip("rclpy")
 
 from calibration_core.cell import load_cell
+from calibration_core.measurement.session import Session
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
-from calibration_core.procedure.plan_file import read_plan
-from calibration_core.procedure.session import Session
+from calibration_core.planning.plans.plan_file import read_plan
 from calibration_core.recording.session_values import ConfirmedReading
 from calibration_core.timeseries import Float1D
 
 ROOT = Path(__file__).resolve().parents[2]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 LONG = 60.0  # s, an answer may take on a busy machine
-POSTURE, HOLD, SHARE, DIRECTION = 5e-3, 5e-4, 0.1, 0.17  # as `calibration_core.procedure.tolerances` states them
+POSTURE, HOLD, SHARE, DIRECTION = 5e-3, 5e-4, 0.1, 0.17  # as `calibration_core.planning.plans.tolerances` states them
 FLOOR = 0.02 * 240.0 * 9.80665  # N
 TRIALS = 500
 JOG_TIME = 2.0  # s of the cell's time
@@ -49,8 +49,8 @@ class Bystander:
 
     def __init__(self, suite: Any) -> None:
         from calibration_interfaces.action import ApplyLoad
-        from calibration_interfaces.msg import MeasurementStep, SessionEvent
-        from rclpy.action import ActionClient
+        from calibration_interfaces.msg import MeasurementStep, ProcedureState, SessionEvent
+        from goals import GoalClient
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from sensor_msgs.msg import JointState
         from trajectory_msgs.msg import JointTrajectory
@@ -59,13 +59,15 @@ class Bystander:
         kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.events: list[Any] = []
         self.steps: list[Any] = []
+        self.state: Any = None  # what the sequencer says that it does
         self.q: Float1D | None = None
         self.heard = threading.Condition()
         node.create_subscription(SessionEvent, "calibration/event", self.events.append, kept)
         node.create_subscription(MeasurementStep, "calibration/step", self._on_step, kept)
+        node.create_subscription(ProcedureState, "calibration/procedure", lambda it: setattr(self, "state", it), kept)
         node.create_subscription(JointState, "joint_states", self._on_joints, 10)
         self._trajectory = node.create_publisher(JointTrajectory, "driver/joint_trajectory", 10)
-        self._apply = ActionClient(node, ApplyLoad, "driver/apply_load")
+        self._apply = GoalClient(node, ApplyLoad, "driver/apply_load")
 
     def _on_step(self, message: Any) -> None:
         with self.heard:
@@ -88,6 +90,13 @@ class Bystander:
                     return
             assert time.monotonic() < end, self.suite.log("sequencer")[-3000:]
             self.resume()
+
+    def felt(self) -> Float1D:
+        """Return the force that the sequencer says is pulling, some messages later, N in base axes."""
+        time.sleep(1.0)
+        assert self.state.load_felt_known
+        force = self.state.load_felt.force
+        return np.array([force.x, force.y, force.z])
 
     def jog(self, joint: int, angle: float, seconds: float = JOG_TIME) -> None:
         """Move one joint by an angle, as somebody at the pendant would."""
@@ -222,7 +231,8 @@ def test_a_jogged_robot_is_not_read_and_a_load_device_not_believed(suite: Any, p
     suite.call(SetFault, "simulated_cell/set_fault", kind=SetFault.Request.WRENCH_OFFSET, value=500.0)
     result = run.result(LONG)
     assert (result.outcome.code, result.configurations_done) == (Outcome.FAULT, 2)
-    assert "the load cannot be released: the load device says that the load is on; force: wanted" in result.outcome.text
+    words = "the load cannot be released: the load device says that the load is released; force: wanted"
+    assert words in result.outcome.text
     assert outside(suite.session, path) == []
 
 
@@ -242,8 +252,15 @@ def test_a_load_that_is_not_there_is_refused(suite: Any, plan: Path) -> None:
     assert answer.text.startswith(f"force: wanted ({wanted}) N, found (")
     assert answer.text.endswith("apply the load as wanted, or look at wrench point, sensor frame and tare")
     somebody.pull(0.5 * first.steps[1])
+    target = first.steps[1][:3]
+    assert np.linalg.norm(somebody.felt() - 0.5 * target) < FLOOR
+    assert somebody.state.load_fault.startswith(f"force: wanted ({wanted}) N, found (")
+    assert somebody.state.band_force == pytest.approx(max(SHARE * np.linalg.norm(target), FLOOR))
+    assert somebody.state.band_angle == pytest.approx(DIRECTION)
     assert somebody.confirm(first.number, 1).code == Outcome.NOT_REACHED
     somebody.pull(first.steps[1])
+    assert np.linalg.norm(somebody.felt() - target) < FLOOR
+    assert somebody.state.load_fault == ""
     assert somebody.confirm(first.number, 1).code == Outcome.OK
     somebody.await_phase(first.number, 1, MeasurementStep.UNLOADING)
     answer = somebody.confirm(first.number, 1)

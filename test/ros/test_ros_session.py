@@ -18,9 +18,9 @@ import yaml
 pytest.importorskip("rclpy")
 
 from calibration_core.cell import load_cell
+from calibration_core.measurement.session import Session
 from calibration_core.observations.observe import observe
-from calibration_core.procedure.session import Session
-from calibration_core.recording.bag import read_bag
+from calibration_core.recording.bags.bag import read_bag
 from calibration_core.timeseries import Readings
 
 ROOT = Path(__file__).resolve().parents[2]
