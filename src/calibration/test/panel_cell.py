@@ -29,6 +29,8 @@ from calibration_core.planning.plans.plan_file import plan_text
 
 CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+NOT_DONE = ("Not done", "Nicht ausgeführt")
+TRIALS = 3  # a person presses a button as often as that before giving up
 LONG = 240.0  # s of wall time, that a busy machine may take for anything whose time is not what is tested
 
 
@@ -216,5 +218,24 @@ def begin(page: Any, session: str = "session") -> None:
          and page.locator("#checklist li.no").count() == 0)  # fmt: skip
     wait(page, lambda: page.input_value("#plan") == "short/plan.yaml")
     page.fill("#session_name", session)
-    page.click("#begin")
-    page.wait_for_selector("#during:visible")
+    press_begin(page)
+
+
+def press_begin(page: Any) -> None:
+    """Press the button until a run is shown; where the page says why not, look at the list again, as a person does."""
+    said: list[str] = []
+    while True:
+        wait(page, lambda: page.locator("#checklist li.no").count() == 0 and not refusal(page))
+        page.click("#begin")
+        wait(page, lambda: page.locator("#during:visible, #after:visible").count() or refusal(page))
+        if page.locator("#during:visible").count():
+            return
+        said.append(refusal(page) or page.inner_text("#ended"))
+        assert len(said) < TRIALS, said
+        page.click("#tab_before")
+
+
+def refusal(page: Any) -> str:
+    """What the page says of something that was asked for and not done; empty: nothing."""
+    text = page.inner_text("#toast") if page.locator("#toast:visible").count() else ""
+    return str(text) if text.startswith(NOT_DONE) else ""

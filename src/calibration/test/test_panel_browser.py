@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from panel_cell import LONG, Cell, browser, browser_path, short_plan, wait
+from panel_cell import LONG, Cell, browser, browser_path, press_begin, short_plan, wait
 
 from calibration_core.measurement.session import Session
 
@@ -69,8 +69,7 @@ def test_from_the_checklist_to_the_report(cell: Cell, size: str, tmp_path: Path)
              and page.locator("#checklist li").count() > 12)  # fmt: skip
         look(page, pictures, "before")
         wait(page, lambda: page.input_value("#plan") == "short/plan.yaml")
-        page.click("#begin")
-        page.wait_for_selector("#during:visible")
+        press_begin(page)
         look(page, pictures, "during")
         clicks = measure(page, pictures)
         assert clicks == 3 * CONFIGURATIONS  # half the load, all of it, and its release

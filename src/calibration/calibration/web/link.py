@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -31,6 +32,9 @@ from calibration.background import in_executor, in_loop
 
 ANSWER = 5.0  # s of wall time, that a service may take
 ACCEPT = 10.0  # s of wall time, that an action may take to accept a goal
+FOUND = 10.0  # s, for a server that the graph shows: a lost datagram of the discovery is sent again after 3 s
+ABSENT = 2.0  # s, for a server that the graph does not show
+LOOK = 0.05  # s between two looks
 SERVICES: dict[str, tuple[Any, str, float]] = {
     "stop": (Trigger, "sequencer/stop", 2.0),
     "pause": (Trigger, "sequencer/pause", ANSWER),
@@ -99,6 +103,7 @@ class CellLink:
         self._node = node
         self._clients = {key: node.create_client(kind, name) for key, (kind, name, _) in SERVICES.items()}
         self._run: asyncio.Task[None] | None = None  # held: a task that nobody holds may be collected
+        self._beginning = False
         self._evaluation: Any = None
         self._evaluating = self._given_up = False
 
@@ -125,6 +130,15 @@ class CellLink:
             fields: Of the goal of `RunPlan`.
             ended: Called with how it ended, in the calling thread's loop.
         """
+        if self._beginning:
+            return Answer(done=False, text="a run is being begun")
+        self._beginning = True
+        try:
+            return await self._begin_run(fields, ended)
+        finally:
+            self._beginning = False
+
+    async def _begin_run(self, fields: dict[str, Any], ended: Callable[[str], None]) -> Answer:
         client = await self._client(RunPlan, "sequencer/run")
         if client is None:
             return Answer(done=False, text="sequencer/run is not there")
@@ -184,22 +198,36 @@ class CellLink:
         return Answer(done=True)
 
     async def _client(self, kind: Any, name: str) -> Any:
+        """Return a client whose server is there; None: there is none."""
         client = await self._spun(lambda: ActionClient(self._node, kind, name))
-        for _ in range(40):
-            if client.server_is_ready():
-                return client
-            await asyncio.sleep(0.05)
-        await self._spun(client.destroy)
-        return None
+        service = self._node.resolve_service_name(f"{name}/_action/send_goal")
+        began = time.monotonic()
+        while not client.server_is_ready():
+            if time.monotonic() - began > (FOUND if self._node.count_services(service) else ABSENT):
+                await self._spun(client.destroy)
+                return None
+            await asyncio.sleep(LOOK)
+        return client
 
     async def _spun(self, work: Callable[[], Any]) -> Any:
-        """Do something short in the executor's thread, which must not be waiting for what is taken down meanwhile."""
+        """Do something short in the executor's thread, which must not be waiting for what is taken down meanwhile.
+
+        Raises:
+            Exception: What the work raised.
+        """
         loop = asyncio.get_running_loop()
         done = loop.create_future()
 
+        def tell(end: Callable[[Any], None], value: Any) -> None:
+            in_loop(loop, lambda: None if done.done() else end(value))
+
         def do() -> None:
-            found = work()
-            in_loop(loop, lambda: None if done.done() else done.set_result(found))
+            try:
+                found = work()
+            except Exception as error:  # noqa: BLE001  # handed over to the one who awaits
+                tell(done.set_exception, error)
+            else:
+                tell(done.set_result, found)
 
         in_executor(self._node, do)
         return await done

@@ -48,7 +48,10 @@ class Operator:
     async def do(self, name: str, values: dict[str, Any], session: Session) -> Answer:
         """Do what a session asks for; every request and its answer are logged."""
         given = ", ".join(f"{key} {value}" for key, value in values.items() if value not in ("", False))
-        answer = await self._done(name, values, session)
+        try:
+            answer = await self._done(name, values, session)
+        except Exception as error:  # noqa: BLE001  # whatever it is, whoever asked must learn of it
+            answer = Answer(done=False, text=_words(error))
         outcome = "" if answer.done else f": refused: {answer.text}"
         self._log(f"{name}{f' ({given})' if given else ''} by {session.name} from {session.address}{outcome}")
         return answer
@@ -169,8 +172,7 @@ class Operator:
         if task.cancelled():
             self._report(what, 1.0, "cancelled", failed=True)
         elif error := task.exception():
-            text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-            self._report(what, 1.0, text, failed=True)
+            self._report(what, 1.0, _words(error), failed=True)
 
     def _cancel(self, what: str) -> Answer | None:
         """Give up what is under way aside; return None where nothing is."""
@@ -209,6 +211,11 @@ class Operator:
         outcome = "" if answer.done else f": refused: {answer.text}"
         place = f"configuration {configuration}, step {step}"
         self._log(f"load of {place} held for {self.hold:g} s, chosen by {session.name} from {session.address}{outcome}")
+
+
+def _words(error: BaseException) -> str:
+    """Return what a person is told of an error."""
+    return str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
 
 
 def _fields(name: str, values: dict[str, Any], session: Session) -> dict[str, Any]:

@@ -54,11 +54,16 @@ export function before(state, told) {
       card("instruments", h("p", {}, w("tare_how")), tare, h("hr"), held, h("label", { for: "mass" }, w("mass")), mass, h("div", { class: "row" }, ...tests))),
     h("section", { class: "wide" }, frame));
 
+  let asked = false;
   async function run() {
+    asked = true;
+    begin.disabled = true;
     const resume = session.value !== NEW;
     const aim = Number(wanted.value.replace(",", ".")) / 100 || 0;
     const answer = told(await ask("run", { plan: plan.value, session: resume ? session.value : name.value.trim(), resume, wanted_accuracy: aim, stop_when_enough: enough.checked }));
+    asked = false;
     if (answer.done) state.follow();
+    else update();
   }
   async function opened() {
     const found = await folder();
@@ -98,7 +103,7 @@ export function before(state, told) {
     text(summary, open ? w("check_open", { n: open }) : w("check_fine"));
     hide(named, session.value !== NEW);
     const mine = Boolean(state.me.control);
-    begin.disabled = !mine || state.view.running || !plan.value;
+    begin.disabled = asked || !mine || state.view.running || !plan.value;
     for (const one of [tare, hold, ...tests]) one.disabled = !mine;
     hide(against, !verifies());
     make.disabled = !mine || (verifies() && !judged.ready);
