@@ -13,6 +13,8 @@ from calibration.process_tree import Process, Tree, files_of, parameters_of, val
 
 ROOT = Path(__file__).resolve().parents[3]
 INSTALL = ROOT / "install"
+SHOWN = 30  # lines of a log that a failed test shows
+STACKS = 2.0  # s, that a deaf process has for writing where it stands
 
 
 class TreeRunner:
@@ -33,7 +35,8 @@ class TreeRunner:
         **said: object,
     ) -> None:
         """Prepare; `files` are parameter files after the tree's own, `more` parameters of single nodes."""
-        self.tree, self._environment, self._directory = tree, environment, directory
+        self.tree, self._directory = tree, directory
+        self._environment = {**environment, "PYTHONFAULTHANDLER": "1"}  # a deaf process says where it stands
         self._more = more or {}
         texts = {name: str(value) for name, value in said.items()}
         self._values = values_of(tree, texts)
@@ -81,7 +84,10 @@ class TreeRunner:
         return (self._directory / f"{name}.log").read_text(encoding="utf-8", errors="replace")
 
     def shutdown(self) -> list[tuple[str, int, float]]:
-        """SIGINT to every process at once, SIGTERM and SIGKILL after the times of the table; return what ended when."""
+        """SIGINT to every process at once, SIGTERM and the end after the times of the table; return what ended when.
+
+        What the processes said last is printed: a test that fails shows it.
+        """
         self.ended.clear()
         began = time.monotonic()
         for process in self.running.values():
@@ -97,13 +103,27 @@ class TreeRunner:
         for thread in threads:
             thread.join()
         self.running.clear()
+        for name in rows:
+            if (self._directory / f"{name}.log").exists():
+                print(f"--- {name}", *self.log(name).splitlines()[-SHOWN:], sep="\n")
         return self.ended
 
     def _escalate(self, row: Process, process: subprocess.Popen[bytes], began: float) -> None:
-        for seconds, then in ((row.sigterm_after, signal.SIGTERM), (row.sigkill_after, signal.SIGKILL)):
+        try:
+            process.wait(row.sigterm_after)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGTERM)
             try:
-                process.wait(seconds)
-                break
+                process.wait(row.sigkill_after)
             except subprocess.TimeoutExpired:
-                process.send_signal(then)
+                _end_deaf(process)
         self.ended.append((row.name, process.wait(), time.monotonic() - began))
+
+
+def _end_deaf(process: subprocess.Popen[bytes]) -> None:
+    """End a process that hears no signal; its threads' stacks are in its log."""
+    process.send_signal(signal.SIGABRT)
+    try:
+        process.wait(STACKS)
+    except subprocess.TimeoutExpired:
+        process.kill()
