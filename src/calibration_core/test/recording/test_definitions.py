@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import struct
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -15,6 +16,8 @@ from calibration_core.errors import RecordingError
 from calibration_core.recording.definitions.fields import MessageField
 from calibration_core.recording.definitions.idl import parse_idl
 from calibration_core.recording.definitions.msg import parse_msg
+from calibration_core.recording.definitions.own import STEP_TYPE
+from calibration_core.recording.definitions.streams import DEFINITIONS, stream_types
 from calibration_core.recording.definitions.text import parse_definition
 from calibration_core.recording.messages.cdr import read_message
 from calibration_core.recording.messages.kinds import StreamKind
@@ -24,6 +27,8 @@ from calibration_core.recording.storage.batch import Channel
 NAME = "a_msgs/msg/A"
 LINE = "=" * 80
 INSTALLED = Path(sys.prefix) / "share"
+ROOT = Path(__file__).parents[4]
+SMALL = ROOT / "config" / "cells" / "small.cell.yaml"
 
 
 def test_fields_of_msg() -> None:
@@ -138,6 +143,29 @@ def test_every_bundled_type_is_read_field_by_field_as_generated_code_reads_it() 
     assert (message.wrench.force.x, message.wrench.torque.z) == (0.0, 5.0)
     big = b"\x00\x00\x00\x00" + struct.pack(">iII4x6d", 1, 2, 1, *range(6))
     assert read_message(big, parse_definition(text, kind, "ros2msg"), kind) == message
+
+
+@pytest.mark.parametrize("name", sorted(DEFINITIONS))
+def test_the_types_of_streams_are_those_of_ros(name: str) -> None:
+    text, _ = standard_types().generate_msgdef(name, ros_version=2)
+    assert stream_types(name) == parse_definition(text, name, "ros2msg")
+
+
+def test_a_type_of_no_stream_is_not_among_them() -> None:
+    assert stream_types("std_msgs/msg/String") == {}
+    assert {kind.value for kind in StreamKind} | {STEP_TYPE} <= set(DEFINITIONS)
+
+
+def test_reading_a_bag_imports_no_other_types() -> None:
+    """To import all types of ROS 2 takes longer than to read a short recording."""
+    code = (
+        "import sys\nfrom calibration_core.cell import load_cell\n"
+        "from calibration_core.recording.bags.bag import read_bag\n"
+        f"read_bag({str(ROOT / 'bags' / 'small_loaded')!r}, load_cell({str(SMALL)!r}))\n"
+        "print([one for one in sys.modules if one.startswith('rosbags.typesys.stores.')])"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert answer.stdout.strip() == "[]"
 
 
 def test_arrays_and_texts() -> None:

@@ -8,12 +8,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.definitions.fields import Types
 from calibration_core.recording.definitions.own import STEP_DEFINITION, STEP_TYPE
+from calibration_core.recording.definitions.streams import stream_types
 from calibration_core.recording.definitions.text import parse_definition
 from calibration_core.recording.messages.cdr import read_message
 from calibration_core.recording.messages.kinds import Samples, StreamKind
@@ -21,12 +20,14 @@ from calibration_core.recording.storage.batch import Batch, Channel
 from calibration_core.timeseries import NANOSECONDS, Int1D
 
 Deserialize = Callable[[bytes], Any]
-FAULTS = (SerdeError, struct.error, ValueError, IndexError, AssertionError, TypeError, AttributeError, OverflowError)
+FAULTS = (struct.error, ValueError, IndexError, TypeError, AttributeError, OverflowError)
 
 
 @functools.cache
 def standard_types() -> Any:
-    """Return the types of ROS 2 Jazzy and our own `MeasurementStep`."""
+    """Return the types of ROS 2 Jazzy and our own `MeasurementStep`; imported when asked for, because it takes long."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(STEP_DEFINITION, STEP_TYPE))
     return store
@@ -35,6 +36,8 @@ def standard_types() -> Any:
 @functools.cache
 def _bundled(name: str) -> Types:
     """Return the fields of a type as ROS 2 Jazzy has it; none if it has none of this name."""
+    if found := stream_types(name):
+        return found
     if name not in standard_types().fielddefs:
         return {}
     text, _ = standard_types().generate_msgdef(name, ros_version=2)
@@ -57,8 +60,7 @@ def _own(channel: Channel) -> Types:
 def deserializer(file: str, channel: Channel) -> Deserialize:
     """Return the function that turns a message of the channel into an object.
 
-    Types that the bag defines as ROS 2 Jazzy does are read by generated code; others field by field, as their
-    definition says: what stands in a bag is never made into code.
+    It is read field by field, as its definition says: what stands in a bag is never made into code.
 
     Raises:
         RecordingError: The definition in the bag cannot be read, or the encoding is not CDR.
@@ -66,9 +68,7 @@ def deserializer(file: str, channel: Channel) -> Deserialize:
     if channel.encoding != "cdr":
         raise RecordingError(file, channel.topic, f"messages encoded as {quoted(channel.encoding)}", "cdr")
     try:
-        if is_standard(channel):
-            return lambda payload: standard_types().deserialize_cdr(payload, channel.type)
-        types = _own(channel)
+        types = _bundled(channel.type) if is_standard(channel) else _own(channel)
     except ValueError as error:
         found = f"a definition of {quoted(channel.type)} that cannot be read ({error})"
         raise RecordingError(file, channel.topic, found, "a message definition (ros2msg or ros2idl)") from None
