@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from scipy.spatial import ConvexHull, QhullError
 
 from calibration_core.identification.result.estimate import OperatingSpace
-from calibration_core.report.figures.style import ACCENT, GREY, INK, PALE, WIDTH, drawing, thinned
+from calibration_core.report.figures.style import ACCENT, GREY, INK, MARGINS, PALE, WIDTH, panels, place, thinned
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 MOST_ARMS = 60
@@ -38,27 +38,27 @@ def space_figure(space: OperatingSpace) -> bytes:
     """Draw front, side, top and oblique view of the operating space, base frame; the first three at one scale."""
     arms = evenly(len(space.q), MOST_ARMS)
     low, high = _extent(space, arms)
-    span = high - low
-    height = 0.9 + 5.6 * float((span[2] + span[1]) / (span[0] + span[1]))
-    shrink = min(1.0, HIGHEST / height)
-    with drawing(height * shrink, WIDTH * shrink) as (figure, buffer):
-        grid = figure.add_gridspec(2, 2, width_ratios=(span[0], span[1]), height_ratios=(span[2], span[1]))
-        front = figure.add_subplot(grid[0, 0])
-        side = figure.add_subplot(grid[0, 1], sharey=front)
-        top = figure.add_subplot(grid[1, 0], sharex=front)
-        oblique = figure.add_subplot(grid[1, 1])
+    x, y, z = high - low
+    across, up = MARGINS.sum(axis=0)
+    scale = min((WIDTH - 2 * across) / (x + y), (HIGHEST - 2 * up) / (z + y))  # inches per m
+    wide, narrow = scale * x + across, scale * y + across
+    beside = min((wide + narrow - WIDTH) / 2, 0.0)  # left empty, as it is negative
+    upper, lower = scale * z + up, scale * y + up
+    rows = ((upper, (beside, wide, narrow, beside)), (lower, (beside, wide, narrow, beside)))
+    with panels(*rows) as ((front, side, top, oblique), buffer):
         for axes, basis in ((front, _FRONT), (side, _SIDE), (top, _TOP), (oblique, _OBLIQUE)):
+            place(axes)
             _view(axes, space, arms, basis)
         for axes, name, columns in (
             (front, "front, along y", (0, 2)),
             (side, "side, along x", (1, 2)),
             (top, "top, along z", (0, 1)),
         ):
-            across, up = columns
-            axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal")
-            axes.set(xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
+            right, above = columns
+            axes.set(xlim=(low[right], high[right]), ylim=(low[above], high[above]))
+            axes.set(xlabel=f"{'xyz'[right]} [m]", ylabel=f"{'xyz'[above]} [m]")
             axes.set_title(name)
-        oblique.set(aspect="equal")
+        oblique.set_aspect("equal", adjustable="datalim")
         oblique.set_title("oblique")
         oblique.set_axis_off()
     return buffer.getvalue()

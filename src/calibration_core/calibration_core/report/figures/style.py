@@ -32,6 +32,9 @@ WIDTH = 6.7
 NARROW = 4.8
 """Width of a single diagram, inches: as wide as a telephone can show it legibly."""
 
+MARGINS = np.array([[0.5, 0.42], [0.06, 0.22]])
+"""Left and bottom, right and top of most diagrams, inches: names and numbers of the axes, and the title."""
+
 MOST_VECTORS = 400
 """Marks of one kind that are drawn as shapes; more of them become pixels, which every viewer shows faster."""
 
@@ -42,7 +45,6 @@ MOST_MARKS = 2500
 
 _POINTS = 72.0  # per inch
 _PAD = 0.04  # inches between what is drawn and the edge
-_MARGINS = np.array([[0.5, 0.42], [0.06, 0.22]])  # inches: left and bottom, right and top of most diagrams
 _NEAR = 0.1  # inches: so much more or less of an axis does not change its ticks
 _PANEL = b"<!-- diagram -->\n"
 _SIZE = re.compile(rb'<svg [^>]*?\bwidth="([0-9.]+)')
@@ -173,7 +175,7 @@ def fit(figure: Figure) -> None:
     """
     (axes,) = figure.axes
     renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
-    margins = _MARGINS
+    margins = MARGINS
     for _ in range(3):
         before = margins
         _place(axes, before / figure.get_size_inches())
@@ -184,6 +186,14 @@ def fit(figure: Figure) -> None:
         margins = _PAD + np.abs(inner.get_points() - outer.get_points()) / figure.dpi
         if np.max(np.abs(margins - before)) < _NEAR:
             break
+    _place(axes, margins / figure.get_size_inches())
+
+
+def place(axes: Axes, margins: Float2D = MARGINS) -> None:
+    """Place the only diagram of a figure once and for all; margins (2, 2) left and bottom, right and top, inches."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None  # noqa: S101 - a diagram is in a figure
+    figure.set_layout_engine(None)
     _place(axes, margins / figure.get_size_inches())
 
 
