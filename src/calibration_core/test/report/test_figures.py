@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from scipy.spatial import ConvexHull, QhullError
 
 from calibration_core.cell import Cell
 from calibration_core.identification.result.estimate import Identification
@@ -33,6 +35,7 @@ from calibration_core.report.figures.style import WIDTH, drawable, drawing, pane
 from calibration_core.report.sections.residuals import reach_of_rows
 from calibration_core.report.view3d import script_safe
 from calibration_core.report.view3d.space import space_view
+from calibration_core.timeseries import Float2D
 
 Case = tuple[Identification, Cell]
 
@@ -111,6 +114,23 @@ def test_points_on_a_line_have_no_outline() -> None:
     assert len(hull_outline(np.zeros((1, 2)))) == 0
     square = hull_outline(np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]]))
     assert len(square) == 5
+    assert len(hull_outline(np.zeros((0, 2)))) == 0
+    assert len(hull_outline(np.array([[0.0, 0.0], [1.0, 1e-12], [2.0, 0.0]]))) == 0
+
+
+@given(arrays(np.float64, st.tuples(st.integers(3, 60), st.just(2)), elements=st.floats(-3.0, 3.0, width=16)))
+def test_an_outline_is_the_convex_hull(points: Float2D) -> None:
+    """As scipy finds it: the same area, closed, and nothing outside."""
+    outline = hull_outline(points)
+    try:
+        hull = ConvexHull(points)
+    except QhullError:  # all on a line
+        assert len(outline) == 0
+        return
+    assert np.array_equal(outline[0], outline[-1])
+    x, y = outline.T
+    assert np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) / 2 == pytest.approx(hull.volume, rel=1e-9)
+    assert {tuple(points[i]) for i in hull.vertices} <= set(map(tuple, outline.tolist()))
 
 
 def test_evenly_spaced_rows_include_both_ends() -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from scipy.spatial import ConvexHull, QhullError
 
 from calibration_core.identification.result.estimate import OperatingSpace
 from calibration_core.report.figures.style import ACCENT, GREY, INK, MARGINS, PALE, WIDTH, panels, place, thinned
@@ -17,6 +17,9 @@ MOST_ARMS = 60
 """Arms drawn at most; more configurations are shown by their points alone."""
 
 MOST_POINTS = 2000
+
+FLAT = 1e-9
+"""Area of an outline, of the square of its length, below which it is a line."""
 
 HIGHEST = 4.8
 """Height of the figure at most, inches: it must leave room for other things on a page."""
@@ -95,12 +98,29 @@ def deflection_scale(space: OperatingSpace) -> float:
 
 
 def hull_outline(flat: Float2D) -> Float2D:
-    """Return the closed convex outline of (k, 2) points; (0, 2) where they span no area."""
-    try:
-        corners = ConvexHull(flat).vertices
-    except (QhullError, ValueError):
-        return np.zeros((0, 2))
-    return np.asarray(flat[np.append(corners, corners[0])])
+    """Return the closed convex outline of (k, 2) points; (0, 2) where they span no area.
+
+    Andrew 1979 (monotone chain): to import the same from scipy takes as long as to draw two diagrams.
+    """
+    points = [(float(x), float(y)) for x, y in np.unique(flat, axis=0)]
+    outline = np.array([*_turning_left(points)[:-1], *_turning_left(points[::-1])]).reshape(-1, 2)
+    x, y = (outline - outline[:1]).T
+    area = float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
+    length = float(np.ptp(flat, axis=0).max(initial=0.0)) if len(flat) else 0.0
+    return outline if area > FLAT * length**2 else np.zeros((0, 2))
+
+
+def _turning_left(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the points, sorted along x, that a string around them touches on its way to the last one."""
+    chain: list[tuple[float, float]] = []
+    for x, y in points:
+        while len(chain) > 1:
+            (x0, y0), (x1, y1) = chain[-2:]
+            if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
+                break
+            chain.pop()
+        chain.append((x, y))
+    return chain
 
 
 def _scale(vectors: Float2D | None, length: float) -> float:
