@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import gc
 import json
 import shutil
 import ssl
 import subprocess
-import threading
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +15,9 @@ import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from conftest import Spinning
 from panel_client import client, parameters, printed, run
 
 CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml"
-LATE = 4.0  # s, after which a sequencer is there as a whole
 
 
 def test_what_is_malformed_is_refused(panel: Any) -> None:
@@ -284,131 +277,5 @@ def test_a_model_is_verified_by_another_session(
             assert (await one.ask("plan", **asked))[1]["done"]
             await one.listen(lambda shown: shown.get("work_plan", {}).get("failed"))
             assert "expected one of" in one.shown["work_plan"]["text"]
-
-    run(work())
-
-
-def test_it_ends_while_a_run_that_was_begun_there_goes_on(
-    panel: Any, spinning: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Nothing of the page is left behind, and whoever measures finds the one gone who would take the feedback."""
-    from calibration_interfaces.action import RunPlan
-    from rclpy.action import ActionServer
-
-    from calibration.lifecycle import machine
-
-    begun, go_on = threading.Event(), threading.Event()
-
-    def measure(handle: Any) -> Any:
-        begun.set()
-        go_on.wait(20.0)
-        handle.succeed()
-        return RunPlan.Result()
-
-    other = Spinning(spinning.context)
-    node = other.plain("sequencer")
-    ActionServer(node, RunPlan, "sequencer/run", measure)
-    other.start()
-    (tmp_path / "plan.yaml").write_text("x", "utf-8")
-    address, token = panel.where()
-
-    async def work() -> None:
-        async with client(address) as one:
-            await one.enter(token)
-            await one.ask("control_ask")
-            asked = {"plan": "plan.yaml", "session": "one", "resume": False}
-            assert (await one.ask("run", **asked))[1] == {"done": True, "text": ""}
-
-    run(work())
-    try:
-        assert begun.wait(10.0)
-        for change in (machine.DEACTIVATE, machine.ACTIVATE, machine.DEACTIVATE, machine.CLEANUP):
-            assert panel.change(change), panel.trouble
-        gc.collect()
-        assert "never" not in caplog.text
-        assert "pending" not in caplog.text
-    finally:
-        go_on.set()
-        other.stop()
-
-
-@contextlib.contextmanager
-def sequencer(context: Any, after: float, measure: Any) -> Iterator[None]:
-    """A sequencer of which the graph shows a part at once, and whose action answers some seconds later."""
-    from calibration_interfaces.action import RunPlan
-    from rclpy.action import ActionServer
-
-    other = Spinning(context)
-    node = other.plain("sequencer")
-    part = "sequencer/run/_action/send_goal"
-    first = node.create_service(RunPlan.Impl.SendGoalService, part, lambda _, answer: answer)
-
-    def whole() -> None:
-        later.cancel()
-        node.destroy_service(first)
-        ActionServer(node, RunPlan, "sequencer/run", measure)
-
-    later = node.create_timer(after, whole)
-    other.start()
-    try:
-        yield
-    finally:
-        other.stop()
-
-
-def test_a_run_begins_where_the_sequencer_is_found_late(panel: Any, spinning: Any, tmp_path: Path) -> None:
-    """On a busy computer a datagram of the discovery is lost, and sent again after some seconds.
-
-    Who asks a second time meanwhile is told so, and begins no second run.
-    """
-    from calibration_interfaces.action import RunPlan
-
-    runs = []
-
-    def measure(handle: Any) -> Any:
-        runs.append(handle.request.session)
-        handle.succeed()
-        return RunPlan.Result()
-
-    (tmp_path / "plan.yaml").write_text("x", "utf-8")
-    address, token = panel.where()
-
-    async def work() -> None:
-        async with client(address) as one:
-            await one.enter(token)
-            await one.ask("control_ask")
-            asked = {"plan": "plan.yaml", "session": "one", "resume": False}
-            began = time.monotonic()
-            assert (await one.ask("run", **asked))[1] == {"done": False, "text": "sequencer/run is not there"}
-            assert time.monotonic() - began < LATE  # where no part of it is seen, nobody waits for the rest
-            with sequencer(spinning.context, LATE, measure):
-                await asyncio.sleep(0.5)
-                first = asyncio.create_task(one.ask("run", **asked))
-                await asyncio.sleep(0.5)
-                assert (await one.ask("run", **asked))[1] == {"done": False, "text": "a run is being begun"}
-                assert (await first)[1] == {"done": True, "text": ""}
-
-    run(work())
-    assert len(runs) == 1
-
-
-def test_what_fails_in_the_executor_is_answered(panel: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A request that cannot be carried out ends, and does not keep the page waiting for ever."""
-
-    def broken(*_: Any, **__: Any) -> Any:
-        raise RuntimeError("no client")
-
-    monkeypatch.setattr("calibration.web.link.ActionClient", broken)
-    (tmp_path / "plan.yaml").write_text("x", "utf-8")
-    address, token = panel.where()
-
-    async def work() -> None:
-        async with client(address) as one:
-            await one.enter(token)
-            await one.ask("control_ask")
-            asked = {"plan": "plan.yaml", "session": "one", "resume": False}
-            for _ in range(2):
-                answer = await asyncio.wait_for(one.ask("run", **asked), 10.0)
-                assert answer == (200, {"done": False, "text": "RuntimeError: no client"})
 
     run(work())

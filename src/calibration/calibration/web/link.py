@@ -218,16 +218,16 @@ class CellLink:
         loop = asyncio.get_running_loop()
         done = loop.create_future()
 
-        def tell(end: Callable[[Any], None], value: Any) -> None:
+        def settle(end: Callable[[Any], None], value: Any) -> None:
             in_loop(loop, lambda: None if done.done() else end(value))
 
         def do() -> None:
             try:
                 found = work()
             except Exception as error:  # noqa: BLE001  # handed over to the one who awaits
-                tell(done.set_exception, error)
+                settle(done.set_exception, error)
             else:
-                tell(done.set_result, found)
+                settle(done.set_result, found)
 
         in_executor(self._node, do)
         return await done
