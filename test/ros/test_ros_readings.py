@@ -88,8 +88,14 @@ class Bystander:
             with self.heard:
                 if self.heard.wait_for(there, 5.0):
                     return
-            assert time.monotonic() < end, self.suite.log("sequencer")[-3000:]
+            assert time.monotonic() < end, self.account()
             self.resume()
+
+    def account(self) -> str:
+        """Say what has been heard of the run: for a failed test."""
+        steps = [(one.configuration, one.step, one.phase) for one in self.steps]
+        events = [f"{one.source} ({one.kind}): {one.text}" for one in self.events[-20:]]
+        return "\n".join([f"{self.state}", f"phases {steps[-10:]}", *events, self.suite.log("sequencer")[-3000:]])
 
     def felt(self) -> Float1D:
         """Return the force that the sequencer says is pulling, some messages later, N in base axes."""
@@ -220,7 +226,7 @@ def test_a_jogged_robot_is_not_read_and_a_load_device_not_believed(suite: Any, p
         somebody.jog(1, angle)
         end = time.monotonic() + LONG
         while len(rejected := somebody.texts(SessionEvent.READING_REJECTED)) == before:
-            assert time.monotonic() < end, suite.log("sequencer")[-3000:]
+            assert time.monotonic() < end, somebody.account()
             time.sleep(0.05)
         assert rejected[before].startswith("joint_2: found ")
         assert rejected[before].endswith(words)

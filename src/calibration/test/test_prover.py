@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from calibration_interfaces.srv import ProveStop
 
 from calibration.conversions import to_outcome
 from calibration.motion.base import End
-from calibration.motion.prover import REST, SERVICE, Prover
+from calibration.motion.prover import FASTEST, REST, SERVICE, Prover
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 
@@ -29,10 +30,12 @@ class Driver:
     def __init__(self) -> None:
         self.goal: bytes | None = None
         self.goals: list[Any] = []  # who is told of the end of each
+        self.seconds: list[float] = []  # how long each lasts by the robot's clock
         self.stops = 0
 
-    def move(self, _trajectory: Any, done: Any) -> None:
+    def move(self, trajectory: Any, done: Any) -> None:
         self.goals.append(done)
+        self.seconds.append(float(trajectory.time[-1]))
         self.goal = None  # not accepted yet
 
     def stop(self) -> None:
@@ -56,7 +59,7 @@ def test_the_end_of_an_earlier_goal_is_not_that_of_the_next_one(spinning: Any, u
         prover.tick(time.monotonic())
         return not prover.running
 
-    prover.begin(time.monotonic(), 1.0)
+    prover.begin(time.monotonic())
     driver.goal = bytes(16)
     until(tried)
     assert (prover.proven, driver.stops) == (False, 1)
@@ -65,11 +68,57 @@ def test_the_end_of_an_earlier_goal_is_not_that_of_the_next_one(spinning: Any, u
     assert not prover.rested(time.monotonic()), "its goal has not ended"
     first = driver.goals[0]
     first(End.FAILURE, "cancelled")
-    assert prover.rested(time.monotonic())
-    prover.begin(time.monotonic(), 1.0)
+    until(lambda: prover.rested(time.monotonic()))
+    prover.begin(time.monotonic())
     first(End.FAILURE, "cancelled")  # late, and once more
     prover.tick(time.monotonic())
     assert prover.running
     driver.goal = bytes(16)
     until(tried)
     assert prover.proven
+
+
+def test_a_clock_that_stood_still_at_first_does_not_shorten_every_goal(
+    spinning: Any, until: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The computer of a simulated robot is busy when a run begins: the next proof knows how fast the clock goes."""
+    guard, node = spinning.plain("guard"), spinning.plain("prover")
+
+    def judge(_request: Any, response: Any) -> Any:
+        response.outcome = to_outcome(Outcome.TEST_FAILED, "the goal ended before it was cancelled")
+        return response
+
+    guard.create_service(ProveStop, SERVICE, judge)
+    driver, clock = Driver(), [0.0, 1.0]  # s of the robot's clock, and its pace
+    prover = Prover(node, driver, JOINTS, lambda: np.zeros(6))
+    assert prover._client is not None
+    assert prover._client.wait_for_service(20.0)
+    stand_in = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(1e9 * clock[0])))
+    monkeypatch.setattr(node, "get_clock", lambda: stand_in)
+    now = time.monotonic()
+
+    def later(seconds: float) -> float:
+        nonlocal now
+        now, clock[0] = now + seconds, clock[0] + clock[1] * seconds
+        return now
+
+    prover.reset()
+    assert not prover.rested(later(0.0)), "nobody knows yet how fast the clock goes"
+    assert not prover.rested(later(0.1))
+    assert prover.rested(later(0.15))
+    prover.begin(now)
+    clock[1] = 20.0
+    driver.goal = bytes(16)
+    until(lambda: prover.tick(later(1e-3)) or not prover.running)
+    driver.goals[0](End.SUCCESS, "")
+    monkeypatch.setattr(prover, "_ended", now)
+    while not prover.rested(later(0.1)):
+        assert len(driver.goals) == 1
+    prover.begin(now)
+    assert driver.seconds[0] == 2.0
+    assert driver.seconds[1] > 0.9 * 20.0 * 2.0
+    clock[1] = 1e6
+    prover.running = False
+    assert prover.rested(later(6.0))
+    prover.begin(now)
+    assert driver.seconds[2] == 2.0 * FASTEST, "a clock that leaps"

@@ -16,12 +16,14 @@ from calibration.background import in_executor
 from calibration.motion.base import Backend, End, Standing
 from calibration_core.motion.stop_proof import ProofRules
 from calibration_core.motion.trajectory import Trajectory
-from calibration_core.timeseries import Float1D
+from calibration_core.timeseries import NANOSECONDS, Float1D
 
 SERVICE = "guard/prove_stop"
 PATIENCE = 5.0  # s of wall time, from the goal to the guard's verdict
 ATTEMPTS = 5  # on a busy machine a goal may end before it is cancelled
 REST = 0.5  # s of wall time after a proof that failed: what was sent to stop its goal must not meet the next one
+LOOK = 0.2  # s of wall time, over which it is seen how fast the robot's clock goes
+FASTEST = 100.0  # times the steady clock; what is faster is a leap
 
 
 class Prover:
@@ -45,37 +47,50 @@ class Prover:
         self._asked = False
         self._lock = threading.Lock()
         self._answer: tuple[bool, str] | None = None
+        self._looked: tuple[float, int] | None = None  # steady clock, s, and the robot's, ns
+        self._haste: float | None = None
 
     def reset(self) -> None:
         """Want a new proof, for instance of a new run."""
         self.proven, self.fault, self._tries = not self._backend.commands, "", 0
+        self._looked = self._haste = None
 
     def rested(self, now: float) -> bool:
         """Tell whether a proof may begin at `now`, s of the steady clock: nothing of the one before is under way."""
+        self._look_at_clock(now)
         since = now - self._ended
         gone = self._over or not self._backend.answers or since > PATIENCE
-        return not self.running and since > REST and gone
+        return not self.running and since > REST and gone and self._haste is not None
 
-    def begin(self, now: float, haste: float) -> None:
-        """Send the robot where it stands.
+    def _look_at_clock(self, now: float) -> None:
+        """See how much faster than the steady clock the robot's own goes; the guard has its own time.
 
-        Args:
-            now: s of the steady clock.
-            haste: How much faster than the steady clock the robot's own goes; the guard has its own time.
+        The clock of a simulated robot stands still while its computer is busy: its fastest pace counts.
         """
+        clock = self._node.get_clock().now().nanoseconds
+        if self._looked is None:
+            self._looked = now, clock
+        elif now - self._looked[0] >= LOOK:
+            pace = (clock - self._looked[1]) / NANOSECONDS / (now - self._looked[0])
+            self._looked = now, clock
+            self._haste = min(max(self._haste or 1.0, pace), FASTEST)
+
+    def begin(self, now: float) -> None:
+        """Send the robot where it stands, at `now`, s of the steady clock."""
         where = self._where()
         if where is None or self._client is None:
             return
         self.running, self.fault, self._begun, self._asked, self._answer = True, "", now, False, None
         self._number, self._over = self._number + 1, False
         number = self._number
-        trajectory = held(self._joints, where, ProofRules().hold * max(haste, 1.0))
+        trajectory = held(self._joints, where, ProofRules().hold * (self._haste or 1.0))
         self._backend.move(trajectory, lambda how, text: self._on_end(number, how, text))
 
     def tick(self, now: float) -> None:
         """Go on with a proof under way."""
         if not self.running:
             return
+        self._look_at_clock(now)
         goal = self._backend.goal
         if goal is not None and not self._asked:
             self._asked = True
@@ -126,10 +141,3 @@ def held(joints: tuple[str, ...], q: Float1D, seconds: float) -> Trajectory:
     middle = 0.5 * seconds
     position = np.tile(q, (3, 1))
     return Trajectory(joints, np.array([0.0, middle, seconds]), position, np.zeros_like(position), 0.0)
-
-
-def haste_of(node: Node, over: float = 0.2) -> float:
-    """Return how much faster than the steady clock the node's clock goes; it takes `over` s."""
-    began, clock = time.monotonic_ns(), node.get_clock().now().nanoseconds
-    time.sleep(over)
-    return float((node.get_clock().now().nanoseconds - clock) / (time.monotonic_ns() - began))

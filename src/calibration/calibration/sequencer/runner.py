@@ -106,7 +106,6 @@ class Runner:
         *,
         settle_time: float,
         stages: int,
-        haste: float = 1.0,
     ) -> None:
         """Prepare; `run` begins.
 
@@ -121,12 +120,11 @@ class Runner:
             prover: Shows the guard that it can stop the robot, before the first motion.
             settle_time: s, that everything has to stand before a reading.
             stages: Of the staged stop.
-            haste: How much faster than the steady clock the cell's goes.
         """
         self.sequence, self._cell, self._backend, self._joints = sequence, cell, backend, joints
         self.observer = Observer(sequence)
         self._watch, self._monitored, self._limits, self._settle_time = watch, monitored, limits, settle_time
-        self._prover, self._haste = prover, haste
+        self._prover = prover
         self._stop_stages = StopStages(stages)
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._motion: _Motion | None = None
@@ -303,7 +301,7 @@ class Runner:
             self.pause(f"the stop cannot be proven: {prover.fault}; resume to try again")
             prover.reset()
         elif waits and not prover.proven and prover.rested(steady) and self._stands(steady):
-            prover.begin(steady, self._haste)
+            prover.begin(steady)
 
     def _stands(self, steady: float) -> bool:
         """Tell whether the robot stands, and nothing but a missing proof speaks against motion."""

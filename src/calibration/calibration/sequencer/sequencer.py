@@ -38,7 +38,7 @@ from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import Joints
 from calibration.motion.calls import callers
 from calibration.motion.catalogue import make_backend
-from calibration.motion.prover import Prover, haste_of
+from calibration.motion.prover import Prover
 from calibration.motion.stopper import STOP_STAGES, Stopper
 from calibration.node import CalibrationNode, run
 from calibration.sequencer.client_watch import ClientWatch
@@ -315,7 +315,6 @@ class SequencerNode(CalibrationNode):
             progress=self._progress,
             scaling=lambda: self.conditions.scaling,
         )
-        haste = haste_of(self)
         self.runner = Runner(
             sequence,
             self.port,
@@ -327,7 +326,6 @@ class SequencerNode(CalibrationNode):
             self._prover,
             settle_time=self.value("settle_time"),
             stages=STOP_STAGES,
-            haste=haste,
         )
         self._decided = ()  # what the guard says next is stored
         return self.runner
