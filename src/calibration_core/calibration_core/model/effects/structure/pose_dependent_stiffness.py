@@ -1,11 +1,12 @@
 """The stiffness of a joint's transmission changes with its angle.
 
-theta = C tau (1 + a cos q + b sin q).  Source: tooth contact and eccentricity over one turn.
+theta = C tau (1 + a cos q + b sin q), and the same with more waves a turn.  Source: tooth contact and eccentricity over
+one turn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -16,22 +17,36 @@ from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
+FORMS = {"one turn": (1,), "to four waves a turn": (1, 2, 3, 4)}
 
-def modulated(state: State, joint: int) -> Float3D:
-    """Return the (m, 3, 2) columns of a compliance that follows cos q and sin q, relative to the joint's own."""
+
+def modulated(state: State, joint: int, orders: Sequence[int] = (1,)) -> Float3D:
+    """Return the (m, 3, 2 k) columns of a compliance that follows cos n q and sin n q, relative to the joint's own.
+
+    Args:
+        state: Where the readings were taken.
+        joint: Index.
+        orders: The k numbers n of waves a turn.
+    """
     deflection = state.compliance[joint] * state.torque[joint]
-    angle = state.q[:, joint]
-    return stacked(*(state.joint_column(joint, deflection * wave) for wave in (np.cos(angle), np.sin(angle))))
+    angles = [n * state.q[:, joint] for n in orders]
+    waves = [wave(angle) for angle in angles for wave in (np.cos, np.sin)]
+    return stacked(*(state.joint_column(joint, deflection * wave) for wave in waves))
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
     size = typical("pose_dependent_stiffness", state.rated_load)
-    pair = (Parameter("cosine", "1", size), Parameter("sine", "1", size))
     for joint in state.chain.revolute:
-        name = state.chain.joints[joint]
-        if state.compliance[joint] > 0 and (state.bears_weight(joint) or state.bears_load(joint)):
-            place = {"joint": name}
-            yield Candidate(EFFECT.name, EFFECT.family, place, "one turn", pair, partial(modulated, joint=joint))
+        place = {"joint": state.chain.joints[joint]}
+        if not (state.compliance[joint] > 0 and (state.bears_weight(joint) or state.bears_load(joint))):
+            continue
+        for variant, orders in FORMS.items():
+            if len(orders) > 1 and state.loaded:  # few loaded configurations tell that many waves from one
+                continue
+            names = [f"{name}{f' {n}' if n > 1 else ''}" for n in orders for name in ("cosine", "sine")]
+            parameters = tuple(Parameter(name, "1", size) for name in names)
+            columns = partial(modulated, joint=joint, orders=orders)
+            yield Candidate(EFFECT.name, EFFECT.family, place, variant, parameters, columns)
 
 
 EFFECT = Effect(
