@@ -17,7 +17,7 @@ from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
-from calibration_core.model.effects.possible import forbidden, nearest, out_of_reach
+from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
 from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
@@ -98,12 +98,12 @@ def impossible(trial: Trial) -> str:
     the nearest values that physics allows for all of them together?
     """
     candidates = trial.field.offered.candidates
-    own = [k for k in trial.hypothesis.members if any(np.isfinite(p.reach) for p in candidates[k].parameters)]
+    own = [k for k in trial.hypothesis.members if any(p.bounded for p in candidates[k].parameters)]
     for k in own:
         sizes = typical_sizes(candidates[k])
         value, spread = trial.posterior([k])
-        if out_of_reach(candidates[k].parameters, value * sizes, spread * np.outer(sizes, sizes)):
-            return "its law would lie where another form of it is offered"
+        if why := out_of_bounds(candidates[k].parameters, value * sizes, spread * np.outer(sizes, sizes)):
+            return why
     nats = _beyond(trial) - _beyond(trial, alone=True)
     return f"a compliance would be negative (by {nats:.0f} nats)" if forbidden(nats, trial.gain) else ""
 

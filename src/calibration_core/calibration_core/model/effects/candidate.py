@@ -29,6 +29,7 @@ class Parameter:
         positive: Whether physics allows no negative value; the prior is then the positive half of the normal.
         reach: How many times the candidate's first parameter it may be at most: beyond, the law is no longer linear in
             it, and another variant is offered there.
+        most: Largest size that physics allows.
     """
 
     name: str
@@ -37,6 +38,12 @@ class Parameter:
     sign: float = 1.0
     positive: bool = False
     reach: float = math.inf
+    most: float = math.inf
+
+    @property
+    def bounded(self) -> bool:
+        """Whether it may not be of any size."""
+        return math.isfinite(self.reach) or math.isfinite(self.most)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

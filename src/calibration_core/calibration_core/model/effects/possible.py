@@ -94,8 +94,8 @@ def impossibility(parameters: Sequence[Parameter], mean: Float1D, covariance: Fl
     return nearest([parameters], mean, covariance).nats
 
 
-def out_of_reach(parameters: Sequence[Parameter], mean: Float1D, covariance: Float2D) -> bool:
-    """Say whether any parameter is further from zero than its law is linear, whatever its scatter.
+def out_of_bounds(parameters: Sequence[Parameter], mean: Float1D, covariance: Float2D) -> str:
+    """Return why an estimate cannot be, whatever its scatter; empty if it can.
 
     Args:
         parameters: k of them, one candidate's.
@@ -103,8 +103,13 @@ def out_of_reach(parameters: Sequence[Parameter], mean: Float1D, covariance: Flo
         covariance: (k, k) of it.
     """
     margin = WITHIN * np.sqrt(np.diag(covariance))
+    least = np.abs(mean) - margin
     first = abs(float(mean[0])) + float(margin[0])
-    return any(abs(value) - much > one.reach * first for one, value, much in zip(parameters, mean, margin, strict=True))
+    if any(size > one.reach * first for one, size in zip(parameters, least, strict=True)):
+        return "its law would lie where another form of it is offered"
+    if any(size > one.most for one, size in zip(parameters, least, strict=True)):
+        return "it would be larger than physics allows"
+    return ""
 
 
 def _demanded(several: Sequence[Sequence[Parameter]]) -> tuple[Bool1D, list[slice]]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration_core.model.effects.candidate import Parameter
-from calibration_core.model.effects.possible import forbidden, impossibility, nearest, out_of_reach
+from calibration_core.model.effects.possible import forbidden, impossibility, nearest, out_of_bounds
 
 COMPLIANCE, BETWEEN = Parameter("x", "rad/(N*m)", 1e-7, positive=True), Parameter("xy", "rad/(N*m)", 1e-7)
 HINGE = (COMPLIANCE, COMPLIANCE, BETWEEN)
@@ -51,7 +51,15 @@ def test_a_hinge_that_twists_without_bending_costs() -> None:
 def test_a_parameter_reaches_as_far_as_its_law_is_linear(turned: float, expected: bool) -> None:
     """Twice the first parameter, and two standard deviations of both on top: 2 (1 + 0.1) + 0.3 = 2.5."""
     parameters = Parameter("torque", "N*m", 1.0), Parameter("torque_turned", "N*m", 1.0, reach=2.0)
-    assert out_of_reach(parameters, np.array([1.0, turned]), np.diag([0.05**2, 0.15**2])) is expected
+    why = out_of_bounds(parameters, np.array([1.0, turned]), np.diag([0.05**2, 0.15**2]))
+    assert ("another form" in why) is expected
+
+
+@pytest.mark.parametrize(("value", "expected"), [(0.9, False), (1.19, False), (1.21, True), (-1.21, True)])
+def test_a_parameter_is_no_larger_than_physics_allows(value: float, expected: bool) -> None:
+    parameters = (Parameter("compliance", "rad/(N*m)", 1.0, most=1.0),)
+    why = out_of_bounds(parameters, np.array([value]), np.array([[0.1**2]]))
+    assert ("larger than physics allows" in why) is expected
 
 
 @pytest.mark.parametrize("seed", range(8))

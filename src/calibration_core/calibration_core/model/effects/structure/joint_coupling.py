@@ -1,11 +1,13 @@
 """Two joints share a transmission: the torque of one deflects the other.
 
-theta_i = C_ij tau_j and theta_j = C_ij tau_i (a symmetric compliance matrix, by reciprocity).
+theta_i = C_ij tau_j and theta_j = C_ij tau_i (a symmetric compliance matrix, by reciprocity).  What gives way stores
+energy, so that the matrix is positive: |C_ij| < sqrt(C_ii C_jj).
 Source: wrist gear trains, parallelogram drives; Maxwell-Betti.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import partial
 from itertools import combinations
@@ -17,6 +19,8 @@ from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
+
+UNSURE = 1.5  # so many times its stated value may a joint's compliance be
 
 
 def _columns(state: State, first: int, second: int) -> Float3D:
@@ -32,7 +36,8 @@ def _candidates(state: State) -> Iterator[Candidate]:
     for first, second in combinations(state.chain.revolute, 2):
         size = share * float(np.sqrt(c[first] * c[second]))
         place = {"joints": (state.chain.joints[first], state.chain.joints[second])}
-        parameter = Parameter("compliance", "rad/(N*m)", size)
+        both = float(np.sqrt(state.compliance[first] * state.compliance[second]))
+        parameter = Parameter("compliance", "rad/(N*m)", size, most=UNSURE * both or math.inf)
         columns = partial(_columns, first=first, second=second)
         yield Candidate(EFFECT.name, EFFECT.family, place, "symmetric", (parameter,), columns)
 
