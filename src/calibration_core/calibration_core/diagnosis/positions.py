@@ -197,7 +197,7 @@ def _proposals(found: Estimate, readings: Readings, cell: Cell, offers: Sequence
     physics = [i for i in accepted if hypotheses[i].family != FAMILY]
     places = [hypotheses[i].place for i in physics]
     single = [i for i in physics if places.count(hypotheses[i].place) == 1]
-    equal = {i: equivalents(found, i) for i in single}
+    equal = {i: equivalents(found, (i,)) for i in single}
     sizes = dict(zip(accepted, map(float, found.selection.sizes.size), strict=True))
     for index, rivals in equal.items():
         scores = found.search.scores(tuple(i for i in accepted if i != index))

@@ -9,6 +9,7 @@ import pytest
 from absolute_cases import SIGMA, make_cell, make_readings, random_angles, truth_of
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.findings.positions import EQUIVALENT, equivalents
 from calibration_core.diagnosis.positions import diagnose_still
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.estimation.estimate import estimate
@@ -18,6 +19,7 @@ from calibration_core.model.effects.absolute.approach_direction import last_moti
 from calibration_core.model.effects.structure.gravity_compensator import Triangle, spring_torque, triangle_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import gravity_torque
 from calibration_core.timeseries import Readings
 
 POINTS = ("mp1", "mp2", "mp3")
@@ -231,3 +233,43 @@ def test_nothing_is_found_where_nothing_is(points: tuple[str, ...]) -> None:
         readings = make_readings(cell, truth_of(cell, seed), q, noise=misstated * SIGMA, seed=seed)
         alarms += bool(estimate(readings, cell, evaluate_absolute(readings, cell)).selection.accepted)
     assert alarms <= 1
+
+
+def ripple(cell: Cell, q: np.ndarray, size: float) -> np.ndarray:
+    """Return how much further joint 3 gives way where its compliance has three waves a turn besides one."""
+    compliance, joint = 1e-6, 2
+    torque = gravity_torque(chain_of(cell), posture(chain_of(cell), q))[joint]
+    extra = np.zeros_like(q)
+    extra[:, joint] = size * compliance * torque * (np.cos(q[:, joint]) + 0.6 * np.cos(3 * q[:, joint] + 0.4))
+    return extra
+
+
+def with_ripple(size: float) -> tuple[Readings, Cell]:
+    """Return readings of a robot whose third joint has it."""
+    stated = make_cell(points=POINTS, robot={"stiffness": [1e6] * 6})
+    q = random_angles(SEED, CONFIGURATIONS, 6)
+    readings = make_readings(stated, truth_of(stated, SEED, compliance=1e-6), q + ripple(stated, q, size), seed=SEED)
+    return dataclasses.replace(readings, q=np.repeat(q, len(POINTS), axis=0)), stated
+
+
+def test_a_compliance_of_several_waves_a_turn_is_no_transmission_error() -> None:
+    found = diagnose_still(*with_ripple(0.5))
+    assert named(found) == [("pose_dependent_stiffness", "joint_3")]
+    assert found.findings[0].variant == "to four waves a turn"
+    assert found.verdict == "missing_physics"
+
+
+def test_a_finding_of_several_terms_names_what_explains_as_much() -> None:
+    """Waves of a gear that together imitate a compliance which follows the angle are not told from it."""
+    readings, stated = with_ripple(0.2)
+    found = estimate(readings, stated, evaluate_absolute(readings, stated))
+    search, hypotheses = found.search, found.offered.hypotheses
+    waves = [i for i in search.judged if hypotheses[i].words == "transmission_error (joint_3)"]
+    low = {hypotheses[i].variant: i for i in waves}
+    members = tuple(low[f"order {n}"] for n in (1, 2, 3, 4))
+    selection = dataclasses.replace(found.selection, accepted=members, gain=(20.0,) * 4)
+    listed = equivalents(dataclasses.replace(found, selection=selection), members)
+    places = [(hypotheses[i].effect, dict(hypotheses[i].location)) for i, _ in listed]
+    assert places[0] == ("pose_dependent_stiffness", {"joint": "joint_3"})
+    assert listed[0][1] > 80.0 - EQUIVALENT
+    assert equivalents(dataclasses.replace(found, selection=selection), members[:1]) != listed

@@ -63,7 +63,7 @@ def _finding(found: Estimate, members: list[int]) -> Finding:
     score = float(sum(selection.gain[selection.accepted.index(i)] for i in members))
     gain = max(selection.proofs[selection.accepted.index(i)][0].share for i in members)
     magnitude = float(np.sqrt(np.mean(np.sum(extended.own_shift(parts) ** 2, axis=1))))
-    as_well = [(hypotheses[i], nats) for i, nats in equivalents(found, members[0])] if len(members) == 1 else []
+    as_well = [(hypotheses[i], nats) for i, nats in equivalents(found, members)]
     listed = tuple(Alternative(h.effect, h.family, dict(h.location), nats) for h, nats in as_well)
     laws = [i for i in members if hypotheses[i].family == LAW]
     waves = any(hypotheses[i].effect == WAVE for i in members)
@@ -102,31 +102,33 @@ def _other_law(found: Estimate, index: int) -> bool:
     return False
 
 
-def equivalents(found: Estimate, index: int) -> tuple[tuple[int, float], ...]:
-    """Return other places that explain the data as well as an accepted hypothesis, everything refitted.
+def equivalents(found: Estimate, members: Sequence[int]) -> tuple[tuple[int, float], ...]:
+    """Return single other places that explain the data as well as the accepted hypotheses of a finding, all refitted.
 
     Returns:
         Hypothesis and its log Bayes factor, nats; at most five, nearest first.
     """
     search, hypotheses = found.search, found.offered.hypotheses
-    others = tuple(i for i in found.selection.accepted if i != index)
+    others = tuple(i for i in found.selection.accepted if i not in members)
     scores = search.scores(others)
     gain, size = scores.nats, scores.size * np.sqrt(scores.left)
-    one, own = hypotheses[index], gain[search.place[index]]
-    whole = search.sizes((*others, index)).value
+    whole = search.sizes((*others, *members)).value
+    stated = sum(found.selection.gain[found.selection.accepted.index(i)] for i in members)
+    together = stated if len(members) == 1 else whole - search.sizes(others).value
+    places = {hypotheses[i].place for i in members}
     best: dict[object, tuple[int, float]] = {}
     asked = 0
     for k in np.argsort(-gain, kind="stable"):
         i = search.judged[int(k)]
         other = hypotheses[i]
-        if gain[k] < own - 2 * EQUIVALENT or asked == ASKED:
+        if gain[k] < together - 2 * EQUIVALENT or asked == ASKED:
             break
-        if other.family == FAMILY or other.place == one.place or other.place in best or size[k] > PLAUSIBLE:
+        if other.family == FAMILY or other.place in places | set(best) or size[k] > PLAUSIBLE:
             continue
         asked += 1
         behind = whole - search.sizes((*others, i)).value
         if behind <= EQUIVALENT and not search.objection(search.trial(others, i)):
-            best[other.place] = i, float(own - behind)
+            best[other.place] = i, float(stated - behind)
     nearest = sorted(best.values(), key=lambda pair: -pair[1])
     return tuple(nearest[:LISTED])
 
