@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -155,6 +156,20 @@ def test_joint_laws_act_on_load_and_weight_together(chain: Chain, joint: int) ->
     offered = {c.variant for c in candidates(here) if c.effect in {"backlash", "nonlinear_stiffness"}
                and c.location["joint"] == name}  # fmt: skip
     assert not any(variant.startswith("load torque") for variant in offered)
+
+
+@pytest.mark.parametrize("joint", [1, 2, 4])
+def test_a_compliance_follows_several_waves_of_a_turn(chain: Chain, joint: int) -> None:
+    here, name = mixed(chain), chain.joints[joint]
+    columns = chosen(here, "pose_dependent_stiffness", "to four waves a turn", name).columns(here)
+    for k, (wave, order) in enumerate((wave, n) for n in (1, 2, 3, 4) for wave in (np.cos, np.sin)):
+
+        def law(rest: Equilibrium, _: Float2D, wave: Any = wave, order: int = order) -> Float1D:
+            return np.asarray(COMPLIANCE[joint] * rest.torque[joint] * wave(order * here.q[:, joint]))
+
+        check(chain, columns[:, :, k], law, joint)
+    offered = {c.variant for c in candidates(here) if c.effect == "pose_dependent_stiffness"}
+    assert offered == {"one turn"}  # under load; postures at rest are offered both
 
 
 def test_guessed_masses_leave_open_on_which_torque_a_law_acts(chain: Chain) -> None:

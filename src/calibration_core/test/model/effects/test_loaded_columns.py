@@ -231,6 +231,12 @@ def test_coupling_and_pose_dependence_move_the_points_as_their_equilibrium_does(
     np.testing.assert_allclose(sine, expected, atol=2e-3 * np.abs(expected).max())
 
 
+def test_a_coupling_is_no_larger_than_a_positive_compliance_matrix_allows(chain: Chain, readings: tuple) -> None:
+    here = state(chain, *readings, COMPLIANCE)
+    (parameter,) = chosen(here, "joint_coupling", "symmetric", joints=("joint_4", "joint_5")).parameters
+    assert parameter.most == pytest.approx(1.5 * np.sqrt(COMPLIANCE[3] * COMPLIANCE[4]))
+
+
 def sensed(chain: Chain, q: Float2D, wrench: Float2D) -> Float3D:
     rest = solve_equilibrium(chain, q, COMPLIANCE, load(wrench))
     return rest.at.point(np.tile(TIP[:, None], (1, M))).T

@@ -17,7 +17,8 @@ from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
-FORMS = {"one turn": (1,), "to four waves a turn": (1, 2, 3, 4)}
+ONE_TURN = "one turn"
+FORMS = {ONE_TURN: (1,), "to four waves a turn": (1, 2, 3, 4)}
 
 
 def modulated(state: State, joint: int, orders: Sequence[int] = (1,)) -> Float3D:
@@ -34,19 +35,24 @@ def modulated(state: State, joint: int, orders: Sequence[int] = (1,)) -> Float3D
     return stacked(*(state.joint_column(joint, deflection * wave) for wave in waves))
 
 
-def _candidates(state: State) -> Iterator[Candidate]:
+def _forms(state: State) -> Iterator[Candidate]:
     size = typical("pose_dependent_stiffness", state.rated_load)
     for joint in state.chain.revolute:
         place = {"joint": state.chain.joints[joint]}
         if not (state.compliance[joint] > 0 and (state.bears_weight(joint) or state.bears_load(joint))):
             continue
         for variant, orders in FORMS.items():
-            if len(orders) > 1 and state.loaded:  # few loaded configurations tell that many waves from one
-                continue
             names = [f"{name}{f' {n}' if n > 1 else ''}" for n in orders for name in ("cosine", "sine")]
             parameters = tuple(Parameter(name, "1", size) for name in names)
             columns = partial(modulated, joint=joint, orders=orders)
             yield Candidate(EFFECT.name, EFFECT.family, place, variant, parameters, columns)
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    """Offer several waves to postures at rest alone: few loaded configurations tell that many from one."""
+    for candidate in _forms(state):
+        if candidate.variant == ONE_TURN or not state.loaded:
+            yield candidate
 
 
 EFFECT = Effect(
@@ -56,4 +62,5 @@ EFFECT = Effect(
     source="tooth contact and eccentricity over one turn of the joint",
     reveal="the same load at six or more values of the joint's angle",
     candidates=_candidates,
+    forms=_forms,
 )
