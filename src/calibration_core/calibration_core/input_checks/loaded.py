@@ -19,6 +19,7 @@ from calibration_core.input_checks.explained import (
     posture_of,
     without_wild,
 )
+from calibration_core.input_checks.friction import fit_with_friction
 from calibration_core.input_checks.point_orders import other_points
 from calibration_core.input_checks.units import SEEN_BY_PRIOR, VISIBLE, CellSizes, expected_motion, unit_anomaly
 from calibration_core.input_checks.zeros import best_zero
@@ -28,7 +29,7 @@ FAR = 0.5  # what is meant leaves less than this share of the rest that stands
 STATED = 0.95  # the same between the ways of reading a wrench that a cell file can state
 NO_BETTER = 1.05  # of the least rest: readings of the wrench that do equally well
 WELL = 0.7  # share of the motion explained
-OTHER_ROBOT = 0.8  # share explained: with the right robot file, physics that is missing leaves less than the rest
+OTHER_ROBOT = 0.8  # share explained by springs and friction: with the right robot file, other physics leaves less
 LEAST_EVIDENCE = 30.0  # nats
 ZERO_FAR, ZERO_LEAST = 0.8, 0.025  # the same for the zero of a joint, and rad: less is no more than physics may mimic
 UNRELATED = 0.2  # share explained: motion far above the noise and less than this explained has no cause in the wrench
@@ -81,7 +82,7 @@ def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], f
     explained = 1.0 - stands.rest / motion.total
     if explained < UNRELATED:
         return [_no_relation(motion, stands)]
-    if explained < OTHER_ROBOT:
+    if explained < OTHER_ROBOT and 1.0 - fit_with_friction(motion, given).rest / motion.total < OTHER_ROBOT:
         return [_other_robot(motion, stands)]
     return _unit(motion, given, facts) or _overstated(motion, stands)
 

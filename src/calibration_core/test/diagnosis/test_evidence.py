@@ -175,6 +175,34 @@ def test_one_large_effect_does_not_raise_the_level_and_hide() -> None:
     assert chosen.level <= 1.0
 
 
+def test_of_two_forms_that_explain_as_much_the_one_with_fewer_parameters_is_chosen() -> None:
+    """One parameter of the longer form moves nothing that the null model does not move as well."""
+    d = design(9, {4: 1.0})
+    d.columns[:, 5], d.columns[:, 6] = 0.0, d.columns[:, 4]
+    longer, shorter = d.candidates[2], dataclasses.replace(candidate("effect_2", 7, 1), variant="shorter")
+    assert shorter.place == longer.place
+    d = dataclasses.replace(
+        d,
+        candidates=(*d.candidates[:3], shorter, *d.candidates[4:]),
+        blocks=(*d.blocks[:3], slice(6, 7), *d.blocks[4:]),
+    )
+    assert select(d).accepted == (3,)
+
+
+def test_one_law_in_every_joint_is_found_where_its_parts_hide_each_other() -> None:
+    found = 0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        d = design(200 + seed, {k: float(rng.choice([-0.4, 0.4])) for k in range(12)}, places=14)
+        same = tuple(dataclasses.replace(one, effect="friction", family="joint law") for one in d.candidates[:6])
+        several = dataclasses.replace(d, candidates=(*same, *d.candidates[6:]))
+        chosen = select(several).accepted
+        assert set(chosen) <= set(range(6))
+        found += len(chosen) >= 5
+        assert len(select(d).accepted) < 5  # the same columns, each an effect of its own
+    assert found == 4
+
+
 def test_a_crowd_of_small_effects_is_no_finding() -> None:
     rng = np.random.default_rng(3)
     named = 0

@@ -198,6 +198,14 @@ def judge(cache: GramCache, accepted: tuple[int, ...], levels: tuple[float, ...]
     return cache.profiles[key]
 
 
+def likelihood(cache: GramCache, accepted: tuple[int, ...], levels: tuple[float, ...] = LEVELS) -> float:
+    """Return the log marginal likelihood of what was accepted, at the level that suits it best, nats; up to a constant.
+
+    Source: Kass and Raftery 1995.
+    """
+    return most_probable(marginal_models(cache, accepted, law_share(cache, accepted), levels)).likelihood
+
+
 def log_bayes_factors(f: MarginalModel) -> Float1D:
     """Return the log Bayes factor of every candidate beside what was accepted, at the model's level, (l,) nats."""
     gram, n = f.cache.gram, f.design.n

@@ -1,8 +1,9 @@
 """Which effects does the recording ask for?  One at a time, over a threshold and proven on left-out configurations.
 
 After each acceptance the chosen ones are refined: every one may be swapped for another hypothesis, given the others,
-before a further cause is added, and what the others made superfluous is dropped.  Candidates that come close are kept
-as an equivalence set.
+before a further cause is added, and what the others made superfluous is dropped.  At last one law in every joint at
+once is tried, for small effects of many joints hide each other.  Candidates that come close are kept as an equivalence
+set.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
     gram_cache,
     judge,
     law_share,
+    likelihood,
     log_bayes_factors,
     marginal_model,
     posterior,
@@ -41,6 +43,9 @@ PLAUSIBLE = 6.0  # typical sizes: an equivalent must not need more
 STANDS_OUT = 2.5  # times the signal-to-noise ratio of the small effects
 CROWD_GONE = 1.0  # signal-to-noise ratio of the small effects that may be left beside several strong ones
 SWAP = 0.5  # nats by which a swap must be better
+TIE = 1e-6  # nats a parameter: of two forms that explain as much, the one with fewer parameters is the better
+FEWEST = 3  # joints that make every joint
+LAW = "joint law"
 CONFOUNDED_SHARE = 0.15  # a later effect confounded with it, this much weaker, is the same cause under another law
 
 
@@ -107,6 +112,9 @@ def select(design: Design, levels: tuple[float, ...] = LEVELS, freedom: int = 0)
         if set(refined) == set(accepted):
             break
         accepted = refined
+    everywhere = _in_every_joint(cache, accepted, limit, levels) if at.level > 0 else accepted
+    if everywhere != accepted:
+        accepted, at = everywhere, judge(cache, everywhere, levels)
     return LoadedSelection(_choices(cache, accepted, at.level), accepted, at.level, limit)
 
 
@@ -119,7 +127,8 @@ def _open_scores(cache: GramCache, accepted: tuple[int, ...], levels: tuple[floa
     candidates = cache.design.candidates
     places = {candidates[index].place for index in accepted}
     taken = [candidate.place in places for candidate in candidates]
-    return np.where(taken, -np.inf, judge(cache, accepted, levels).scores)
+    longer = TIE * np.array([len(candidate.parameters) for candidate in candidates])
+    return np.where(taken, -np.inf, judge(cache, accepted, levels).scores - longer)
 
 
 def _first_that_passes(
@@ -172,6 +181,40 @@ def _together(cache: GramCache, accepted: tuple[int, ...], limit: float, levels:
         ):
             return more
     return ()
+
+
+def _in_every_joint(
+    cache: GramCache, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]
+) -> tuple[int, ...]:
+    """Return what is accepted where one law acts in many joints, if that explains more; else what was accepted.
+
+    Joints that do not need it are left out again, and each of those that stay must pass the gate beside the others.
+    """
+    candidates = cache.design.candidates
+    laws: dict[tuple[str, str], list[int]] = {}
+    for index, candidate in enumerate(candidates):
+        if candidate.family == LAW:
+            laws.setdefault((candidate.effect, candidate.variant), []).append(index)
+    trials = []
+    for members in laws.values():
+        joints = {candidates[index].location["joint"] for index in members}
+        others = (i for i in accepted if candidates[i].family != LAW or candidates[i].location["joint"] not in joints)
+        if len(members) >= FEWEST:
+            trials.append((*others, *members))
+    if not trials:
+        return accepted
+    trial = max(trials, key=lambda several: marginal_model(cache, several, 0.0).likelihood)
+    enough = likelihood(cache, accepted, levels) + limit
+    if likelihood(cache, trial, levels) <= enough:
+        return accepted
+    trial = _refined(cache, trial, limit, levels)
+    while True:
+        failed = [i for i in trial if i not in accepted and not _passes_beside(cache, trial, i, limit, levels)]
+        if not failed:
+            break
+        weakest = min(failed, key=lambda i: judge(cache, tuple(j for j in trial if j != i), levels).scores[i])
+        trial = tuple(i for i in trial if i != weakest)
+    return trial if likelihood(cache, trial, levels) > enough else accepted
 
 
 def _passes_beside(
