@@ -198,12 +198,12 @@ def judge(cache: GramCache, accepted: tuple[int, ...], levels: tuple[float, ...]
     return cache.profiles[key]
 
 
-def likelihood(cache: GramCache, accepted: tuple[int, ...], levels: tuple[float, ...] = LEVELS) -> float:
-    """Return the log marginal likelihood of what was accepted, at the level that suits it best, nats; up to a constant.
+def at_its_level(cache: GramCache, accepted: tuple[int, ...], levels: tuple[float, ...] = LEVELS) -> MarginalModel:
+    """Return the model of what was accepted at the level at which the recording is most probable with it.
 
-    Source: Kass and Raftery 1995.
+    The likelihoods of several compare what was accepted in each (Kass and Raftery 1995).
     """
-    return most_probable(marginal_models(cache, accepted, law_share(cache, accepted), levels)).likelihood
+    return most_probable(marginal_models(cache, accepted, law_share(cache, accepted), levels))
 
 
 def log_bayes_factors(f: MarginalModel) -> Float1D:

@@ -17,10 +17,10 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
     LEVELS,
     GramCache,
     MarginalModel,
+    at_its_level,
     gram_cache,
     judge,
     law_share,
-    likelihood,
     log_bayes_factors,
     marginal_model,
     posterior,
@@ -204,17 +204,18 @@ def _in_every_joint(
     if not trials:
         return accepted
     trial = max(trials, key=lambda several: marginal_model(cache, several, 0.0).likelihood)
-    enough = likelihood(cache, accepted, levels) + limit
-    if likelihood(cache, trial, levels) <= enough:
+    enough = at_its_level(cache, accepted, levels).likelihood + limit
+    whole = at_its_level(cache, trial, levels)
+    if whole.likelihood <= enough:
         return accepted
-    trial = _refined(cache, trial, limit, levels)
+    trial = _refined(cache, trial, limit, levels[: levels.index(whole.level) + 2])
     while True:
         failed = [i for i in trial if i not in accepted and not _passes_beside(cache, trial, i, limit, levels)]
         if not failed:
             break
         weakest = min(failed, key=lambda i: judge(cache, tuple(j for j in trial if j != i), levels).scores[i])
         trial = tuple(i for i in trial if i != weakest)
-    return trial if likelihood(cache, trial, levels) > enough else accepted
+    return trial if at_its_level(cache, trial, levels).likelihood > enough else accepted
 
 
 def _passes_beside(
