@@ -208,7 +208,8 @@ def _in_every_joint(
     whole = at_its_level(cache, trial, levels)
     if whole.likelihood <= enough:
         return accepted
-    trial = _refined(cache, trial, limit, levels[: levels.index(whole.level) + 2])
+    effect = candidates[trial[-1]].effect
+    trial = _refined(cache, trial, limit, levels[: levels.index(whole.level) + 2], effect)
     while True:
         failed = [i for i in trial if i not in accepted and not _passes_beside(cache, trial, i, limit, levels)]
         if not failed:
@@ -226,8 +227,19 @@ def _passes_beside(
     return bool(beside.scores[index] > limit) and _proven(_beside(cache, others, float(beside.levels[index])), index)
 
 
-def _refined(cache: GramCache, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]) -> tuple[int, ...]:
-    """Swap each accepted candidate for a better one, given the others; drop what is too weak or physics forbids."""
+def _refined(
+    cache: GramCache, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...], effect: str | None = None
+) -> tuple[int, ...]:
+    """Swap each accepted candidate for a better one, given the others; drop what is too weak or physics forbids.
+
+    Args:
+        cache: The prepared design.
+        accepted: Candidates in the model.
+        limit: Log Bayes factor that each must exceed, nats.
+        levels: Of the small effects, to choose from.
+        effect: Effect of which the better one must be; None: any.
+    """
+    other = np.array([effect is not None and candidate.effect != effect for candidate in cache.design.candidates])
 
     def possible(others: tuple[int, ...], index: int) -> bool:
         return _possible(_beside(cache, others, float(judge(cache, others, levels).levels[index])), index)
@@ -239,7 +251,7 @@ def _refined(cache: GramCache, accepted: tuple[int, ...], limit: float, levels: 
             current = accepted[position]
             others = accepted[:position] + accepted[position + 1 :]
             kept = judge(cache, others, levels).scores[current]
-            scores = _open_scores(cache, others, levels)
+            scores = np.where(other, -np.inf, _open_scores(cache, others, levels))
             best = int(np.argmax(scores))
             better = best != current and scores[best] > kept + SWAP and possible(others, best)
             nothing = max(scores[best], kept) <= limit or not (better or possible(others, current))
