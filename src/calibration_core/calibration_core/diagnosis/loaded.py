@@ -15,7 +15,7 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
     outlier_readings,
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter, claimed, directions, scatter, with_noise
-from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_use
+from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_use, with_whole_steps
 from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
 from calibration_core.diagnosis.evidence.bayes_factors import LEVELS, NOISE_ALONE
@@ -222,7 +222,7 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
     hypotheses = _hypotheses(prepared, cell)
     axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
     sound = np.flatnonzero(checked.sound)
-    used = np.flatnonzero(checked.sound & prepared.rejection.used)
+    used = with_whole_steps(problem.readings, np.flatnonzero(checked.sound & prepared.rejection.used), sound)
     linear = problem.linearise(compliance)
     seen = _seen(linear.rows, linear.residual, problem, axes, used)
     noise_seen = seen.freedom > 0
@@ -232,7 +232,10 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
         attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
         extended = attempt.extended
         rows = with_noise(linear.rows, problem.readings, seen, axes)
-        kept = sound[readings_to_use(rows.select(sound), extended.raw[sound])] if options.robust else sound
+        kept = sound
+        if options.robust:
+            regular = sound[readings_to_use(rows.select(sound), extended.raw[sound])]
+            kept = with_whole_steps(problem.readings, regular, sound)
         again = _seen(linear.rows, extended.raw, problem, axes, kept) if noise_seen else _left(attempt)
         moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from calibration_core.diagnosis.evidence.bayes_factors import (
+    chance_alone,
     estimates,
     gram_cache,
     log_bayes_factors,
@@ -161,6 +162,17 @@ def test_chance_is_part_of_the_covariance_where_its_effect_is_accepted() -> None
     inverse = np.linalg.inv(columns.T @ columns + np.diag([0.0] * 3 + [1.0] * (columns.shape[1] - 3)))
     np.testing.assert_allclose(value, (inverse @ columns.T @ d.residual)[:5], rtol=1e-6)
     np.testing.assert_allclose(covariance, inverse[:5, :5], rtol=1e-5, atol=1e-10)
+
+
+def test_what_an_effect_leaves_to_chance_is_no_evidence_for_it() -> None:
+    chance = {18 + k: (-1.0) ** k * 4.0 for k in range(CONFIGURATIONS)}
+    d = design(7, chance, chance=CONFIGURATIONS)
+    f = marginal_model(gram_cache(d), (), 0.0)
+    assert log_bayes_factors(f)[2] > 50
+    assert chance_alone(f, 2) > log_bayes_factors(f)[2] - 1
+    assert chance_alone(f, 3) == 0.0  # which leaves nothing to chance
+    assert 2 not in select(d).accepted
+    assert select(design(7, {**chance, 4: 2.0}, chance=CONFIGURATIONS)).accepted == (2,)
 
 
 def test_two_planted_effects_are_selected_and_nothing_else() -> None:

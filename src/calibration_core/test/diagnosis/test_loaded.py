@@ -11,6 +11,7 @@ from loaded_cases import TRUE, planted, true_state
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.data_checks.outlier_readings import with_whole_steps
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
 from calibration_core.input_checks.check import check_inputs
@@ -109,6 +110,31 @@ def test_gross_errors_under_a_strong_effect_are_named_and_good_readings_kept(cel
     for row in wild:
         key = f"{readings.configuration[row]}/{readings.step[row]}/{readings.points[readings.point[row]]}"
         assert key in anomaly.text
+
+
+def test_a_step_of_which_every_point_is_elsewhere_is_no_gross_error_of_the_tracker(cell: Cell) -> None:
+    readings = loaded_readings(cell, 5)
+    position = readings.position.copy()
+    for configuration in np.unique(readings.configuration)[[2, 4]]:
+        elsewhere = (readings.configuration == configuration) & (readings.step == readings.step.max() // 2)
+        assert elsewhere.sum() == len(readings.points) == 3
+        position[elsewhere] += [4e-4, -3e-4, 4e-4]
+    found = diagnose_loaded(dataclasses.replace(readings, position=position), cell)
+    assert found.rest.significant
+    assert "outlier_readings" not in {anomaly.kind for anomaly in found.anomalies}
+
+
+def test_steps_are_restored_whole_unless_gross_errors_hit_all_points_by_chance(cell: Cell) -> None:
+    readings = loaded_readings(cell, 5)
+    every = np.arange(len(readings))
+    first = np.flatnonzero((readings.configuration == readings.configuration[0]) & (readings.step == 1))
+    without = np.setdiff1d(every, first)
+    np.testing.assert_array_equal(with_whole_steps(readings, without, every), every)
+    np.testing.assert_array_equal(with_whole_steps(readings, without, without), without)  # it may not be used at all
+    partly = np.setdiff1d(every, first[:2])
+    np.testing.assert_array_equal(with_whole_steps(readings, partly, every), partly)
+    often = np.setdiff1d(without, every[readings.point == 0][::2])
+    np.testing.assert_array_equal(with_whole_steps(readings, often, every), often)
 
 
 def moved_flange(readings: Readings, cell: Cell, point: int, rows: np.ndarray, shift: np.ndarray) -> Readings:

@@ -64,6 +64,7 @@ class GramCache:
         alike: Candidates of equal shape.
         shares: What `law_share` has returned, by what was accepted: the search comes back to the same sets.
         profiles: What `judge` has returned, likewise, and by the levels.
+        suited: The level that suited the null model beside what was accepted best.
     """
 
     design: Design
@@ -72,6 +73,7 @@ class GramCache:
     alike: tuple[Alike, ...]
     shares: dict[frozenset[int], Float1D] = dataclasses.field(default_factory=dict)
     profiles: dict[tuple[frozenset[int], tuple[float, ...]], Profile] = dataclasses.field(default_factory=dict)
+    suited: dict[frozenset[int], float] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -192,7 +194,7 @@ def judge(cache: GramCache, accepted: tuple[int, ...], levels: tuple[float, ...]
     """Return the profile beside what was accepted, the law of the accepted ones known to a share."""
     key = frozenset(accepted), levels
     if key not in cache.profiles:
-        several = marginal_models(cache, accepted, law_share(cache, accepted), levels)
+        several = _suitable(cache, accepted, levels)
         scores, at = profile(several)
         cache.profiles[key] = Profile(scores, np.array(levels)[at], most_probable(several).level)
     return cache.profiles[key]
@@ -203,7 +205,24 @@ def at_its_level(cache: GramCache, accepted: tuple[int, ...], levels: tuple[floa
 
     The likelihoods of several compare what was accepted in each (Kass and Raftery 1995).
     """
-    return most_probable(marginal_models(cache, accepted, law_share(cache, accepted), levels))
+    return most_probable(_suitable(cache, accepted, levels))
+
+
+def _suitable(cache: GramCache, accepted: tuple[int, ...], levels: tuple[float, ...]) -> tuple[MarginalModel, ...]:
+    """Set up the models at the levels up to one above the level that suits best.
+
+    What is accepted explains, so that fewer small effects are left than beside a part of it: the search for the level
+    begins at the least level that suited a part.
+    """
+    own, share = frozenset(accepted), law_share(cache, accepted)
+    start = min((level for part, level in cache.suited.items() if part <= own), default=levels[-1])
+    several: list[MarginalModel] = []
+    for level in levels:
+        if level > start and several and most_probable(tuple(several)).level < several[-1].level:
+            break
+        several.append(marginal_model(cache, accepted, level, share))
+    cache.suited[own] = most_probable(tuple(several)).level
+    return tuple(several)
 
 
 def log_bayes_factors(f: MarginalModel) -> Float1D:
@@ -216,6 +235,14 @@ def log_bayes_factors(f: MarginalModel) -> Float1D:
         blocks.append(gram[columns[:, :, None], columns[:, None, :]] - own @ own.transpose(0, 2, 1))
     vectors = gram[n:-1, -1:] - f.taken[n:-1] @ f.taken[-1:].T
     return _scores(f.cache.alike, blocks, vectors)[:, 0]
+
+
+def chance_alone(f: MarginalModel, candidate: int) -> float:
+    """Return the log Bayes factor of what a candidate leaves to chance, without the candidate's parameters, nats."""
+    block = f.design.chances[candidate]
+    matrix = f.schur[block, block] + np.eye(block.stop - block.start)
+    vector = f.schur[block, -1]
+    return float(0.5 * (vector @ np.linalg.solve(matrix, vector) - np.linalg.slogdet(matrix)[1]))
 
 
 def threshold(f: MarginalModel, freedom: int = 0, seed: int = 0) -> float:

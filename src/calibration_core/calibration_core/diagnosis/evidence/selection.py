@@ -18,6 +18,7 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
     GramCache,
     MarginalModel,
     at_its_level,
+    chance_alone,
     gram_cache,
     judge,
     law_share,
@@ -30,7 +31,7 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
 )
 from calibration_core.diagnosis.evidence.confounding import are_confounded
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
-from calibration_core.diagnosis.evidence.predictive_density import log_predictive_densities, passes
+from calibration_core.diagnosis.evidence.predictive_density import GATE, log_predictive_densities, passes
 from calibration_core.model.effects.possible import forbidden, impossibility
 from calibration_core.timeseries import Float1D
 
@@ -154,10 +155,16 @@ def _proven(here: MarginalModel, index: int) -> bool:
 
 
 def _possible(here: MarginalModel, index: int) -> bool:
-    """Return whether physics allows values of a candidate that are nearly as probable as its estimate."""
+    """Return whether physics allows values of a candidate that are nearly as probable as its estimate.
+
+    What a candidate leaves to chance in each configuration explains much of anything: it is no evidence by itself.
+    """
+    evidence = float(log_bayes_factors(here)[index])
+    if evidence - chance_alone(here, index) <= GATE:
+        return False
     mean, covariance = posterior(here, index)
     nats = impossibility(here.design.candidates[index].parameters, mean, covariance)
-    return not forbidden(nats, float(log_bayes_factors(here)[index]))
+    return not forbidden(nats, evidence)
 
 
 def _together(cache: GramCache, accepted: tuple[int, ...], limit: float, levels: tuple[float, ...]) -> tuple[int, ...]:
