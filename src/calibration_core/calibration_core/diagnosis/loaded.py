@@ -222,9 +222,10 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
     hypotheses = _hypotheses(prepared, cell)
     axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
     sound = np.flatnonzero(checked.sound)
-    used = with_whole_steps(problem.readings, np.flatnonzero(checked.sound & prepared.rejection.used), sound)
+    regular = np.flatnonzero(checked.sound & prepared.rejection.used)  # shows the noise
     linear = problem.linearise(compliance)
-    seen = _seen(linear.rows, linear.residual, problem, axes, used)
+    used = with_whole_steps(problem.readings, linear.residual, linear.rows.noise, regular, sound)
+    seen = _seen(linear.rows, linear.residual, problem, axes, regular)
     noise_seen = seen.freedom > 0
     if not noise_seen:
         seen = claimed(max(1.0, float(np.sqrt(prepared.fit.chi2 / max(prepared.fit.freedom, 1)))))
@@ -232,11 +233,9 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
         attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
         extended = attempt.extended
         rows = with_noise(linear.rows, problem.readings, seen, axes)
-        kept = sound
-        if options.robust:
-            regular = sound[readings_to_use(rows.select(sound), extended.raw[sound])]
-            kept = with_whole_steps(problem.readings, regular, sound)
-        again = _seen(linear.rows, extended.raw, problem, axes, kept) if noise_seen else _left(attempt)
+        regular = sound[readings_to_use(rows.select(sound), extended.raw[sound])] if options.robust else sound
+        kept = with_whole_steps(problem.readings, extended.raw, rows.noise, regular, sound)
+        again = _seen(linear.rows, extended.raw, problem, axes, regular) if noise_seen else _left(attempt)
         moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
         if still or not remaining or not attempt.selection.accepted:

@@ -124,17 +124,28 @@ def test_a_step_of_which_every_point_is_elsewhere_is_no_gross_error_of_the_track
     assert "outlier_readings" not in {anomaly.kind for anomaly in found.anomalies}
 
 
-def test_steps_are_restored_whole_unless_gross_errors_hit_all_points_by_chance(cell: Cell) -> None:
+def test_a_step_set_aside_whole_is_restored_where_the_tool_kept_its_shape(cell: Cell) -> None:
     readings = loaded_readings(cell, 5)
-    every = np.arange(len(readings))
-    first = np.flatnonzero((readings.configuration == readings.configuration[0]) & (readings.step == 1))
-    without = np.setdiff1d(every, first)
-    np.testing.assert_array_equal(with_whole_steps(readings, without, every), every)
-    np.testing.assert_array_equal(with_whole_steps(readings, without, without), without)  # it may not be used at all
-    partly = np.setdiff1d(every, first[:2])
-    np.testing.assert_array_equal(with_whole_steps(readings, partly, every), partly)
-    often = np.setdiff1d(without, every[readings.point == 0][::2])
-    np.testing.assert_array_equal(with_whole_steps(readings, often, every), often)
+    m = len(readings)
+    every, noise = np.arange(m), np.tile(1e-10 * np.eye(3), (m, 1, 1))
+    residual = 1e-5 * np.random.default_rng(1).standard_normal((m, 3))
+    step = np.flatnonzero((readings.configuration == readings.configuration[0]) & (readings.step == 1))
+    lever = readings.position[step] - readings.position[step].mean(axis=0)
+    residual[step] += np.cross([2e-3, -1e-3, 3e-3], lever) + np.array([4e-4, -3e-4, 4e-4])
+    without = np.setdiff1d(every, step)
+
+    def kept(used: np.ndarray, sound: np.ndarray, moved: np.ndarray = residual) -> np.ndarray:
+        return with_whole_steps(readings, moved, noise, used, sound)
+
+    np.testing.assert_array_equal(kept(without, every), every)
+    np.testing.assert_array_equal(kept(without, without), without)  # it may not be used at all
+    partly = np.setdiff1d(every, step[:2])
+    np.testing.assert_array_equal(kept(partly, every), partly)
+    wild = residual.copy()
+    wild[step[1]] += [2e-4, 1e-4, -2e-4]
+    np.testing.assert_array_equal(kept(without, every, wild), without)
+    alone = np.setdiff1d(every, np.flatnonzero(readings.configuration == readings.configuration[0]))
+    np.testing.assert_array_equal(kept(alone, every), alone)  # nothing is left to compare the step with
 
 
 def moved_flange(readings: Readings, cell: Cell, point: int, rows: np.ndarray, shift: np.ndarray) -> Readings:

@@ -8,12 +8,13 @@ import numpy as np
 
 from calibration_core.identification.statistics.distributions import chi2_limit
 from calibration_core.identification.statistics.offsets import Rows, deleted
-from calibration_core.timeseries import Float2D, Int1D, Readings
+from calibration_core.timeseries import Float2D, Float3D, Int1D, Readings
 
 FALSE_EXCLUSION = 0.01  # probability that a clean recording loses any reading
 MOST = 0.05  # never more than this share of the readings
 ROUNDS = 12
-BY_CHANCE = 0.01  # expected number of steps of which gross errors hit every point
+SHAPE = 3  # points, of which the shape is known
+OUT_OF_SHAPE = 0.01  # probability that noise alone changes the shape of a step more
 
 
 def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
@@ -49,22 +50,41 @@ def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
     return used
 
 
-def with_whole_steps(readings: Readings, used: Int1D, sound: Int1D) -> Int1D:
-    """Return the readings to use, and with them the steps of which every point was set aside.
+def with_whole_steps(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, sound: Int1D) -> Int1D:
+    """Return the readings to use, and with them the steps that were set aside whole, the tool's shape unchanged.
 
-    A tracker errs at one point or another; where all points of a step are elsewhere, the robot was, or the load.
+    A tracker errs at one point or another; where all points of a step moved as one rigid body, the robot did, or the
+    load was another.
 
     Args:
-        readings: All readings.
+        readings: All m readings.
+        residual: (m, 3) m, measured - model.
+        noise: (m, 3, 3) m^2, covariance that each reading has of its own.
         used: Indices of those that are no gross errors.
         sound: Indices of those that may be used at all.
     """
-    keys = np.column_stack([readings.configuration, readings.step])[sound]
-    _, step = np.unique(keys, axis=0, return_inverse=True)
-    step = step.reshape(-1)
-    aside = ~np.isin(sound, used)
-    points, left = np.bincount(step), np.bincount(step, ~aside)
-    whole = left == 0
-    single = max(1, int(aside[~whole[step]].sum())) / len(sound)
-    back = whole & (points >= 2) & (len(points) * single**points < BY_CHANCE)
-    return np.asarray(sound[~aside | back[step]])
+    keys = np.column_stack([readings.configuration, readings.step])
+    aside = np.setdiff1d(sound, used)
+    back = [np.zeros(0, dtype=np.int64)]
+    for key in np.unique(keys[aside], axis=0):
+        rows = sound[(keys[sound] == key).all(axis=1)]
+        if len(rows) >= SHAPE and np.isin(rows, aside).all() and _moved_rigidly(readings, residual, noise, used, rows):
+            back.append(rows)
+    return np.asarray(np.sort(np.concatenate([used, *back])))
+
+
+def _moved_rigidly(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, rows: Int1D) -> bool:
+    """Say whether the points of a step moved as a rigid body against the used steps of their configuration."""
+    same = readings.configuration[used] == readings.configuration[rows[0]]
+    others = [used[same & (readings.point[used] == readings.point[row])] for row in rows]
+    if not all(len(each) for each in others):
+        return False
+    moved = residual[rows] - np.stack([residual[each].mean(axis=0) for each in others])
+    lever = readings.position[rows] - readings.position[rows].mean(axis=0)
+    turns = np.cross(np.eye(3)[None], lever[:, None, :])  # (k, 3, 3): turn about every axis, what it moves
+    rigid = np.concatenate([np.tile(np.eye(3), (len(rows), 1)), turns.transpose(0, 2, 1).reshape(-1, 3)], axis=1)
+    motion, _, rank, _ = np.linalg.lstsq(rigid, moved.reshape(-1), rcond=1e-6)
+    left = moved.reshape(-1) - rigid @ motion
+    variance = float(np.mean(np.trace(noise[rows], axis1=1, axis2=2))) / 3
+    variance *= 1 + float(np.mean([1 / len(each) for each in others]))
+    return bool(left @ left < variance * chi2_limit(OUT_OF_SHAPE, len(left) - int(rank)))

@@ -23,7 +23,9 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 HARMONICS = 3  # cycles per turn of a joint, at most
 SIZE, SQUARE = "the size of the torque", "the square of the torque"
-EVEN = frozenset({SIZE, SQUARE})  # what a joint follows that gives way more on one flank than on the other
+WHOLE_SIZE = "the size of the torque with the weight"
+EVEN = frozenset({SIZE, SQUARE, WHOLE_SIZE})  # what a joint follows that gives way more on one flank than on the other
+KNEES = (0.5, 0.7, 0.85)  # of the largest torque, where a joint begins to give way more, or less
 SLIGHT = 0.02  # of the largest torque: a smaller change is neither loading nor unloading
 
 
@@ -87,7 +89,8 @@ def dictionary(state: State) -> tuple[tuple[Within, ...], tuple[DictionaryTerm, 
             DictionaryTerm(own, joint, words, names, factors)
             for words, names, factors in _modulations(state, angles, joint)
         ]
-        for words, values in _laws(state, share):
+        whole = state.torque[joint] / largest(state.torque[joint])
+        for words, values in _laws(state, share, whole):
             terms.append(DictionaryTerm(len(withins), joint, words, (words,), ones))
             withins.append(Within(joint, words, unit * values))
     return tuple(withins), tuple(terms)
@@ -124,15 +127,18 @@ def _wave(words: str, phase: Float1D) -> tuple[str, tuple[str, ...], Float2D]:
     return f"the angle {words}", (f"cos({words})", f"sin({words})"), np.stack([np.cos(phase), np.sin(phase)], axis=1)
 
 
-def _laws(state: State, share: Float1D) -> list[tuple[str, Float1D]]:
+def _laws(state: State, share: Float1D, whole: Float1D) -> list[tuple[str, Float1D]]:
     """Return functions (m,) of torque, loading direction, step, time and temperature; those that are none left out."""
     direction = state.along_steps(share, _direction)
     laws = [
         (SIZE, np.abs(share)),
+        (WHOLE_SIZE, np.abs(whole)),
         ("the sign of the torque", np.where(np.abs(share) > SLIGHT, np.sign(share), 0.0)),
         (SQUARE, share**2),
         ("the square of the torque with its sign", share * np.abs(share)),
         ("the cube of the torque", share**3),
+        *((f"the torque beyond {100 * knee:.0f} %", _beyond(share, knee)) for knee in KNEES),
+        *((f"the torque with the weight beyond {100 * knee:.0f} %", _beyond(whole, knee)) for knee in KNEES),
         ("the loading direction", direction),
         ("torque times loading direction", np.abs(share) * direction),
         ("the number of the step", state.step / largest(state.step.astype(np.float64))),
@@ -142,6 +148,10 @@ def _laws(state: State, share: Float1D) -> list[tuple[str, Float1D]]:
         if np.isfinite(values).all() and np.ptp(values) > 0:
             laws.append((f"torque times {words}", share * 2 * (values - values.mean()) / np.ptp(values)))
     return laws
+
+
+def _beyond(share: Float1D, knee: float) -> Float1D:
+    return np.asarray(np.sign(share) * np.clip(np.abs(share) - knee, 0.0, None) / (1.0 - knee))
 
 
 def _direction(share: Float2D) -> Float2D:

@@ -31,6 +31,7 @@ LEAST_GAIN = 0.05  # of the squared error on configurations left out
 FREE = 1e-9  # prior precision of what has none, columns being of length one
 ALIASED = 1e-4  # of a column's square: less of it is left beside the model
 EQUIVALENT = 5.0  # nats of the best, to be called indistinguishable
+BY_ANGLE = "pose_dependent_stiffness"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -174,9 +175,12 @@ def rival(extended: ExtendedLoadedModel, candidates: Sequence[int]) -> Rival | N
     scores, _ = _scores(rest, (), everywhere)
     design, joints = extended.design, extended.state.chain.joints
     own = set().union(*(_named(design.candidates[index].location.values()) for index in candidates))
-    never_images = EVEN if all(design.candidates[index].effect in MEMORY for index in candidates) else frozenset()
+    effects = {design.candidates[index].effect for index in candidates}
+    never_images = EVEN if effects <= MEMORY else frozenset()
+    by_angle = effects == {BY_ANGLE}  # no function of the torque is its image
     image = [
-        len(term.names) == 1 and joints[term.joint] in own and term.words not in never_images for term in rest.terms
+        len(term.names) == 1 and joints[term.joint] in own and term.words not in never_images and not by_angle
+        for term in rest.terms
     ]
     best = int(np.argmax(np.where(image, -np.inf, scores)))
     columns = np.column_stack([design.columns[:, design.blocks[index]] for index in candidates])
