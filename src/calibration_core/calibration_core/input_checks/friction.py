@@ -31,7 +31,7 @@ def fit_with_friction(motion: Motion, given: Reading) -> Explanation:
 
 
 def _lag(motion: Motion, given: Reading) -> Float2D:
-    """Return the (3 m, 2 n) m that elements which carry all they can move the points."""
+    """Return the (3 m, 2 n) m that the friction of every joint moves the points, per its strength."""
     at = posture_of(motion)
     turning = load_torque(at, Load(motion.force.T, motion.torque.T, given.point, given.rotation))
     lever = linear_jacobian(at, at.point(motion.points[motion.point].T))
@@ -40,8 +40,8 @@ def _lag(motion: Motion, given: Reading) -> Float2D:
     for torque, column in zip(turning, lever, strict=True):
         largest = float(np.abs(torque).max())
         for radius in RADII:
-            carried = np.zeros(len(torque))
+            friction = np.zeros(len(torque))
             for rows in groups:
-                carried[rows] = stop(torque[None, rows], radius * largest, 0.0)[0]
-            columns.append(centred((column * carried).T, motion.group).reshape(-1) / max(largest, 1e-300))
+                friction[rows] = stop(torque[None, rows], radius * largest, 0.0)[0]
+            columns.append(centred((column * friction).T, motion.group).reshape(-1) / max(largest, 1e-300))
     return np.column_stack(columns)

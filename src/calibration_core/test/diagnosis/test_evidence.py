@@ -13,7 +13,6 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
     estimates,
     gram_cache,
     log_bayes_factors,
-    log_positive,
     marginal_model,
     marginal_models,
     most_probable,
@@ -23,6 +22,7 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
 )
 from calibration_core.diagnosis.evidence.confounding import are_confounded
 from calibration_core.diagnosis.evidence.design import Design
+from calibration_core.diagnosis.evidence.positive_share import log_positive
 from calibration_core.diagnosis.evidence.predictive_density import FLAT, log_predictive_densities, passes
 from calibration_core.diagnosis.evidence.selection import select
 from calibration_core.model.effects.candidate import Candidate, Parameter

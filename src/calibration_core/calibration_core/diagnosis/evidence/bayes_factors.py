@@ -23,10 +23,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.special import log_ndtr
 
 from calibration_core.diagnosis.evidence.confounding import are_confounded
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
+from calibration_core.diagnosis.evidence.positive_share import log_positive
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
 NOISE_ALONE = (0.0,)  # where the noise is what the model leaves, small effects are part of it
@@ -35,7 +35,6 @@ SAMPLES = 500
 FALSE_ALARM = 0.01
 MOST = 1.0  # in typical sizes: how large the structured discrepancy may make any effect
 LAW = 0.15  # share to which the law of an effect is known
-TINY = 1e-9  # keeps variances positive
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -395,32 +394,3 @@ def _alike(design: Design) -> tuple[Alike, ...]:
         Alike(np.array(members), np.array([own[i] for i in members]), design.positive[own[members[0]]])
         for members in shapes.values()
     )
-
-
-def log_positive(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the log probability that all of k joint normal variables are positive, (..., s).
-
-    One after another: after each, the others are given the moments that they have where it is positive, and are taken
-    as normal again (Mendell and Elston 1974); exact for independent variables, and right in the far tail.
-
-    Args:
-        mean: (..., k, s).
-        covariance: (..., k, k).
-    """
-    k = mean.shape[-2]
-    mean = mean.copy()
-    spread = np.repeat(covariance[..., None], mean.shape[-1], axis=-1)  # (..., k, k, s)
-    result = np.zeros((*mean.shape[:-2], mean.shape[-1]))
-    for i in range(k):
-        std = np.sqrt(spread[..., i, i, :])
-        z = mean[..., i, :] / std
-        share = log_ndtr(z)
-        result += share
-        if i == k - 1:
-            break
-        mills = np.exp(-0.5 * z**2 - share) / np.sqrt(2 * np.pi)
-        cross = spread[..., i, i + 1 :, :] / std[..., None, :]
-        mean[..., i + 1 :, :] += cross * mills[..., None, :]
-        narrower = np.clip(mills * (mills + z), 0.0, 1.0 - TINY)[..., None, None, :]
-        spread[..., i + 1 :, i + 1 :, :] -= narrower * cross[..., :, None, :] * cross[..., None, :, :]
-    return result
