@@ -15,7 +15,7 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
     outlier_readings,
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter, claimed, directions, scatter, with_noise
-from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_use, with_whole_steps
+from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_use, whole_steps
 from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
 from calibration_core.diagnosis.evidence.bayes_factors import LEVELS, NOISE_ALONE
@@ -41,7 +41,7 @@ from calibration_core.diagnosis.findings.rejected_candidates import (
 from calibration_core.diagnosis.model_estimate import loaded_estimate
 from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.diagnosis.proposals.measurements import NONE_ASKED, propose
-from calibration_core.diagnosis.result.finding import Diagnosis, Verdict
+from calibration_core.diagnosis.result.finding import Diagnosis, Rest, Verdict
 from calibration_core.diagnosis.tested import tested_on
 from calibration_core.identification.result.estimate import Anomaly, Identification
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
@@ -59,6 +59,7 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readin
 
 ROUNDS = 3
 SETTLED = 0.05  # relative change of the noise below which it is taken as found
+LISTED = 12  # steps that are named
 MOVED = 0.05  # relative change of a compliance below which the operating point is taken as found
 ALIASES = (
     "A gain common to all axes of the force/torque sensor acts like all joints being softer by the same share.",
@@ -118,6 +119,7 @@ def diagnose_loaded(
             else "The residual is no larger than noise, but it follows something, which noise does not."
         )
         rest = dataclasses.replace(rest, significant=True, text=f"{size} {sentences}")
+    rest = _with_whole_steps(rest, extended, checked)
     anomalies = _anomalies(checked, attempt, identification)
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
@@ -165,6 +167,24 @@ def diagnose_loaded(
         aliases=ALIASES,
         further_figures=_held_out_lengths(extended, cell),
     )
+
+
+def _with_whole_steps(rest: Rest, extended: ExtendedLoadedModel, checked: Checked) -> Rest:
+    """Say of steps that were set aside whole that no gross error of the tracker explains them."""
+    readings, rows = extended.problem.readings, extended.problem.linearise(extended.compliance).rows
+    moved = whole_steps(readings, extended.raw, rows.noise, extended.used, np.flatnonzero(checked.sound))
+    if not len(moved):
+        return rest
+    steps = sorted({(int(readings.configuration[k]), int(readings.step[k])) for k in moved})
+    listed = ", ".join(f"{configuration}/{step}" for configuration, step in steps[:LISTED])
+    more = f" and {len(steps) - LISTED} more" if len(steps) > LISTED else ""
+    text = (
+        f"At some steps all points moved together, the tool's shape unchanged, to where the model does not expect them "
+        f"(configuration/step {listed}{more}): that is no gross error of the tracker but the robot or the load."
+    )
+    before = f"{rest.text} " if rest.significant else ""
+    where = dict(rest.where) or {"configurations": sorted({configuration for configuration, _ in steps})}
+    return dataclasses.replace(rest, significant=True, where=where, text=f"{before}{text}")
 
 
 def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
@@ -222,10 +242,9 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
     hypotheses = _hypotheses(prepared, cell)
     axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
     sound = np.flatnonzero(checked.sound)
-    regular = np.flatnonzero(checked.sound & prepared.rejection.used)  # shows the noise
+    used = np.flatnonzero(checked.sound & prepared.rejection.used)
     linear = problem.linearise(compliance)
-    used = with_whole_steps(problem.readings, linear.residual, linear.rows.noise, regular, sound)
-    seen = _seen(linear.rows, linear.residual, problem, axes, regular)
+    seen = _seen(linear.rows, linear.residual, problem, axes, used)
     noise_seen = seen.freedom > 0
     if not noise_seen:
         seen = claimed(max(1.0, float(np.sqrt(prepared.fit.chi2 / max(prepared.fit.freedom, 1)))))
@@ -233,9 +252,8 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
         attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
         extended = attempt.extended
         rows = with_noise(linear.rows, problem.readings, seen, axes)
-        regular = sound[readings_to_use(rows.select(sound), extended.raw[sound])] if options.robust else sound
-        kept = with_whole_steps(problem.readings, extended.raw, rows.noise, regular, sound)
-        again = _seen(linear.rows, extended.raw, problem, axes, regular) if noise_seen else _left(attempt)
+        kept = sound[readings_to_use(rows.select(sound), extended.raw[sound])] if options.robust else sound
+        again = _seen(linear.rows, extended.raw, problem, axes, kept) if noise_seen else _left(attempt)
         moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
         if still or not remaining or not attempt.selection.accepted:

@@ -50,8 +50,8 @@ def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
     return used
 
 
-def with_whole_steps(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, sound: Int1D) -> Int1D:
-    """Return the readings to use, and with them the steps that were set aside whole, the tool's shape unchanged.
+def whole_steps(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, sound: Int1D) -> Int1D:
+    """Return the readings of steps that were set aside whole, although the tool kept its shape.
 
     A tracker errs at one point or another; where all points of a step moved as one rigid body, the robot did, or the
     load was another.
@@ -65,12 +65,12 @@ def with_whole_steps(readings: Readings, residual: Float2D, noise: Float3D, used
     """
     keys = np.column_stack([readings.configuration, readings.step])
     aside = np.setdiff1d(sound, used)
-    back = [np.zeros(0, dtype=np.int64)]
+    found = [np.zeros(0, dtype=np.int64)]
     for key in np.unique(keys[aside], axis=0):
         rows = sound[(keys[sound] == key).all(axis=1)]
         if len(rows) >= SHAPE and np.isin(rows, aside).all() and _moved_rigidly(readings, residual, noise, used, rows):
-            back.append(rows)
-    return np.asarray(np.sort(np.concatenate([used, *back])))
+            found.append(rows)
+    return np.concatenate(found)
 
 
 def _moved_rigidly(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, rows: Int1D) -> bool:
