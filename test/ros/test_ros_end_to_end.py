@@ -20,7 +20,7 @@ from calibration_core.measurement.session import Session
 from calibration_core.observations.observe import observe
 from calibration_core.planning.plans.plan import REFERENCE_NUMBER
 from calibration_core.recording.session_values import as_readings
-from calibration_core.timeseries import NANOSECONDS
+from calibration_core.timeseries import NANOSECONDS, Readings
 from calibration_sim.cell.truth import draw_truth
 from calibration_sim.living_cell.live import LiveCell
 from calibration_sim.living_cell.motion_log import true_speeds
@@ -48,6 +48,12 @@ def speeds(suite: Any) -> np.ndarray:
     cell = load_cell(CELL)
     live = LiveCell(cell, draw_truth(cell, 1), np.zeros(len(cell.robot.joints)))
     return true_speeds(suite.directory / "motion.log", live)
+
+
+def places(readings: Readings) -> dict[tuple[int, int, int], int]:
+    """Return the row of every configuration, step and point."""
+    keys = zip(readings.configuration.tolist(), readings.step.tolist(), readings.point.tolist(), strict=True)
+    return {key: row for row, key in enumerate(keys)}
 
 
 def test_a_short_measurement(suite: Any, short_plan: Path) -> None:
@@ -83,11 +89,13 @@ def test_a_short_measurement(suite: Any, short_plan: Path) -> None:
     kept = [row for row in confirmed if f"configuration {row.configuration}, step {row.step}, {row.point}" not in aside]
     assert len(kept) == len(confirmed) - len(aside)
     live = as_readings(kept, cell.points, "")
-    assert np.array_equal(replayed.configuration, live.configuration)
-    assert np.array_equal(replayed.step, live.step)
+    mine, its = places(live), places(replayed)  # points of a step that settle later stand behind the others
+    assert set(mine) == set(its)
+    assert len(mine) == len(live) == len(its) == len(replayed)
+    rows, same = [mine[place] for place in mine], [its[place] for place in mine]
     # the phases between markers are a little longer than the windows averaged live
-    assert np.abs(replayed.position - live.position).max() < 2e-4
-    assert np.abs(replayed.q - live.q).max() < 1e-9
+    assert np.abs(replayed.position[same] - live.position[rows]).max() < 2e-4
+    assert np.abs(replayed.q[same] - live.q[rows]).max() < 1e-9
     speed = speeds(suite)
     assert speed[:, 1].max() <= LIMIT
 
