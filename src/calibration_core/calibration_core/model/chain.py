@@ -5,7 +5,8 @@ Every joint turns about the z axis of the frame before it, or slides along it:
     T_base_flange(q) = prod_i [ P_i J_i(q_i) ] F,    J_i = Rz(q_i + offset_i)  or  Rz(offset_i) Tz(q_i)
 
 with P_i the fixed pose of the frame before joint i in the body frame of link i-1, and F the flange in the body frame
-of the last link.  For standard DH rows the frame before joint i is the DH frame i-1.
+of the last link.  For standard DH rows the frame before joint i is the DH frame i-1.  For modified rows it is the DH
+frame i as well, but for d_i along its z axis, which stands behind J_i (`Chain.along`).
 """
 
 from __future__ import annotations
@@ -32,9 +33,10 @@ class Chain:
         gravity: (3,) m/s^2, base axes.
         mass: (n,) kg; None where the masses are not known.
         com: (n, 3) m, centre of gravity in the body frame (after the joint's rotation) of each link; None as `mass`.
+        inertials_known: Whether the masses are known, and not guesses.
         prismatic: Per joint, whether it slides: its q is m, its load a force, its stiffness N/m.
         rigid: Per joint, whether it is declared rigid: its stiffness is not asked for.
-        inertials_known: Whether the masses are known, and not guesses.
+        along: (n,) m, how far along its axis the joint's own frame stands from the frame before: d of modified rows.
     """
 
     joints: tuple[str, ...]
@@ -50,9 +52,12 @@ class Chain:
     inertials_known: bool = True
     prismatic: tuple[bool, ...] = ()
     rigid: tuple[bool, ...] = ()
+    along: Float1D = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays."""
+        if not len(self.along):
+            object.__setattr__(self, "along", np.zeros(len(self.joints)))
         for name in ("prismatic", "rigid"):
             if not getattr(self, name):
                 object.__setattr__(self, name, (False,) * len(self.joints))

@@ -82,4 +82,5 @@ def _from_dh(cell: Cell) -> Chain:
         inertials_known=robot.inertials_known,
         rigid=tuple(stiffness == math.inf for stiffness in robot.stiffness or ()),
         prismatic=tuple(kind == "prismatic" for kind in robot.joint_types or ()),
+        along=np.array([row.d if robot.modified_dh else 0.0 for row in rows]),
     )

@@ -45,17 +45,20 @@ def _cause(one: Hypothesis, lagging: Collection[object]) -> object:
     which it came, and posture by posture elsewhere, which waves of high order take up.
     """
     joint = one.location.get("joint")
-    way = one.effect == FROM_WHERE or (
-        one.effect == WAVE and one.variant.startswith("order ") and order_of(one.variant) > LOW
-    )
-    if joint is not None and (one.family == LAW or (way and joint in lagging)):
+    if joint is not None and (one.family == LAW or (_is_way(one) and joint in lagging)):
         return LAW, joint
     return one.place
 
 
+def _is_way(one: Hypothesis) -> bool:
+    """Say whether a hypothesis is about where a joint stops, which its lag explains as well."""
+    high = one.effect == WAVE and one.variant.startswith("order ") and order_of(one.variant) > LOW
+    return one.effect == FROM_WHERE or high
+
+
 def _finding(found: Estimate, members: list[int]) -> Finding:
     hypotheses, selection, extended = found.offered.hypotheses, found.selection, found.extended
-    members = sorted(members, key=lambda i: -selection.gain[selection.accepted.index(i)])
+    members = sorted(members, key=lambda i: (_is_way(hypotheses[i]), -selection.gain[selection.accepted.index(i)]))
     first = hypotheses[members[0]]
     of_first = [i for i in members if hypotheses[i].place == first.place]
     parts = sorted({part for i in members for part in found.members[i]})

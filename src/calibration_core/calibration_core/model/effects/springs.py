@@ -54,7 +54,7 @@ def along_link(state: State, link: int, tip: Float2D, column: Callable[[Cut, Flo
         tip: (3, m) m, where it ends.
         column: Cut and place (3, m) m -> columns (m, 3, k) of the springs there.
     """
-    start = state.at.body_origin[link]
+    start = state.foot(link)
     span = tip - start
     length = np.linalg.norm(span, axis=0)
     centre = _share_before_centre(state, link, span)
@@ -73,7 +73,7 @@ def _share_before_centre(state: State, link: int, span: Float2D) -> Float1D:
     """Return which share of a link lies before its centre of gravity, (m,), 0 to 1; 0 where masses are not known."""
     if state.chain.mass is None:
         return np.zeros(state.m)
-    lever = centre_of_mass(state.chain, state.at, link) - state.at.body_origin[link]
+    lever = centre_of_mass(state.chain, state.at, link) - state.foot(link)
     return np.clip(dot(lever, span) / dot(span, span), 0.0, 1.0)
 
 

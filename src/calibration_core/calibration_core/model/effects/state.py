@@ -110,6 +110,14 @@ class State:
         """Whether any external load acts."""
         return bool(np.any(self.force) or np.any(self.moment))
 
+    def place(self, joint: int) -> Float2D:
+        """Return the (3, m) m where a joint's own frame stands before its motion: where its bearing sits."""
+        return self.at.origin[joint] + self.chain.along[joint] * self.at.axis(joint)
+
+    def foot(self, link: int) -> Float2D:
+        """Return the (3, m) m where a link begins, behind the motion of its joint."""
+        return self.at.body_origin[link] + self.chain.along[link] * self.at.axis(link)
+
     def seen_by(self, number: int) -> State:
         """Return the same state with the tracker where one recording's stood, and wrenches as the sensors read them."""
         if self.setups is None:

@@ -26,7 +26,7 @@ TURNED = 0.3  # typical size of the compliance between the two planes over that 
 
 def _ends(state: State, link: int) -> tuple[Float2D, Float2D]:
     last = link == state.chain.n - 1
-    return state.at.body_origin[link], state.at.flange_origin if last else state.at.origin[link + 1]
+    return state.foot(link), state.at.flange_origin if last else state.place(link + 1)
 
 
 def _axes(state: State, link: int) -> tuple[Float2D, Float2D, Float2D]:

@@ -24,12 +24,12 @@ TURNED = 0.3  # typical size of the compliance between x and y over that about t
 
 def _proximal(state: State, joint: int) -> Float3D:
     axes = state.at.before[joint]
-    return tilting(state, before_joint(joint), (axes[X], axes[Y]), state.at.origin[joint])
+    return tilting(state, before_joint(joint), (axes[X], axes[Y]), state.place(joint))
 
 
 def _distal(state: State, joint: int) -> Float3D:
     axes = state.at.body[joint]
-    return tilting(state, behind_joint(joint), (axes[X], axes[Y]), state.at.body_origin[joint])
+    return tilting(state, behind_joint(joint), (axes[X], axes[Y]), state.foot(joint))
 
 
 def _isotropic(state: State, joint: int) -> Float3D:
