@@ -18,7 +18,7 @@ import numpy as np
 from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.gains import Seen, beside, gains
-from calibration_core.estimation.leave_out import LeftOut, Proof
+from calibration_core.estimation.leave_out import Blockwise, LeftOut, Proof
 from calibration_core.estimation.likelihood import Sizes, fit_sizes
 from calibration_core.timeseries import Float1D
 
@@ -27,7 +27,7 @@ DRAWS = 60
 FLOOR = 10.0  # nats: the threshold is never lower
 BESIDE = 20.0  # nats that a further cause must gain: what is accepted is seldom of quite the right form
 SEED = 17384
-TRIED = 6  # proposals per round that may try
+TRIED = 6  # places per round whose forms may try
 EQUIVALENT = 5.0  # nats
 PART = 3.0  # nats that a member must gain to stand, with a few others, in an accepted family's stead
 SWAP = 5.0  # nats by which a swap must be better
@@ -88,7 +88,7 @@ class Search:
         self.alone = np.array([len(field.offered.hypotheses[index].members) == 1 for index in self.judged], dtype=bool)
         self._narrow = frozenset(map(int, self.narrow))
         self.fits: dict[Accepted, Sizes] = {}
-        self.held_out: dict[Accepted, list[Float1D]] = {}
+        self.held_out: dict[Accepted, list[Blockwise]] = {}
         self.known: dict[tuple[Accepted, bool], Scores] = {}
         self.trials: dict[tuple[Accepted, int], Trial] = {}
         self.alone_known: dict[tuple[Accepted, int], tuple[float, float, float]] = {}
@@ -104,10 +104,10 @@ class Search:
             self.fits[accepted] = fit_sizes(self.field.gram, self.field.blocks(accepted), self._start(accepted))
         return self.fits[accepted]
 
-    def squares(self, accepted: Accepted) -> list[Float1D]:
-        """Return the squares of blocks left out."""
+    def blockwise(self, accepted: Accepted) -> list[Blockwise]:
+        """Return what blocks left out show, per partition."""
         if accepted not in self.held_out:
-            self.held_out[accepted] = self.field.in_blocks(self.left_out(accepted).errors)
+            self.held_out[accepted] = self.field.in_blocks(self.left_out(accepted).predicted)
         return self.held_out[accepted]
 
     def left_out(self, accepted: Accepted) -> LeftOut:
@@ -169,7 +169,7 @@ class Search:
         columns = self.field.columns((index,))
         before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
         after = self.field.in_blocks(before.beside(columns, ridge))
-        return Trial(self.field, accepted, index, sizes, nats, self.squares(accepted), after)
+        return Trial(self.field, accepted, index, sizes, nats, self.blockwise(accepted), after)
 
     def run(self, accepted: Accepted = ()) -> Selection:
         """Search, beginning with some hypotheses.
@@ -187,7 +187,8 @@ class Search:
 
     def _better(self, one: Accepted, other: Accepted) -> bool:
         """Return whether hypotheses predict blocks left out better than others do, in every partition."""
-        return all(a.sum() < b.sum() for a, b in zip(self.squares(one), self.squares(other), strict=True))
+        pairs = zip(self.blockwise(one), self.blockwise(other), strict=True)
+        return all(a.squares.sum() < b.squares.sum() for a, b in pairs)
 
     def _grown(self, accepted: Accepted, *, narrow: bool) -> Accepted:
         accepted = self.grow(accepted, narrow=narrow)
@@ -213,7 +214,7 @@ class Search:
         while len(accepted) < (FEW if narrow else MOST):
             gain = self._gain(accepted, narrow=narrow)
             least = self._least(accepted)
-            order = [k for k in np.argsort(-gain, kind="stable") if gain[k] > least[k]][:TRIED]
+            order = self._to_try([int(k) for k in np.argsort(-gain, kind="stable") if gain[k] > least[k]])
             found = next((k for k in order if self._passes(accepted, self.judged[k])), None)
             if found is None:
                 break
@@ -221,6 +222,15 @@ class Search:
             instead = self._instead(accepted, float(gain[found]), narrow=narrow)
             accepted = instead or (*accepted, self._best_proven(accepted, [self.judged[k] for k in close]))
         return accepted
+
+    def _to_try(self, order: list[int]) -> list[int]:
+        """Return the first of some hypotheses, all forms of a few places: the best form may be one that cannot be."""
+        places: dict[object, None] = {}
+        for position, k in enumerate(order):
+            places.setdefault(self.field.offered.hypotheses[self.judged[k]].place)
+            if len(places) > TRIED:
+                return order[:position]
+        return order
 
     def _gain(self, accepted: Accepted, *, narrow: bool) -> Float1D:
         """Return what hypotheses gain, nats; narrow: single ones, minus infinity for families."""

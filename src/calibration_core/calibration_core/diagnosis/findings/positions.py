@@ -45,25 +45,23 @@ def _cause(one: Hypothesis, lagging: Collection[object]) -> object:
     which it came, and posture by posture elsewhere, which waves of high order take up.
     """
     joint = one.location.get("joint")
-    if joint is not None and (one.family == LAW or (_is_way(one) and joint in lagging)):
+    way = one.effect == FROM_WHERE or (
+        one.effect == WAVE and one.variant.startswith("order ") and order_of(one.variant) > LOW
+    )
+    if joint is not None and (one.family == LAW or (way and joint in lagging)):
         return LAW, joint
     return one.place
 
 
-def _is_way(one: Hypothesis) -> bool:
-    """Say whether a hypothesis is about where a joint stops, which its lag explains as well."""
-    high = one.effect == WAVE and one.variant.startswith("order ") and order_of(one.variant) > LOW
-    return one.effect == FROM_WHERE or high
-
-
 def _finding(found: Estimate, members: list[int]) -> Finding:
     hypotheses, selection, extended = found.offered.hypotheses, found.selection, found.extended
-    members = sorted(members, key=lambda i: (_is_way(hypotheses[i]), -selection.gain[selection.accepted.index(i)]))
+    nats = dict(zip(selection.accepted, selection.gain, strict=True))
+    members = sorted(members, key=lambda i: (hypotheses[i].family != LAW, -nats[i]))  # the law explains the rest
     first = hypotheses[members[0]]
     of_first = [i for i in members if hypotheses[i].place == first.place]
     parts = sorted({part for i in members for part in found.members[i]})
     reported = sorted({part for i in of_first for part in found.members[i]})
-    score = float(sum(selection.gain[selection.accepted.index(i)] for i in members))
+    score = float(sum(nats[i] for i in members))
     gain = max(selection.proofs[selection.accepted.index(i)][0].share for i in members)
     magnitude = float(np.sqrt(np.mean(np.sum(extended.own_shift(parts) ** 2, axis=1))))
     as_well = [(hypotheses[i], nats) for i, nats in equivalents(found, members)]

@@ -42,7 +42,9 @@ def tilting(state: State, cut: Cut, axes: tuple[Float2D, Float2D], origin: Float
     return stacked(virtual.column(cut, first), virtual.column(cut, second), crossed)
 
 
-def along_link(state: State, link: int, tip: Float2D, column: Callable[[Cut, Float2D], Float3D]) -> Float3D:
+def along_link(
+    state: State, link: int, tip: Float2D, column: Callable[[Cut, Float2D], Float3D], *, own_weight: bool = True
+) -> Float3D:
     """Return the (m, 3, k) columns of springs spread evenly between a link's joint and its tip, per unit of length.
 
     The weight of the link itself acts at its centre of gravity: sections before it bear it, those behind do not.
@@ -53,11 +55,12 @@ def along_link(state: State, link: int, tip: Float2D, column: Callable[[Cut, Flo
         link: Index of the joint that carries the link.
         tip: (3, m) m, where it ends.
         column: Cut and place (3, m) m -> columns (m, 3, k) of the springs there.
+        own_weight: Whether the link bears its own weight; False: it rests on the link's joint, as that of motors does.
     """
     start = state.foot(link)
     span = tip - start
     length = np.linalg.norm(span, axis=0)
-    centre = _share_before_centre(state, link, span)
+    centre = _share_before_centre(state, link, span) if own_weight else np.zeros(state.m)
     parts = (behind_joint(link), np.zeros(state.m), centre), (before_joint(link + 1), centre, np.ones(state.m))
     total = []
     for cut, begin, end in parts:

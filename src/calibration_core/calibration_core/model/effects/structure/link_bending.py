@@ -1,6 +1,8 @@
 """Bending and torsion of a link as a beam between its joint and the next.
 
 u = F L^3/3EI + M L^2/2EI, phi = F L^2/2EI + M L/EI, torsion M L/GJ: rotary springs spread evenly along the link.
+The weight of the link itself bends it where its centre of gravity is; or it rests on the link's joint, as that of
+motors does that sit there.
 Source: Euler-Bernoulli beam by virtual work.
 """
 
@@ -21,6 +23,7 @@ from calibration_core.timeseries import Float2D, Float3D
 SHORTEST = 0.05  # m: shorter links do not bend
 UNIT = "1/(N*m^2)"
 ACROSS = 1e-6  # cosine: axes so near to right angles are equally so
+ON_JOINT = ", own weight on its joint"
 TURNED = 0.3  # typical size of the compliance between the two planes over that in them
 
 
@@ -41,25 +44,29 @@ def _axes(state: State, link: int) -> tuple[Float2D, Float2D, Float2D]:
     return across, cross(along, across), along
 
 
-def _bending(state: State, link: int) -> Float3D:
+def _bending(state: State, link: int, *, own_weight: bool = True) -> Float3D:
     _, tip = _ends(state, link)
     first, second, _ = _axes(state, link)
-    return along_link(state, link, tip, lambda cut, at: tilting(state, cut, (first, second), at))
+    return along_link(
+        state, link, tip, lambda cut, at: tilting(state, cut, (first, second), at), own_weight=own_weight
+    )
 
 
-def _whole(state: State, link: int) -> Float3D:
+def _whole(state: State, link: int, *, own_weight: bool = True) -> Float3D:
     _, tip = _ends(state, link)
     along = _axes(state, link)[2]
-    torsion = along_link(state, link, tip, lambda cut, at: stacked(turning(state, cut, along, at)))
-    return np.concatenate([_bending(state, link), torsion], axis=2)
+    torsion = along_link(
+        state, link, tip, lambda cut, at: stacked(turning(state, cut, along, at)), own_weight=own_weight
+    )
+    return np.concatenate([_bending(state, link, own_weight=own_weight), torsion], axis=2)
 
 
-def _round(state: State, link: int) -> Float3D:
+def _round(state: State, link: int, *, own_weight: bool = True) -> Float3D:
     """One bending stiffness for both directions, as of a tube."""
-    return stacked(_bending(state, link)[:, :, :2].sum(axis=-1))
+    return stacked(_bending(state, link, own_weight=own_weight)[:, :, :2].sum(axis=-1))
 
 
-def _candidates(state: State) -> Iterator[Candidate]:
+def _forms(state: State) -> Iterator[Candidate]:
     size = typical("link_bending", state.rated_load)
     two = (
         Parameter("bending_1", UNIT, size, positive=True),
@@ -70,12 +77,21 @@ def _candidates(state: State) -> Iterator[Candidate]:
         start, tip = _ends(state, link)
         if float(np.linalg.norm(tip - start, axis=0).min()) < SHORTEST:
             continue
-        place = {"link": link_name(link)}
-        yield Candidate(EFFECT.name, EFFECT.family, place, "bending", two, partial(_bending, link=link))
-        three = (*two, Parameter("torsion", UNIT, 2 * size, positive=True))
-        yield Candidate(EFFECT.name, EFFECT.family, place, "bending and torsion", three, partial(_whole, link=link))
+        form = partial(Candidate, EFFECT.name, EFFECT.family, {"link": link_name(link)})
         one = (Parameter("bending", UNIT, size, positive=True),)
-        yield Candidate(EFFECT.name, EFFECT.family, place, "tube", one, partial(_round, link=link))
+        three = (*two, Parameter("torsion", UNIT, 2 * size, positive=True))
+        for own_weight, where in ((True, ""), (False, ON_JOINT)):
+            yield form(f"bending{where}", two, partial(_bending, link=link, own_weight=own_weight))
+            yield form(f"bending and torsion{where}", three, partial(_whole, link=link, own_weight=own_weight))
+            yield form(f"tube{where}", one, partial(_round, link=link, own_weight=own_weight))
+
+
+def _candidates(state: State) -> Iterator[Candidate]:
+    """Leave out where a link's own weight rests, if the recording is of loads, or the weight is not known."""
+    weighed = not state.loaded and state.chain.mass is not None
+    for candidate in _forms(state):
+        if weighed or not candidate.variant.endswith(ON_JOINT):
+            yield candidate
 
 
 EFFECT = Effect(
@@ -85,4 +101,5 @@ EFFECT = Effect(
     source="Euler-Bernoulli beam theory, virtual work",
     reveal="a target at either end of the link; more configurations",
     candidates=_candidates,
+    forms=_forms,
 )
