@@ -21,8 +21,9 @@ from calibration_core.estimation.rows import NullModel, sample, state_at, weight
 from calibration_core.estimation.search import Search, Selection
 from calibration_core.estimation.shifts import FAMILY, position_of, shifts, spacing
 from calibration_core.identification.absolute.evaluate import Evaluated
+from calibration_core.identification.absolute.prediction_error import compare
 from calibration_core.identification.geometry.problem import absolute_problem
-from calibration_core.identification.geometry.terms import ElasticityTerm
+from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm
 from calibration_core.identification.stiffness.loaded import loaded_configurations
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
 from calibration_core.model.effects.candidate import Candidate, Parameter
@@ -84,6 +85,9 @@ def estimate(readings: Readings, cell: Cell, evaluated: Evaluated, sound: Bool1D
     """
     model = null_model(readings, cell, evaluated, evaluated.used if sound is None else sound)
     found = _searched(model)
+    identifiable = evaluated.choice.chosen and not any(isinstance(term, GeometryTerm) for term in model.terms)
+    if identifiable and found.selection.accepted:  # what was missing may have hidden what the geometry explains
+        model, found = _with_geometry(model, found, evaluated.choice.term)
     used = settled(found.extended)
     if not np.array_equal(used, model.used):
         again = np.mean(used != model.used) > MORE
@@ -99,9 +103,8 @@ def null_model(readings: Readings, cell: Cell, evaluated: Evaluated, used: Bool1
     nominal = evaluated.nominal
     parameters = final.parameters.replace(compliance=nominal.compliance)
     problem = absolute_problem(readings, cell, chain_of(cell), nominal, position_covariance(readings, cell))
-    model = NullModel(
-        readings, cell, problem, parameters, terms, (), state_at(problem, parameters, readings, cell), used
-    )
+    state, believed = state_at(problem, parameters, readings, cell), parameters.compliance
+    model = NullModel(readings, cell, problem, parameters, terms, (), state, used, believed)
     if not (np.any(nominal.compliance) or problem.load is not None):
         return model
     rows = np.flatnonzero(used)
@@ -121,6 +124,17 @@ def axial(joint: int, name: str, state: State) -> Candidate:
         return stacked(state.joint_column(joint, state.torque[joint]))
 
     return Candidate(SAG, "absolute", {"joint": name}, AXIAL, (parameter,), columns)
+
+
+def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tuple[NullModel, Estimate]:
+    """Search once more with the geometry in the null model; keep that if it predicts configurations left out better."""
+    more = dataclasses.replace(model, terms=(*model.terms, term))
+    other = _searched(more)
+    configuration = model.readings.configuration
+    blocks = time_blocks(configuration, COVARIANCE_BLOCKS)
+    before, after = (one.extended.held_out(blocks).T[:, model.used] for one in (found, other))
+    clear = compare(before, after, configuration[model.used]).clear
+    return (more, other) if clear else (model, found)
 
 
 def _searched(model: NullModel) -> Estimate:
@@ -162,7 +176,7 @@ def _search(model: NullModel) -> Estimate:
     if whole.parts:
         null = refit(_rigid(model), whole, (), covariance_blocks)
     parts, members = _parts(field, selection)
-    extended = refit(model, whole, parts, covariance_blocks)
+    extended = refit(model.begun, whole, parts, covariance_blocks)
     return Estimate(null, extended, search, selection, members)
 
 

@@ -32,7 +32,8 @@ from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 ROUNDS = 3
 SETTLING = 3  # rounds
-APART = 2.0  # factor by which a compliance may move in one fit
+STEP = 2.0  # factor by which a compliance may move in one round
+APART = 4.0  # factor between a compliance and what was believed of it
 CONVERGED = 1e-6  # m and rad
 
 
@@ -176,7 +177,6 @@ def refit(
     """
     held, value = _held(model, parts), np.zeros(sum(len(part.candidate.parameters) for part in parts))
     prior = np.concatenate([np.zeros(0), *(part.prior for part in parts)])
-    begun = model.parameters.compliance
     everything = np.arange(len(model.readings))
     fitted = np.repeat(model.used, 3)
     aside = np.flatnonzero(~fitted)
@@ -221,7 +221,7 @@ def refit(
             break
         value = value + step[flat.shape[1] :]
         parameters = moved(model.parameters, model.terms, step[:n])
-        parameters = _softened(parameters, model.fitted_compliances, step[n : flat.shape[1]], begun)
+        parameters = _softened(parameters, model.fitted_compliances, step[n : flat.shape[1]], model.believed)
         model = model.at(_sagging(parameters, parts, value))
         held = _held(model, parts)
     value = value + step[flat.shape[1] :]
@@ -260,14 +260,15 @@ def _directions(held: Float2D, length: Float1D, flat: int) -> Float2D | None:
 
 
 def _softened(
-    parameters: ModelParameters, fitted: Sequence[Candidate], change: Float1D, begun: Float1D
+    parameters: ModelParameters, fitted: Sequence[Candidate], change: Float1D, believed: Float1D
 ) -> ModelParameters:
-    """Apply changes of compliances, within a factor of those at the beginning: never 0 nor absurd."""
+    """Apply changes of compliances, within factors of what they were and of what was believed: never 0 nor absurd."""
     compliance = parameters.compliance.copy()
     for one, more in zip(fitted, change, strict=True):
         joint = parameters.joints.index(str(one.location["joint"]))
-        most = APART * begun[joint] if begun[joint] > 0 else np.inf
-        compliance[joint] = np.clip(compliance[joint] + more, begun[joint] / APART, most)
+        now, start = compliance[joint], believed[joint]
+        least, most = max(now / STEP, start / APART), min(STEP * now, APART * start) if start > 0 else np.inf
+        compliance[joint] = np.clip(now + more, least, most)
     return parameters.replace(compliance=compliance)
 
 

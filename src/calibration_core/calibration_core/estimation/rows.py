@@ -36,6 +36,7 @@ class NullModel:
         fitted_compliances: Compliances of the null model, refitted likewise.
         state: What effects depend on, for all readings.
         used: (m,) readings that may be fitted.
+        believed: (n,) compliances before anything was fitted here, rad/(N*m).
     """
 
     readings: Readings
@@ -46,11 +47,22 @@ class NullModel:
     fitted_compliances: tuple[Candidate, ...]
     state: State
     used: Bool1D
+    believed: Float1D
 
     def at(self, parameters: ModelParameters) -> NullModel:
         """Return the same model, linear about other parameters."""
         state = state_at(self.problem, parameters, self.readings, self.cell)
         return dataclasses.replace(self, parameters=parameters, state=state)
+
+    @property
+    def begun(self) -> NullModel:
+        """The same model at the compliances that were believed, where it fits them.
+
+        What is missing spoils the null model's compliances, sometimes beyond what a few linearisations put right.
+        """
+        if not self.fitted_compliances:
+            return self
+        return self.at(self.parameters.replace(compliance=self.believed))
 
     def flat(self, rows: Int1D) -> tuple[Float2D, Float1D]:
         """Return the null model's columns (3 r, f) and the residual (3 r,) of some readings, units of the claim."""

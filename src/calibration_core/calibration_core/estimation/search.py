@@ -285,7 +285,8 @@ class Search:
         """Return members of a family that alone do as well as all of it; empty where they do not.
 
         The family is accepted already, so that its members compete among themselves alone; where they are more than
-        half of it, each must pass by itself.
+        half of it, each must pass by itself.  One joint alone does as well where all others together gain less than a
+        further cause must.
         """
         whole, members = self.sizes((*others, family)).value, set(self.field.offered.hypotheses[family].members)
         alone = [i for i in self.judged if len(m := self.field.offered.hypotheses[i].members) == 1 and m[0] in members]
@@ -298,6 +299,10 @@ class Search:
             if best < 0 or gain[self.place[best]] < least:
                 break
             few = (*few, best)
+            alone_does = self.sizes((*others, best)).value > whole - max(self.limit, BESIDE)
+            if len(few) == 1 and self.field.offered.hypotheses[family].everywhere and alone_does:
+                whole = min(whole, self.sizes((*others, best)).value)
+                break
         while few:  # those that blocks left out do not prove, or physics forbids, beside the others go, the last first
             beside = {i: (*others, *(j for j in few if j != i)) for i in few}
             doubtful = [i for i, rest in beside.items() if not (self.trial(rest, i).proven and self._allowed(rest, i))]
