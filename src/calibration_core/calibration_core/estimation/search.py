@@ -285,8 +285,7 @@ class Search:
         """Return members of a family that alone do as well as all of it; empty where they do not.
 
         The family is accepted already, so that its members compete among themselves alone; where they are more than
-        half of it, each must pass by itself.  One joint alone does as well where all others together gain less than a
-        further cause must.
+        half of it, each must pass by itself.
         """
         whole, members = self.sizes((*others, family)).value, set(self.field.offered.hypotheses[family].members)
         alone = [i for i in self.judged if len(m := self.field.offered.hypotheses[i].members) == 1 and m[0] in members]
@@ -299,10 +298,6 @@ class Search:
             if best < 0 or gain[self.place[best]] < least:
                 break
             few = (*few, best)
-            alone_does = self.sizes((*others, best)).value > whole - max(self.limit, BESIDE)
-            if len(few) == 1 and self.field.offered.hypotheses[family].everywhere and alone_does:
-                whole = min(whole, self.sizes((*others, best)).value)
-                break
         while few:  # those that blocks left out do not prove, or physics forbids, beside the others go, the last first
             beside = {i: (*others, *(j for j in few if j != i)) for i in few}
             doubtful = [i for i, rest in beside.items() if not (self.trial(rest, i).proven and self._allowed(rest, i))]
@@ -351,10 +346,21 @@ class Search:
         if not trial.proven:
             self.refused[f"{words} does not improve blocks left out"] = None
             return False
+        if self._one_does(accepted, trial):
+            return False
         why = self.objection(trial)
         if why:
             self.refused[f"{words}: {why}"] = None
         return not why
+
+    def _one_does(self, accepted: Accepted, trial: Trial) -> bool:
+        """Say whether one joint explains so much of what all joints explain that the rest is no further cause."""
+        if not trial.hypothesis.everywhere:
+            return False
+        hypotheses, nats = self.field.offered.hypotheses, self.scores(accepted, narrow=True).nats
+        members = set(trial.hypothesis.members)
+        alone = (nats[k] for k in np.flatnonzero(self.alone) if hypotheses[self.judged[k]].members[0] in members)
+        return trial.gain - max(alone, default=0.0) < BESIDE
 
     def objection(self, trial: Trial) -> str:
         """Return what physics or the controls of its kind say against a hypothesis; empty if nothing."""

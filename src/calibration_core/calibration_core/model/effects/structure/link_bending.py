@@ -87,10 +87,11 @@ def _forms(state: State) -> Iterator[Candidate]:
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    """Leave out where a link's own weight rests, if the recording is of loads, or the weight is not known."""
-    weighed = not state.loaded and state.chain.mass is not None
+    """Leave out where a link's own weight rests, unless this and other weight bend the link, and no load does."""
+    mass = np.zeros(state.chain.n) if state.loaded or state.chain.mass is None else state.chain.mass
+    heavy = {link_name(link) for link in range(state.chain.n) if mass[link] > 0 and np.any(mass[link + 1 :] > 0)}
     for candidate in _forms(state):
-        if weighed or not candidate.variant.endswith(ON_JOINT):
+        if not candidate.variant.endswith(ON_JOINT) or candidate.location["link"] in heavy:
             yield candidate
 
 

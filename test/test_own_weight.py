@@ -1,0 +1,81 @@
+"""Recordings of postures at rest, alone and beside loads: concealed causes that were once named wrongly.
+
+Each is one scenario of the second grid, diagnosed as a user would; what it guards stands with it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import pytest
+
+from calibration_core.cell import load_cell
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.files.yaml_file import yaml_text
+from calibration_sim.scenarios.generate import generate
+from calibration_sim.scenarios.grid import Scenario
+from calibration_sim.scenarios.second_grid import second_grid
+
+SEED = 20265
+
+
+@functools.cache
+def scenarios() -> tuple[Scenario, ...]:
+    return second_grid(SEED)
+
+
+@dataclasses.dataclass(frozen=True)
+class Answered:
+    """What was concealed, and what was found."""
+
+    label: dict[str, object]
+    found: Diagnosis
+
+
+def answered(number: int, folder: Path) -> Answered:
+    made = generate(scenarios()[number])
+    path = folder / "cell.yaml"
+    path.write_text(yaml_text(made.cell))
+    return Answered(made.label, diagnose(made.readings, load_cell(path)))
+
+
+@pytest.mark.parametrize(
+    ("number", "effect", "place"),
+    [
+        pytest.param(91, "off_axis_compliance", {"joint": "joint_4"}, id="a bearing of a robot in modified rows"),
+        pytest.param(206, "gravity_compensator", {"joint": "joint_2"}, id="a spring of which many forms are impossible"),
+        pytest.param(140, "hysteresis", {"joint": "joint_6"}, id="a joint that lags on its way to a posture, too"),
+        pytest.param(153, "backlash", {"joint": "joint_5"}, id="one joint, and no other a little"),
+        pytest.param(130, "link_bending", {"link": "link_4"}, id="a link whose motors rest on its joint"),
+    ],
+)
+def test_the_cause_is_named_alone(number: int, effect: str, place: dict[str, str], tmp_path: Path) -> None:
+    answer = answered(number, tmp_path)
+    (finding,) = answer.found.findings
+    assert (finding.effect, dict(finding.location)) == (effect, place)
+
+
+@pytest.mark.parametrize(
+    ("number", "effect", "place"),
+    [
+        pytest.param(22, "link_bending", {"link": "link_2"}, id="at rest"),
+        pytest.param(117, "gravity_compensator", {"joint": "joint_2"}, id="beside loads"),
+    ],
+)
+def test_what_is_missing_does_not_hide_the_geometry(
+    number: int, effect: str, place: dict[str, str], tmp_path: Path
+) -> None:
+    """Frames alone explain as much as the geometry does, as long as a large effect is missing."""
+    answer = answered(number, tmp_path)
+    (finding,) = answer.found.findings
+    assert (finding.effect, dict(finding.location)) == (effect, place)
+    assert answer.found.verdict == "missing_physics"
+    known = [name for name in answer.found.stiffness if name in {"joint_2", "joint_3"}]
+    assert known == ["joint_2", "joint_3"]
+    for name in known:
+        stiffness, std = answer.found.stiffness[name]
+        true = answer.label["stiffness"][int(name[-1]) - 1]  # type: ignore[index]
+        assert stiffness == pytest.approx(true, abs=4 * std, rel=0.03)
