@@ -18,7 +18,7 @@ import numpy as np
 from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.gains import Seen, beside, gains
-from calibration_core.estimation.leave_out import Blockwise, LeftOut, Proof
+from calibration_core.estimation.leave_out import LEAST_NATS, Blockwise, LeftOut, Proof
 from calibration_core.estimation.likelihood import Sizes, fit_sizes
 from calibration_core.timeseries import Float1D
 
@@ -186,9 +186,16 @@ class Search:
         return self.result(found)
 
     def _better(self, one: Accepted, other: Accepted) -> bool:
-        """Return whether hypotheses predict blocks left out better than others do, in every partition."""
+        """Return whether hypotheses predict blocks left out clearly better than others do, in every partition.
+
+        Of more effects than the others are, they must be as much more probable as one more effect must be.
+        """
+        effects = [len({self.field.offered.hypotheses[i].effect for i in several}) for several in (one, other)]
+        if effects[0] > effects[1] and self.sizes(one).value < self.sizes(other).value + BESIDE:
+            return False
         pairs = zip(self.blockwise(one), self.blockwise(other), strict=True)
-        return all(a.squares.sum() < b.squares.sum() for a, b in pairs)
+        least = 2 * self.sizes(one).variance * LEAST_NATS
+        return all(a.squares.sum() < b.squares.sum() - least for a, b in pairs)
 
     def _grown(self, accepted: Accepted, *, narrow: bool) -> Accepted:
         accepted = self.grow(accepted, narrow=narrow)
@@ -197,7 +204,22 @@ class Search:
             if refined == accepted:
                 break
             accepted = self.grow(refined, narrow=narrow)
-        return self.possible(accepted)
+        return self.possible(self._needed(accepted))
+
+    def _needed(self, accepted: Accepted) -> Accepted:
+        """Drop what others have made needless, the weakest first."""
+        while len(accepted) > 1:
+            others = {i: tuple(k for k in accepted if k != i) for i in accepted}
+            gain = {i: self._beside(accepted, i) - self._asked(others[i], i) for i in accepted}
+            weakest = min(accepted, key=lambda i: gain[i])
+            if gain[weakest] >= 0:
+                break
+            accepted = others[weakest]
+        return accepted
+
+    def _asked(self, others: Accepted, index: int) -> float:
+        """Return what an accepted hypothesis must gain beside others, nats."""
+        return PART if index in self.in_stead else float(self._least(others)[self.place[index]])
 
     def possible(self, accepted: Accepted) -> Accepted:
         """Drop what physics forbids beside the others: what comes later may turn a compliance negative."""
@@ -274,8 +296,7 @@ class Search:
                     continue
             gain = self._gain(others, narrow=narrow)
             own, best = gain[self.place[index]], int(np.argmax(gain))
-            least = PART if index in self.in_stead else self._least(others)[self.place[index]]
-            if own < least or not self.trial(others, index).proven:
+            if own < self._asked(others, index) or not self.trial(others, index).proven:
                 accepted = others
             elif self.judged[best] != index and gain[best] > own + SWAP and self._passes(others, self.judged[best]):
                 accepted = tuple(self.judged[best] if i == index else i for i in accepted)
