@@ -78,6 +78,16 @@ class Chain:
         return float(np.linalg.norm(steps, axis=1).sum())
 
     @property
+    def near(self) -> Float1D:
+        """(n,) m, how far along each axis from the frame before lies what is nearest to the previous joint's frame.
+
+        The frame of a joint may stand anywhere on its axis; where its bearing sits is not known from it.
+        """
+        before = np.zeros((self.n, 3))
+        before[1:, 2] = self.along[:-1]
+        return np.asarray(np.einsum("nik,ni->nk", self.rotation, before - self.translation)[:, 2])
+
+    @property
     def units(self) -> tuple[str, ...]:
         """Per joint the unit of its q: rad or m."""
         return tuple("m" if slides else "rad" for slides in self.prismatic)

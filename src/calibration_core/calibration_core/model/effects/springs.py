@@ -43,7 +43,12 @@ def tilting(state: State, cut: Cut, axes: tuple[Float2D, Float2D], origin: Float
 
 
 def along_link(
-    state: State, link: int, tip: Float2D, column: Callable[[Cut, Float2D], Float3D], *, own_weight: bool = True
+    state: State,
+    link: int,
+    ends: tuple[Float2D, Float2D],
+    column: Callable[[Cut, Float2D], Float3D],
+    *,
+    own_weight: bool = True,
 ) -> Float3D:
     """Return the (m, 3, k) columns of springs spread evenly between a link's joint and its tip, per unit of length.
 
@@ -53,14 +58,14 @@ def along_link(
     Args:
         state: The loaded robot.
         link: Index of the joint that carries the link.
-        tip: (3, m) m, where it ends.
+        ends: (3, m) m each, where it begins and ends.
         column: Cut and place (3, m) m -> columns (m, 3, k) of the springs there.
         own_weight: Whether the link bears its own weight; False: it rests on the link's joint, as that of motors does.
     """
-    start = state.foot(link)
+    start, tip = ends
     span = tip - start
     length = np.linalg.norm(span, axis=0)
-    centre = _share_before_centre(state, link, span) if own_weight else np.zeros(state.m)
+    centre = _share_before_centre(state, link, start, span) if own_weight else np.zeros(state.m)
     parts = (behind_joint(link), np.zeros(state.m), centre), (before_joint(link + 1), centre, np.ones(state.m))
     total = []
     for cut, begin, end in parts:
@@ -72,11 +77,11 @@ def along_link(
     return np.sum(total, axis=0)
 
 
-def _share_before_centre(state: State, link: int, span: Float2D) -> Float1D:
+def _share_before_centre(state: State, link: int, start: Float2D, span: Float2D) -> Float1D:
     """Return which share of a link lies before its centre of gravity, (m,), 0 to 1; 0 where masses are not known."""
     if state.chain.mass is None:
         return np.zeros(state.m)
-    lever = centre_of_mass(state.chain, state.at, link) - state.foot(link)
+    lever = centre_of_mass(state.chain, state.at, link) - start
     return np.clip(dot(lever, span) / dot(span, span), 0.0, 1.0)
 
 
