@@ -35,6 +35,7 @@ SETTLING = 3  # rounds
 STEP = 2.0  # factor by which a compliance may move in one round
 APART = 4.0  # factor between a compliance and what was believed of it
 CONVERGED = 1e-6  # m and rad
+STILL = 0.01  # of a compliance
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -217,7 +218,9 @@ def refit(
             left = rest - columns @ (change / length)
             variance = float(left[fitted] @ left[fitted]) / max(int(fitted.sum()) - effective, 1.0)
         step = change / length
-        if turn == rounds or np.abs(step[:n]).max(initial=0.0) < CONVERGED:
+        softer = step[n : flat.shape[1]] / np.maximum(_fitted(model), 1e-300)
+        still = np.abs(step[:n]).max(initial=0.0) < CONVERGED and np.abs(softer).max(initial=0.0) < STILL
+        if turn == rounds or still:
             break
         value = value + step[flat.shape[1] :]
         parameters = moved(model.parameters, model.terms, step[:n])
@@ -257,6 +260,13 @@ def _directions(held: Float2D, length: Float1D, flat: int) -> Float2D | None:
         return None
     fixed = np.concatenate([np.zeros((len(held), flat)), held / length], axis=1)
     return np.asarray(null_space(fixed / np.linalg.norm(fixed, axis=1, keepdims=True)), dtype=np.float64)
+
+
+def _fitted(model: NullModel) -> Float1D:
+    """Return the compliances that the null model fits, in their order."""
+    joints = model.parameters.joints
+    index = [joints.index(str(one.location["joint"])) for one in model.fitted_compliances]
+    return np.asarray(model.parameters.compliance[index])
 
 
 def _softened(

@@ -11,6 +11,7 @@ dropped where others make it needless.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -27,7 +28,7 @@ DRAWS = 60
 FLOOR = 10.0  # nats: the threshold is never lower
 BESIDE = 20.0  # nats that a further cause must gain: what is accepted is seldom of quite the right form
 SEED = 17384
-TRIED = 6  # places per round whose forms may try
+TRIED = 6  # proposals per round that may try
 EQUIVALENT = 5.0  # nats
 PART = 3.0  # nats that a member must gain to stand, with a few others, in an accepted family's stead
 SWAP = 5.0  # nats by which a swap must be better
@@ -246,13 +247,16 @@ class Search:
         return accepted
 
     def _to_try(self, order: list[int]) -> list[int]:
-        """Return the first of some hypotheses, all forms of a few places: the best form may be one that cannot be."""
-        places: dict[object, None] = {}
-        for position, k in enumerate(order):
-            places.setdefault(self.field.offered.hypotheses[self.judged[k]].place)
-            if len(places) > TRIED:
-                return order[:position]
-        return order
+        """Return the first few of some hypotheses, and the neighbours of those whose law may lie at another form's."""
+        offered = self.field.offered
+        few = order[:TRIED]
+        near = {offered.hypotheses[self.judged[k]].place for k in few if self._reaches(k)}
+        return [*few, *(k for k in order[TRIED:] if offered.hypotheses[self.judged[k]].place in near)]
+
+    def _reaches(self, k: int) -> bool:
+        """Say whether a judged hypothesis is one of several forms between which its law may lie."""
+        members = self.field.offered.hypotheses[self.judged[k]].members
+        return any(math.isfinite(p.reach) for i in members for p in self.field.offered.candidates[i].parameters)
 
     def _gain(self, accepted: Accepted, *, narrow: bool) -> Float1D:
         """Return what hypotheses gain, nats; narrow: single ones, minus infinity for families."""
