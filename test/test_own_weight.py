@@ -47,7 +47,9 @@ def answered(number: int, folder: Path) -> Answered:
     ("number", "effect", "place"),
     [
         pytest.param(91, "off_axis_compliance", {"joint": "joint_4"}, id="a bearing of a robot in modified rows"),
-        pytest.param(206, "gravity_compensator", {"joint": "joint_2"}, id="a spring of which many forms are impossible"),
+        pytest.param(
+            206, "gravity_compensator", {"joint": "joint_2"}, id="a spring, most of whose forms are impossible"
+        ),
         pytest.param(140, "hysteresis", {"joint": "joint_6"}, id="a joint that lags on its way to a posture, too"),
         pytest.param(153, "backlash", {"joint": "joint_5"}, id="one joint, and no other a little"),
         pytest.param(130, "link_bending", {"link": "link_4"}, id="a link whose motors rest on its joint"),

@@ -61,7 +61,7 @@ class Controls:
             ridge = np.full(columns.shape[1], trial.sizes.variance / float(trial.sizes.size[-1]) ** 2)
             other = trial.field.in_blocks(model.beside(columns, ridge))
             for before, true, false in zip(trial.before, trial.after, other, strict=True):
-                kept = (before.squares - false.squares).sum() / max((before.squares - true.squares).sum(), 1e-12)
+                kept = (before - false).sum() / max((before - true).sum(), 1e-12)
                 if kept > COLLAPSED:
                     return f"{100 * kept:.0f} % of its gain remains with gravity turned by 90 degrees"
         return ""

@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.hypotheses import Hypothesis, Offered
-from calibration_core.estimation.leave_out import Blockwise, LeftOut, Predicted, Proof, blockwise, proof
+from calibration_core.estimation.leave_out import LeftOut, Proof, block_squares, proof
 from calibration_core.estimation.likelihood import Gram, Sizes
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
@@ -113,9 +113,9 @@ class Field:
         ridge = np.concatenate([np.zeros(self.flat_count), sizes.variance / t**2])
         return LeftOut(columns, self.residual, self.partitions, ridge)
 
-    def in_blocks(self, predicted: Sequence[Predicted]) -> list[Blockwise]:
-        """Return per partition what blocks left out show, summed up."""
-        return [blockwise(each, one) for each, one in zip(predicted, self.partitions, strict=True)]
+    def in_blocks(self, errors: Sequence[Float1D]) -> list[Float1D]:
+        """Return per partition the squares of blocks left out, (b,)."""
+        return [block_squares(error, one) for error, one in zip(errors, self.partitions, strict=True)]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ class Trial:
         index: The hypothesis.
         sizes: Of all of them, its own last.
         gain: Of the hypothesis beside the others, nats.
-        before, after: What blocks left out show, per partition.
+        before, after: Squares of blocks left out, per partition, (b,).
     """
 
     field: Field
@@ -136,8 +136,8 @@ class Trial:
     index: int
     sizes: Sizes
     gain: float
-    before: list[Blockwise]
-    after: list[Blockwise]
+    before: list[Float1D]
+    after: list[Float1D]
 
     @property
     def hypothesis(self) -> Hypothesis:

@@ -56,21 +56,6 @@ def left_out(
     return result
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Predicted:
-    """What blocks left out show of a linear model.
-
-    Attributes:
-        error: (r,) what is left of every row when its block is left out.
-        misfit: (b,) of every block: the square of its error over its variance, times that of a row.
-        log_det: (b,) logarithm of the determinant of its error's precision, times that variance.
-    """
-
-    error: Float1D
-    misfit: Float1D
-    log_det: Float1D
-
-
 class LeftOut:
     """A linear model with every block of several partitions left out, and what more columns would change.
 
@@ -106,42 +91,33 @@ class LeftOut:
     @property
     def errors(self) -> list[Float1D]:
         """Per partition what is left of every row when its block is left out, (r,)."""
-        return [one.error for one in self.predicted]
-
-    @property
-    def predicted(self) -> list[Predicted]:
-        """Per partition what is left of every row when its block is left out."""
         answers = []
         for several in self.blocks:
-            error, misfit, log_det = np.zeros_like(self.residual), np.empty(len(several)), np.empty(len(several))
-            for k, (rows, factor) in enumerate(several):
-                error[rows] = dpotrs(factor, self.left[rows], lower=True)[0]
-                misfit[k] = self.left[rows] @ error[rows]
-                log_det[k] = 2 * np.log(np.diag(factor)).sum()
-            answers.append(Predicted(error, misfit, log_det))
+            result = np.zeros_like(self.residual)
+            for rows, factor in several:
+                result[rows] = dpotrs(factor, self.left[rows], lower=True)[0]
+            answers.append(result)
         return answers
 
-    def beside(self, columns: Float2D, ridge: Float1D) -> list[Predicted]:
+    def beside(self, columns: Float2D, ridge: Float1D) -> list[Float1D]:
         """Return the same with k further columns (r, k), of prior precision (k,) times the noise variance."""
         if columns.shape[1] > FEW:
             both, precision = np.concatenate([self.columns, columns], axis=1), np.concatenate([self.ridge, ridge])
-            return LeftOut(both, self.residual, self.partitions, precision).predicted
+            return LeftOut(both, self.residual, self.partitions, precision).errors
         rest = columns - self.half.T @ (self.half @ columns)
         lower = cholesky(columns.T @ rest + np.diag(RIDGE + ridge), lower=True)
         more = solve_triangular(lower, rest.T, lower=True)  # (k, r)
         left = self.left - (more @ self.residual) @ more
         answers = []
         for several in self.blocks:
-            error, misfit, log_det = np.zeros_like(self.residual), np.empty(len(several)), np.empty(len(several))
-            for k, (rows, factor) in enumerate(several):
+            result = np.zeros_like(self.residual)
+            for rows, factor in several:
                 own = more[:, rows]
                 solved = dpotrs(factor, np.column_stack([left[rows], own.T]), lower=True)[0]
                 plain, through = solved[:, 0], solved[:, 1:]
                 inner = np.eye(len(own)) - own @ through
-                error[rows] = plain + through @ np.linalg.solve(inner, own @ plain)
-                misfit[k] = left[rows] @ error[rows]
-                log_det[k] = 2 * np.log(np.diag(factor)).sum() + np.linalg.slogdet(inner)[1]
-            answers.append(Predicted(error, misfit, log_det))
+                result[rows] = plain + through @ np.linalg.solve(inner, own @ plain)
+            answers.append(result)
         return answers
 
 
@@ -152,25 +128,6 @@ def _factor(matrix: Float2D) -> Float2D:
         own, turn = np.linalg.eigh(matrix)
         factor, _ = dpotrf((turn * np.maximum(own, RIDGE)) @ turn.T, lower=True)
     return np.asarray(factor, dtype=np.float64)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Blockwise:
-    """The same in sums.
-
-    Attributes:
-        squares: (b,) of the errors of every block.
-        misfit, log_det: As in `Predicted`.
-    """
-
-    squares: Float1D
-    misfit: Float1D
-    log_det: Float1D
-
-
-def blockwise(predicted: Predicted, partition: Blocks) -> Blockwise:
-    """Sum up what is predicted by blocks."""
-    return Blockwise(block_squares(predicted.error, partition), predicted.misfit, predicted.log_det)
 
 
 def block_squares(error: Float1D, partition: Blocks) -> Float1D:
@@ -188,33 +145,19 @@ class Proof:
         nats: Squares saved over twice the variance.
         without_best: The same without the block that saves most.
         share: Of the squares, that is saved.
-        density: Logarithm of the densities gained, nats.
-        density_without_best: The same without the block that gains most.
     """
 
     nats: float
     without_best: float
     share: float
-    density: float
-    density_without_best: float
 
     @property
     def holds(self) -> bool:
         """Whether enough is saved, and not on a single block only."""
-        a = self.nats > LEAST_NATS and self.without_best > 0
-        b = self.density > LEAST_NATS and self.density_without_best > 0
-        return {"squares": a, "either": a or b, "both": a and b, "density": b}[GATE]
+        return self.nats > LEAST_NATS and self.without_best > 0
 
 
-import os
-GATE = os.environ.get("GATE", "squares")
-
-
-def proof(before: Blockwise, after: Blockwise, variance: float) -> Proof:
-    """Compare blocks without and with a hypothesis, variance being that of a row with it."""
-    gain = (before.squares - after.squares) / (2 * variance)
-    more = (before.misfit - after.misfit) / (2 * variance) + (after.log_det - before.log_det) / 2
-    share = float((before.squares - after.squares).sum() / before.squares.sum())
-    return Proof(
-        float(gain.sum()), float(gain.sum() - gain.max()), share, float(more.sum()), float(more.sum() - more.max())
-    )
+def proof(before: Float1D, after: Float1D, variance: float) -> Proof:
+    """Compare squares per block, (b,), without and with a hypothesis."""
+    gain = (before - after) / (2 * variance)
+    return Proof(float(gain.sum()), float(gain.sum() - gain.max()), float((before - after).sum() / before.sum()))

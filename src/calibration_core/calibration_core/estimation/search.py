@@ -19,7 +19,7 @@ import numpy as np
 from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.gains import Seen, beside, gains
-from calibration_core.estimation.leave_out import LEAST_NATS, Blockwise, LeftOut, Proof
+from calibration_core.estimation.leave_out import LEAST_NATS, LeftOut, Proof
 from calibration_core.estimation.likelihood import Sizes, fit_sizes
 from calibration_core.timeseries import Float1D
 
@@ -89,7 +89,7 @@ class Search:
         self.alone = np.array([len(field.offered.hypotheses[index].members) == 1 for index in self.judged], dtype=bool)
         self._narrow = frozenset(map(int, self.narrow))
         self.fits: dict[Accepted, Sizes] = {}
-        self.held_out: dict[Accepted, list[Blockwise]] = {}
+        self.held_out: dict[Accepted, list[Float1D]] = {}
         self.known: dict[tuple[Accepted, bool], Scores] = {}
         self.trials: dict[tuple[Accepted, int], Trial] = {}
         self.alone_known: dict[tuple[Accepted, int], tuple[float, float, float]] = {}
@@ -105,10 +105,10 @@ class Search:
             self.fits[accepted] = fit_sizes(self.field.gram, self.field.blocks(accepted), self._start(accepted))
         return self.fits[accepted]
 
-    def blockwise(self, accepted: Accepted) -> list[Blockwise]:
-        """Return what blocks left out show, per partition."""
+    def squares(self, accepted: Accepted) -> list[Float1D]:
+        """Return the squares of blocks left out."""
         if accepted not in self.held_out:
-            self.held_out[accepted] = self.field.in_blocks(self.left_out(accepted).predicted)
+            self.held_out[accepted] = self.field.in_blocks(self.left_out(accepted).errors)
         return self.held_out[accepted]
 
     def left_out(self, accepted: Accepted) -> LeftOut:
@@ -170,7 +170,7 @@ class Search:
         columns = self.field.columns((index,))
         before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
         after = self.field.in_blocks(before.beside(columns, ridge))
-        return Trial(self.field, accepted, index, sizes, nats, self.blockwise(accepted), after)
+        return Trial(self.field, accepted, index, sizes, nats, self.squares(accepted), after)
 
     def run(self, accepted: Accepted = ()) -> Selection:
         """Search, beginning with some hypotheses.
@@ -194,9 +194,9 @@ class Search:
         effects = [len({self.field.offered.hypotheses[i].effect for i in several}) for several in (one, other)]
         if effects[0] > effects[1] and self.sizes(one).value < self.sizes(other).value + BESIDE:
             return False
-        pairs = zip(self.blockwise(one), self.blockwise(other), strict=True)
+        pairs = zip(self.squares(one), self.squares(other), strict=True)
         least = 2 * self.sizes(one).variance * LEAST_NATS
-        return all(a.squares.sum() < b.squares.sum() - least for a, b in pairs)
+        return all(a.sum() < b.sum() - least for a, b in pairs)
 
     def _grown(self, accepted: Accepted, *, narrow: bool) -> Accepted:
         accepted = self.grow(accepted, narrow=narrow)

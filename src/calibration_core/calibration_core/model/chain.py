@@ -78,14 +78,16 @@ class Chain:
         return float(np.linalg.norm(steps, axis=1).sum())
 
     @property
-    def near(self) -> Float1D:
-        """(n,) m, how far along each axis from the frame before lies what is nearest to the previous joint's frame.
+    def other_end(self) -> Float1D:
+        """(n,) m, how far along each axis from the frame before the other end of what is known of the axis lies.
 
-        The frame of a joint may stand anywhere on its axis; where its bearing sits is not known from it.
+        A frame may stand anywhere on its axis, and where a bearing sits is not known from it: with modified rows the
+        joint's own frame is d away, and with a URDF the point next to the previous joint's frame may be elsewhere.
         """
-        before = np.zeros((self.n, 3))
-        before[1:, 2] = self.along[:-1]
-        return np.asarray(np.einsum("nik,ni->nk", self.rotation, before - self.translation)[:, 2])
+        own = np.zeros((self.n, 3))
+        own[1:, 2] = self.along[:-1]
+        near = np.einsum("nik,ni->nk", self.rotation, own - self.translation)[:, 2]
+        return np.where(np.abs(self.along) > np.abs(near), self.along, near)
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -110,20 +110,16 @@ class State:
         """Whether any external load acts."""
         return bool(np.any(self.force) or np.any(self.moment))
 
-    def place(self, joint: int, *, near: bool = False) -> Float2D:
-        """Return the (3, m) m where a joint's own frame stands before its motion, or the near end of its axis."""
-        return self.at.origin[joint] + self._along(joint, near=near) * self.at.axis(joint)
+    def place(self, joint: int, *, other_end: bool = False) -> Float2D:
+        """Return the (3, m) m where the frame before a joint stands, or the other end of the joint's axis."""
+        return self.at.origin[joint] + self._beyond(joint, other_end=other_end)
 
-    def foot(self, link: int, *, near: bool = False) -> Float2D:
+    def foot(self, link: int, *, other_end: bool = False) -> Float2D:
         """Return the same behind the motion of the joint, where the link begins."""
-        return self.at.body_origin[link] + self._along(link, near=near) * self.at.axis(link)
+        return self.at.body_origin[link] + self._beyond(link, other_end=other_end)
 
-    def apart(self, joint: int) -> float:
-        """Return how far a joint's own frame is from the near end of its axis, m; 0 beyond the last joint."""
-        return 0.0 if joint == self.chain.n else abs(float(self.chain.along[joint] - self.chain.near[joint]))
-
-    def _along(self, joint: int, *, near: bool) -> float:
-        return float((self.chain.near if near else self.chain.along)[joint])
+    def _beyond(self, joint: int, *, other_end: bool) -> Float2D:
+        return float(self.chain.other_end[joint]) * other_end * self.at.axis(joint)
 
     def seen_by(self, number: int) -> State:
         """Return the same state with the tracker where one recording's stood, and wrenches as the sensors read them."""

@@ -1,13 +1,14 @@
-"""A robot in modified DH rows and the same robot as a URDF: each joint has the same frame, and all effects are alike."""
+"""A robot in modified DH rows and the same robot as a URDF: under its own weight, both offer the same effects."""
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calibration_core.cell import load_cell
+from calibration_core.cell import Cell, load_cell
 from calibration_core.model.chain import rotation_x, rotation_z, rpy_of
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
@@ -79,26 +80,68 @@ def at_rest(path: Path) -> State:
     )  # fmt: skip
 
 
+ENDS = {"off_axis_compliance": ", other end of its axis", "link_bending": ", between the other ends of the axes"}
+
+
+def by_end(state: State, effect: str, form: str) -> dict[bool, dict[object, Candidate]]:
+    """Return place -> the form of an effect there, at the joints' frames (False) and at the other ends (True)."""
+    offered = {c.key: c for c in candidates(state) if c.effect == effect}
+    found: dict[bool, dict[object, Candidate]] = {False: {}, True: {}}
+    for (_, _, variant), candidate in offered.items():
+        for other in (False, True):
+            if variant == form.replace("@", ENDS[effect] if other else ""):
+                found[other][candidate.place] = candidate
+    return found
+
+
 # Not by the axes before the turn theta of a row, which modified rows state behind the frame, and a URDF before it.
-ALIKE = {
-    ("off_axis_compliance", "isotropic"): 6,
-    ("off_axis_compliance", "behind"): 6,
-    ("link_bending", "tube"): 4,
-    ("link_bending", "bending and torsion"): 4,
-    ("base_compliance", "rocking"): 1,
-    ("thermal_growth", "one link"): 4,
-}
-
-
-@pytest.mark.parametrize(("effect", "variant"), ALIKE)
-def test_modified_rows_and_their_urdf_give_the_same_effects(tmp_path: Path, effect: str, variant: str) -> None:
-    def offered(state: State) -> list[Candidate]:
-        return [c for c in candidates(state) if (c.effect, c.variant) == (effect, variant)]
-
+@pytest.mark.parametrize(
+    ("effect", "form", "apart"),
+    [
+        ("off_axis_compliance", "isotropic@", {"joint_1", "joint_4", "joint_6"}),
+        ("off_axis_compliance", "behind@", {"joint_1", "joint_4", "joint_6"}),
+        ("link_bending", "tube@", {"link_1", "link_3", "link_5"}),
+        ("link_bending", "bending and torsion@", {"link_1", "link_3", "link_5"}),
+        ("link_bending", "tube@, own weight on its joint", {"link_1", "link_3", "link_5"}),
+    ],
+)
+def test_modified_rows_and_their_urdf_give_the_same_effects(
+    tmp_path: Path, effect: str, form: str, apart: set[str]
+) -> None:
     rows, urdf = at_rest(as_rows(tmp_path)), at_rest(as_urdf(tmp_path))
-    both = list(zip(offered(rows), offered(urdf), strict=True))
-    assert len(both) >= ALIKE[effect, variant]
-    for one, other in both:
-        assert one.place == other.place
+    own, turned = by_end(rows, effect, form), by_end(urdf, effect, form)
+    seen = set()
+    for place, one in own[True].items():  # the rows' frames before the joints are a URDF's other ends
+        columns = one.columns(rows)
+        np.testing.assert_allclose(
+            columns, turned[False][place].columns(urdf), rtol=0, atol=1e-9 * np.abs(columns).max()
+        )
+        seen |= set(one.location.values())
+    assert seen >= apart
+    for place, one in own[False].items():
+        other = turned[True].get(place) or turned[False][place]
         columns = one.columns(rows)
         np.testing.assert_allclose(columns, other.columns(urdf), rtol=0, atol=1e-9 * np.abs(columns).max())
+
+
+def test_recordings_of_loads_are_offered_one_end_alone(tmp_path: Path) -> None:
+    resting = at_rest(as_rows(tmp_path))
+    loaded = dataclasses.replace(resting, force=np.full((3, M), 100.0), moment=np.zeros((3, M)))
+    words = [f"{c.effect} {c.variant}" for c in candidates(loaded)]
+    assert any(word.startswith("off_axis_compliance") for word in words)
+    assert not any("other end" in word or "own weight on" in word for word in words)
+
+
+def test_standard_rows_have_both_ends_where_axes_are_parallel_alone() -> None:
+    cell = Cell.model_validate(
+        {
+            "name": "standard", "frames": {"measurement_points": {"mp1": [0.1, 0, 0]}},
+            "instruments": {"tracker": {"sigma": 1e-5}},
+            "robot": {
+                "name": "r", "joints": ["a", "b", "c"], "joint_limits": [[-3, 3]] * 3, "rated_load": 10,
+                "dh": [{"a": 0.1, "alpha": 1.5707963267948966, "d": 0.4}, {"a": 0.5, "alpha": 0.0, "d": 0.2},
+                       {"a": 0.4, "alpha": 0.0, "d": 0.0}],
+            },
+        }
+    )  # fmt: skip
+    np.testing.assert_allclose(chain_of(cell).other_end, [0.0, 0.0, -0.2], atol=1e-15)

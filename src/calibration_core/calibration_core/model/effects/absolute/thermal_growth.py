@@ -34,8 +34,8 @@ def _arm(state: State) -> Float3D:
 
 def _length(state: State, link: int) -> Float2D:
     """Return the (3, m) vector from the axis before a link to the one after it, or to the flange."""
-    last = link == state.chain.n - 1
-    return (state.at.flange_origin if last else state.place(link + 1)) - state.place(link)
+    tips = [*state.at.origin[1:], state.at.flange_origin]
+    return tips[link] - state.at.origin[link]
 
 
 def _link(state: State, link: int) -> Float3D:

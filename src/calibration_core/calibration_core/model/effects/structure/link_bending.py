@@ -3,12 +3,13 @@
 u = F L^3/3EI + M L^2/2EI, phi = F L^2/2EI + M L/EI, torsion M L/GJ: rotary springs spread evenly along the link.
 The weight of the link itself bends it where its centre of gravity is; or it rests on the link's joint, as that of
 motors does that sit there.  A link reaches from the frame of its joint to that of the next; or, where these stand
-elsewhere on their axes, between the near ends of both.
+not all that is known of their axes, between the other ends of both.
 Source: Euler-Bernoulli beam by virtual work.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from functools import partial
 
@@ -24,14 +25,16 @@ from calibration_core.timeseries import Float2D, Float3D
 SHORTEST = 0.05  # m: shorter links do not bend
 UNIT = "1/(N*m^2)"
 ACROSS = 1e-6  # cosine: axes so near to right angles are equally so
-ON_JOINT = ", own weight on its joint"
-NEAR_ENDS = ", between the near ends of the axes"
+ON_JOINT, OTHER_ENDS = ", own weight on its joint", ", between the other ends of the axes"
+WEIGHT, ENDS = {"": True, ON_JOINT: False}, {"": False, OTHER_ENDS: True}
 TURNED = 0.3  # typical size of the compliance between the two planes over that in them
 
 
-def _ends(state: State, link: int, *, near: bool) -> tuple[Float2D, Float2D]:
-    last = link == state.chain.n - 1
-    return state.foot(link, near=near), state.at.flange_origin if last else state.place(link + 1, near=near)
+def _ends(state: State, link: int, *, other_ends: bool) -> tuple[Float2D, Float2D]:
+    start = state.foot(link, other_end=other_ends)
+    if link == state.chain.n - 1:
+        return start, state.at.flange_origin
+    return start, state.place(link + 1, other_end=other_ends)
 
 
 def _axes(state: State, link: int, ends: tuple[Float2D, Float2D]) -> tuple[Float2D, Float2D, Float2D]:
@@ -46,26 +49,26 @@ def _axes(state: State, link: int, ends: tuple[Float2D, Float2D]) -> tuple[Float
     return across, cross(along, across), along
 
 
-def _bending(state: State, link: int, *, near: bool, own_weight: bool) -> Float3D:
-    ends = _ends(state, link, near=near)
+def _bending(state: State, link: int, *, other_ends: bool, own_weight: bool) -> Float3D:
+    ends = _ends(state, link, other_ends=other_ends)
     first, second, _ = _axes(state, link, ends)
     return along_link(
         state, link, ends, lambda cut, at: tilting(state, cut, (first, second), at), own_weight=own_weight
     )
 
 
-def _whole(state: State, link: int, *, near: bool, own_weight: bool) -> Float3D:
-    ends = _ends(state, link, near=near)
+def _whole(state: State, link: int, *, other_ends: bool, own_weight: bool) -> Float3D:
+    ends = _ends(state, link, other_ends=other_ends)
     along = _axes(state, link, ends)[2]
     torsion = along_link(
         state, link, ends, lambda cut, at: stacked(turning(state, cut, along, at)), own_weight=own_weight
     )
-    return np.concatenate([_bending(state, link, near=near, own_weight=own_weight), torsion], axis=2)
+    return np.concatenate([_bending(state, link, other_ends=other_ends, own_weight=own_weight), torsion], axis=2)
 
 
-def _round(state: State, link: int, *, near: bool, own_weight: bool) -> Float3D:
+def _round(state: State, link: int, *, other_ends: bool, own_weight: bool) -> Float3D:
     """One bending stiffness for both directions, as of a tube."""
-    return stacked(_bending(state, link, near=near, own_weight=own_weight)[:, :, :2].sum(axis=-1))
+    return stacked(_bending(state, link, other_ends=other_ends, own_weight=own_weight)[:, :, :2].sum(axis=-1))
 
 
 def _forms(state: State) -> Iterator[Candidate]:
@@ -79,29 +82,32 @@ def _forms(state: State) -> Iterator[Candidate]:
     three = (*two, Parameter("torsion", UNIT, 2 * size, positive=True))
     for link in range(state.chain.n):
         form = partial(Candidate, EFFECT.name, EFFECT.family, {"link": link_name(link)})
-        for where, near, own_weight in (("", False, True), (ON_JOINT, False, False), (NEAR_ENDS, True, True)):
-            start, tip = _ends(state, link, near=near)
+        for (where, other_ends), (weight, own_weight) in itertools.product(ENDS.items(), WEIGHT.items()):
+            start, tip = _ends(state, link, other_ends=other_ends)
             if float(np.linalg.norm(tip - start, axis=0).min()) < SHORTEST:
                 continue
-            law = {"link": link, "near": near, "own_weight": own_weight}
-            yield form(f"bending{where}", two, partial(_bending, **law))  # type: ignore[arg-type]
-            yield form(f"bending and torsion{where}", three, partial(_whole, **law))  # type: ignore[arg-type]
-            yield form(f"tube{where}", one, partial(_round, **law))  # type: ignore[arg-type]
+            bending, whole, tube = (
+                partial(law, link=link, other_ends=other_ends, own_weight=own_weight)
+                for law in (_bending, _whole, _round)
+            )
+            yield form(f"bending{where}{weight}", two, bending)
+            yield form(f"bending and torsion{where}{weight}", three, whole)
+            yield form(f"tube{where}{weight}", one, tube)
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    """Leave out forms that are the same.
+    """Leave out forms that are the same, and in recordings of loads all but those of the frames and the own weight.
 
-    A link's own weight rests on its joint only where this and other weight bend the link, and no load does; the near
-    ends of the axes are others only where a joint's frame stands elsewhere.
+    A link's own weight may rest on its joint where this and other weight bend the link.
     """
-    n = state.chain.n
-    mass = np.zeros(n) if state.loaded or state.chain.mass is None else state.chain.mass
+    chain, n = state.chain, state.chain.n
+    mass = np.zeros(n) if chain.mass is None else chain.mass
+    apart = np.append(np.abs(chain.other_end), 0.0)
     heavy = {link_name(link) for link in range(n) if mass[link] > 0 and np.any(mass[link + 1 :] > 0)}
-    other = {link_name(link) for link in range(n) if max(state.apart(link), state.apart(link + 1)) > SHORTEST}
+    other = {link_name(link) for link in range(n) if max(apart[link], apart[link + 1]) > SHORTEST}
     for candidate in _forms(state):
-        asked = {ON_JOINT: heavy, NEAR_ENDS: other}
-        if all(candidate.location["link"] in links or not candidate.variant.endswith(w) for w, links in asked.items()):
+        asked = [links for words, links in ((ON_JOINT, heavy), (OTHER_ENDS, other)) if words in candidate.variant]
+        if not asked or (not state.loaded and all(candidate.location["link"] in links for links in asked)):
             yield candidate
 
 

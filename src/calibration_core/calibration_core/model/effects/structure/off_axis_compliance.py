@@ -1,8 +1,8 @@
 """Compliance of a joint across its axis: bearings and housings give way about the two other axes.
 
 theta_u = C_u tau_u about x and y of the frame before the joint (DH frame i-1), or of the body frame behind it; a
-compliance between x and y turns the principal directions.  Where on its axis a bearing sits is not known: it is at the
-joint's frame or, if that is elsewhere, at the near end of the axis.
+compliance between x and y turns the principal directions.  Where on its axis a bearing sits is not known: under
+the robot's own weight both ends of what is known of the axis are tried.
 Source: virtual joints with several springs each (Pashkevich, Klimchik, Chablat); moment rigidity of reducers.
 """
 
@@ -20,23 +20,23 @@ from calibration_core.timeseries import Float3D
 
 UNIT = "rad/(N*m)"
 X, Y = 0, 1
-NEAR_END = ", near end of its axis"
+OTHER_END = ", other end of its axis"
 APART = 0.05  # m: nearer to each other, both ends are one
 TURNED = 0.3  # typical size of the compliance between x and y over that about them
 
 
-def _proximal(state: State, joint: int, *, near: bool = False) -> Float3D:
+def _proximal(state: State, joint: int, *, other_end: bool = False) -> Float3D:
     axes = state.at.before[joint]
-    return tilting(state, before_joint(joint), (axes[X], axes[Y]), state.place(joint, near=near))
+    return tilting(state, before_joint(joint), (axes[X], axes[Y]), state.place(joint, other_end=other_end))
 
 
-def _distal(state: State, joint: int, *, near: bool = False) -> Float3D:
+def _distal(state: State, joint: int, *, other_end: bool = False) -> Float3D:
     axes = state.at.body[joint]
-    return tilting(state, behind_joint(joint), (axes[X], axes[Y]), state.foot(joint, near=near))
+    return tilting(state, behind_joint(joint), (axes[X], axes[Y]), state.foot(joint, other_end=other_end))
 
 
-def _isotropic(state: State, joint: int, *, near: bool = False) -> Float3D:
-    return stacked(_proximal(state, joint, near=near)[:, :, :2].sum(axis=-1))
+def _isotropic(state: State, joint: int, *, other_end: bool = False) -> Float3D:
+    return stacked(_proximal(state, joint, other_end=other_end)[:, :, :2].sum(axis=-1))
 
 
 def _forms(state: State) -> Iterator[Candidate]:
@@ -49,17 +49,17 @@ def _forms(state: State) -> Iterator[Candidate]:
     for joint, name in enumerate(state.chain.joints):
         form = partial(Candidate, EFFECT.name, EFFECT.family, {"joint": name})
         one = (Parameter("compliance", UNIT, size, positive=True),)
-        for near, where in ((False, ""), (True, NEAR_END)):
-            yield form(f"before{where}", several, partial(_proximal, joint=joint, near=near))
-            yield form(f"behind{where}", several, partial(_distal, joint=joint, near=near))
-            yield form(f"isotropic{where}", one, partial(_isotropic, joint=joint, near=near))
+        for other_end, where in ((False, ""), (True, OTHER_END)):
+            yield form(f"before{where}", several, partial(_proximal, joint=joint, other_end=other_end))
+            yield form(f"behind{where}", several, partial(_distal, joint=joint, other_end=other_end))
+            yield form(f"isotropic{where}", one, partial(_isotropic, joint=joint, other_end=other_end))
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    """Leave out the near end where the joint's frame stands there."""
-    ends = {name for joint, name in enumerate(state.chain.joints) if state.apart(joint) > APART}
+    """Leave out the other end of an axis where both are one, and in recordings of loads."""
+    ends = {name for name, apart in zip(state.chain.joints, state.chain.other_end, strict=True) if abs(apart) > APART}
     for candidate in _forms(state):
-        if not candidate.variant.endswith(NEAR_END) or candidate.location["joint"] in ends:
+        if not candidate.variant.endswith(OTHER_END) or (candidate.location["joint"] in ends and not state.loaded):
             yield candidate
 
 
