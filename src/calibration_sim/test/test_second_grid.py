@@ -265,3 +265,11 @@ def test_an_effect_is_drawn_elsewhere_before_its_size_becomes_absurd() -> None:
         (effect,) = generate(dataclasses.replace(scenario, seed=seed)).label["effects"]  # type: ignore[type-var]
         assert effect["amplitude"] <= 5.0
         assert effect["location"] != {"joint": "joint_6"}
+
+
+def test_an_effect_that_no_robot_could_carry_is_drawn_elsewhere() -> None:
+    """At the first place that this scenario draws, the clearance that is loud enough leaves the robot without rest."""
+    scenario = next(one for one in second_grid(20265) if one.number == 406)
+    label = generate(scenario).label
+    assert label["effects"][0]["effect"] == "backlash"
+    assert label["snr"][0] >= 0.9 * LOUD

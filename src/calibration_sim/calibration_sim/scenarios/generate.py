@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration_core.errors import EquilibriumError
 from calibration_core.files.yaml_file import read_yaml
 from calibration_core.timeseries import Float2D, Readings
 from calibration_sim.cell.truth import Spread, draw_truth, generator
@@ -134,14 +135,23 @@ def _loud_enough(scenario: Scenario, planned: Planned, k: int, known: Background
     """Draw an effect and scale it to the signal-to-noise ratio that is asked for.
 
     In the second grid, a place where that takes an absurd size is drawn again; the least absurd of a few draws is it.
+
+    Raises:
+        EquilibriumError: At no place that was drawn the robot finds rest.
     """
-    scaled = _scaled(scenario, (EFFECT_STREAM, k), planned, known)
-    for again in range(1, MOST_DRAWS):
-        if not scenario.second or scaled[0].label.amplitude <= MOST_AMPLITUDE:
+    drawn: list[tuple[Effect, float]] = []
+    failed: EquilibriumError | None = None
+    for again in range(MOST_DRAWS if scenario.second else 1):
+        try:
+            drawn.append(_scaled(scenario, (EFFECT_STREAM, k, again) if again else (EFFECT_STREAM, k), planned, known))
+        except EquilibriumError as error:  # so much that nothing carries the robot any more
+            failed = error
+            continue
+        if drawn[-1][0].label.amplitude <= MOST_AMPLITUDE:
             break
-        other = _scaled(scenario, (EFFECT_STREAM, k, again), planned, known)
-        scaled = min(scaled, other, key=lambda drawn: drawn[0].label.amplitude)
-    return scaled
+    if failed is not None and not drawn:
+        raise failed
+    return min(drawn, key=lambda one: one[0].label.amplitude)
 
 
 def _scaled(scenario: Scenario, stream: tuple[int, ...], planned: Planned, known: Background) -> tuple[Effect, float]:

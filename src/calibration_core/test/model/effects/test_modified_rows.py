@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.model.chain import rotation_x, rotation_z, rpy_of
+from calibration_core.model.chain import Chain, rotation_x, rotation_z, rpy_of
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.state import State, state_of
@@ -69,11 +69,14 @@ def as_urdf(folder: Path) -> Path:
     return path
 
 
-def at_rest(path: Path) -> State:
-    chain = chain_of(load_cell(path))
+def at_rest(path: Path, compliance: float = 2e-6) -> State:
+    return resting(chain_of(load_cell(path)), compliance)
+
+
+def resting(chain: Chain, compliance: float) -> State:
     rng = np.random.default_rng(2)
     return state_of(
-        chain, rng.uniform(-1.3, 1.3, (M, chain.n)), np.full(chain.n, 2e-6), None,
+        chain, rng.uniform(-1.3, 1.3, (M, chain.n)), np.full(chain.n, compliance), None,
         np.tile([[0.1], [0.05], [0.12]], (1, M)), point_index=np.zeros(M, dtype=np.int64), wrench=None,
         configuration=np.arange(M), step=np.zeros(M, dtype=np.int64), time=np.arange(M) * 10.0,
         temperature=np.linspace(20.0, 26.0, M), tracker=np.eye(4), rated_load=60.0,
@@ -122,6 +125,28 @@ def test_modified_rows_and_their_urdf_give_the_same_effects(
         other = turned[True].get(place) or turned[False][place]
         columns = one.columns(rows)
         np.testing.assert_allclose(columns, other.columns(urdf), rtol=0, atol=1e-9 * np.abs(columns).max())
+
+
+def test_own_weight_on_the_joint_is_that_of_a_link_whose_centre_of_gravity_is_there(tmp_path: Path) -> None:
+    stiff = 1e-16  # so that both stand in the same posture
+    chain = chain_of(load_cell(as_rows(tmp_path)))
+    assert chain.com is not None
+    for link in (0, 1, 2):
+        com = chain.com.copy()
+        com[link] = 0.0
+        moved = resting(dataclasses.replace(chain, com=com), stiff)
+        as_stated = resting(chain, stiff)
+        name = f"link_{link + 1}"
+
+        def columns(state: State, variant: str, name: str = name) -> np.ndarray:
+            several = (c for c in candidates(state) if c.effect == "link_bending" and c.location["link"] == name)
+            return next(c for c in several if c.variant == variant).columns(state)
+
+        on_joint = columns(as_stated, "bending and torsion, own weight on its joint")
+        np.testing.assert_allclose(
+            on_joint, columns(moved, "bending and torsion"), rtol=0, atol=1e-9 * np.abs(on_joint).max()
+        )
+        assert np.abs(on_joint - columns(as_stated, "bending and torsion")).max() > 1e-3 * np.abs(on_joint).max()
 
 
 def test_recordings_of_loads_are_offered_one_end_alone(tmp_path: Path) -> None:
