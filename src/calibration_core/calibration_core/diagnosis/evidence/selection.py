@@ -29,7 +29,7 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
     visible_size,
     without_confounded,
 )
-from calibration_core.diagnosis.evidence.confounding import are_confounded
+from calibration_core.diagnosis.evidence.confounding import MEMORY, are_confounded
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.evidence.predictive_density import GATE, log_predictive_densities, passes
 from calibration_core.model.effects.possible import forbidden, impossibility
@@ -47,7 +47,9 @@ SWAP = 0.5  # nats by which a swap must be better
 TIE = 1e-6  # nats a parameter: of two forms that explain as much, the one with fewer parameters is the better
 FEWEST = 3  # joints that make every joint
 LAW = "joint law"
-CONFOUNDED_SHARE = 0.15  # a later effect confounded with it, this much weaker, is the same cause under another law
+# A later effect that is confounded with it is the same cause under another law where it is this much weaker; of two
+# laws with memory at one joint always.
+CONFOUNDED_SHARE = 0.15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -287,8 +289,8 @@ def _choices(cache: GramCache, accepted: tuple[int, ...], level: float) -> tuple
     for index in order:
         evidence = alone[index][0]
         for k, choice in enumerate(choices):
-            weaker = evidence < CONFOUNDED_SHARE * choice.log_bayes_factor
             first, second = design.candidates[choice.candidate], design.candidates[index]
+            weaker = evidence < CONFOUNDED_SHARE * choice.log_bayes_factor or first.effect in MEMORY
             if weaker and are_confounded(first, second, design.joints):
                 choices[k] = dataclasses.replace(choice, refinements=(*choice.refinements, index))
                 break

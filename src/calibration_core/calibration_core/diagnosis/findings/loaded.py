@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
-from calibration_core.diagnosis.result.evidence_words import evidence_words
+from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, Location
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.model.effects import catalogue
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 
 LISTED = 5
+LAW = "joint law"
 DETERMINED = 2.0  # standard deviations from zero, at which a compliance counts as known
 
 
@@ -51,6 +52,7 @@ def findings_of(
         alternatives = tuple(_alternative(design.candidates[i], score, readings) for i, score in choice.equivalents)
         location = _location(candidate.location, readings)
         open_place = len(alternatives) > LISTED
+        settled = candidate.family != LAW or not choice.refinements
         found.append(
             Finding(
                 effect=candidate.effect,
@@ -63,9 +65,11 @@ def findings_of(
                 magnitude=magnitude,
                 cannot_be_told_from=alternatives[:LISTED],
                 stiffness_change=changes,
-                explanation=_explanation(candidate, location, choice, magnitude, changes, alternatives),
+                explanation=_explanation(candidate, location, choice, magnitude, changes, alternatives)
+                + ("" if settled else UNSETTLED),
                 separate_by=_separate(candidate, choice, design.candidates),
                 refinements=tuple(describe(design.candidates[i], readings) for i in choice.refinements),
+                law_settled=settled,
             )
         )
     return tuple(sorted(found, key=lambda finding: -finding.magnitude))

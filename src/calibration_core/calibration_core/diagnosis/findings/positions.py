@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.result.evidence_words import evidence_words
+from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, WAVE, Hypothesis
@@ -214,9 +214,7 @@ def _explanation(
     if found.offered.candidates[first.members[0]].relative(extended.model.state):
         text += " Its size is relative: the robot's masses are guesses or not known."
     if not settled:
-        text += (
-            " The joint and the kind of cause are settled, the form of its law is not: another law remains beside it."
-        )
+        text += UNSETTLED
     if alternatives:
         names = "; ".join(effect_sentence(a.effect, a.location) for a in alternatives)
         text += f" This recording cannot distinguish it from: {names}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 SCALE = ((100.0, "overwhelming"), (5.0, "very strong"), (3.0, "strong"), (1.0, "positive"))
+UNSETTLED = " The joint and the kind of cause are settled, the form of its law is not: another law remains beside it."
 MOST = 1_000  # of odds, of which nobody needs the number
 
 

@@ -1,4 +1,4 @@
-"""Recordings of postures at rest, alone and beside loads: concealed causes that were once named wrongly.
+"""Concealed causes that were once named wrongly, or beside others that are none.
 
 Each is one scenario of the second grid, diagnosed as a user would; what it guards stands with it.
 """
@@ -80,3 +80,13 @@ def test_what_is_missing_does_not_hide_the_geometry(
     true = 1 / np.array(answer.label["stiffness"])
     loaded = [1, 2]  # most by the weight
     np.testing.assert_allclose(answer.found.compliance[loaded], true[loaded], rtol=0.03)
+
+
+def test_friction_of_another_law_is_one_cause_with_an_open_law(tmp_path: Path) -> None:
+    """Wedge friction leaves something to creep at the same joint: both remember, and neither is settled."""
+    answer = answered(347, tmp_path)
+    (finding,) = answer.found.findings
+    assert (finding.effect, dict(finding.location)) == ("hysteresis", {"joint": "joint_3"})
+    assert not finding.law_settled
+    assert [words.split()[0] for words in finding.refinements] == ["creep"]
+    assert "the form of its law is not" in finding.explanation
