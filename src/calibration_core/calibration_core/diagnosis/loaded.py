@@ -16,6 +16,7 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter, claimed, directions, scatter, with_noise
 from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_use, whole_steps
+from calibration_core.diagnosis.data_checks.step_direction import jumps_along_a_joint
 from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
 from calibration_core.diagnosis.evidence.bayes_factors import LEVELS, NOISE_ALONE
@@ -120,13 +121,14 @@ def diagnose_loaded(
         )
         rest = dataclasses.replace(rest, significant=True, text=f"{size} {sentences}")
     rest = _with_whole_steps(rest, extended, checked)
+    law = empirical_law(extended) if rest.significant else None
+    rest = _with_jumps(rest, prepared, extended, seen)
     anomalies = _anomalies(checked, attempt, identification)
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
         registered = registration_findings(prepared, extended.state, readings)
         findings = tuple(sorted((*findings, *registered), key=lambda finding: -finding.magnitude))
     verdict = _verdict(bool(findings), rest.significant)
-    law = empirical_law(extended) if rest.significant else None
     if law is not None:
         fitted = law_findings(law, prepared.problem.chain.joints, prepared.problem.readings)
         findings = tuple(sorted((*findings, *fitted), key=lambda finding: -finding.magnitude))
@@ -185,6 +187,30 @@ def _with_whole_steps(rest: Rest, extended: ExtendedLoadedModel, checked: Checke
     before = f"{rest.text} " if rest.significant else ""
     where = dict(rest.where) or {"configurations": sorted({configuration for configuration, _ in steps})}
     return dataclasses.replace(rest, significant=True, where=where, text=f"{before}{text}")
+
+
+def _with_jumps(rest: Rest, prepared: PreparedLoaded, extended: ExtendedLoadedModel, seen: Scatter) -> Rest:
+    """Say of jumps from step to step that follow one joint that they are no noise."""
+    if not seen.freedom:
+        return rest
+    problem, used = prepared.problem, extended.used
+    axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
+    rows, answer = problem.linearise(extended.compliance).rows, extended.state.answer.transpose(2, 0, 1)
+    readings = problem.readings.select(used)
+    found = jumps_along_a_joint(rows.select(used), extended.raw[used], readings, axes[used], answer[used], seen)
+    if found is None:
+        return rest
+    name = problem.chain.joints[found.joint]
+    text = (
+        f"From step to step the points jump by {1e6 * found.rms:.1f} µm rms along with {name}, beyond what they do in "
+        "other directions: that is no noise of the tracker but this joint, as where friction is another than the "
+        "catalogue's."
+    )
+    before = f"{rest.text} " if rest.significant else ""
+    where = {**rest.where, "joints": {name: round(found.share, 3)}}
+    return dataclasses.replace(
+        rest, rms=max(rest.rms, found.rms), significant=True, where=where, text=f"{before}{text}"
+    )
 
 
 def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:

@@ -76,10 +76,7 @@ def scatter(rows: Rows, residual: Float2D, readings: Readings, axes: Float3D) ->
         readings: The same readings.
         axes: (m, 3, 3) directions in which the tracker errs independently.
     """
-    sigma = np.sqrt(np.einsum("mia,mab,mib->mi", axes, rows.noise, axes))
-    seen = np.einsum("mia,ma->mi", axes, residual) / sigma
-    known = np.einsum("mia,mak->mik", axes, rows.shared) / sigma[:, :, None]
-    groups = [g for n in np.unique(rows.configuration) if (g := _group(seen, known, rows, readings, n)) is not None]
+    groups = list(step_groups(rows, residual, readings, axes).values())
     freedom = sum(3 * group.points * group.left for group in groups)
     if freedom < TRUSTED:
         return claimed()
@@ -98,7 +95,7 @@ def scatter(rows: Rows, residual: Float2D, readings: Readings, axes: Float3D) ->
 
 def with_noise(rows: Rows, readings: Readings, seen: Scatter, axes: Float3D) -> Rows:
     """Return the rows with the noise that was seen; readings of a configuration share what they have in common."""
-    sigma = np.sqrt(np.einsum("mia,mab,mib->mi", axes, rows.noise, axes)) * np.array(seen.own)
+    sigma = claimed_along(rows, axes) * np.array(seen.own)
     noise = np.einsum("mi,mia,mib->mab", sigma**2, axes, axes)
     if seen.shared == 0:
         return dataclasses.replace(rows, noise=noise)
@@ -116,8 +113,8 @@ def with_noise(rows: Rows, readings: Readings, seen: Scatter, axes: Float3D) -> 
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Group:
-    """One configuration without smooth functions of its load.
+class StepGroup:
+    """One configuration without smooth functions of its load, in units of the claimed noise along each axis.
 
     Attributes:
         mean: (l, 3) means over the points.
@@ -139,7 +136,21 @@ class _Group:
         return self.basis.shape[1]
 
 
-def _group(seen: Float2D, known: Float3D, rows: Rows, readings: Readings, number: int) -> _Group | None:
+def step_groups(rows: Rows, residual: Float2D, readings: Readings, axes: Float3D) -> dict[int, StepGroup]:
+    """Return what jumps from step to step, by configuration; arguments as `scatter`."""
+    sigma = claimed_along(rows, axes)
+    seen = np.einsum("mia,ma->mi", axes, residual) / sigma
+    known = np.einsum("mia,mak->mik", axes, rows.shared) / sigma[:, :, None]
+    several = {int(n): _group(seen, known, rows, readings, n) for n in np.unique(rows.configuration)}
+    return {number: group for number, group in several.items() if group is not None}
+
+
+def claimed_along(rows: Rows, axes: Float3D) -> Float2D:
+    """Return the (m, 3) m claimed standard deviations along the axes of every reading."""
+    return np.asarray(np.sqrt(np.einsum("mia,mab,mib->mi", axes, rows.noise, axes)))
+
+
+def _group(seen: Float2D, known: Float3D, rows: Rows, readings: Readings, number: int) -> StepGroup | None:
     inside = np.flatnonzero(rows.configuration == number)
     recording = readings.recording
     point = readings.point if recording is None else readings.point[recording == recording[inside[0]]]
@@ -154,17 +165,17 @@ def _group(seen: Float2D, known: Float3D, rows: Rows, readings: Readings, number
     rest = np.einsum("sl,spi->lpi", complement, seen[index])
     mean = rest.mean(axis=1)
     within = ((rest - mean[:, None]) ** 2).sum(axis=(0, 1))
-    return _Group(mean, complement, within, (known[inside] ** 2).sum(axis=2).mean(axis=0), len(kinds))
+    return StepGroup(mean, complement, within, (known[inside] ** 2).sum(axis=2).mean(axis=0), len(kinds))
 
 
-def _alone(groups: list[_Group]) -> float:
+def _alone(groups: list[StepGroup]) -> float:
     """Return the variance of one coordinate from configurations with one point."""
     squares = sum(float((group.mean**2).sum()) for group in groups)
     known = float(np.mean([group.known.mean() for group in groups]))
     return squares / sum(3 * group.left for group in groups) - known
 
 
-def _shared(groups: list[_Group], own: Float1D) -> tuple[float, float]:
+def _shared(groups: list[StepGroup], own: Float1D) -> tuple[float, float]:
     """Return size (over own) and memory of the shared part by maximum likelihood; zeros if it convinces too little."""
     best, result, alone = -np.inf, (0.0, 0.0), -np.inf
     for memory in MEMORY:
@@ -176,7 +187,7 @@ def _shared(groups: list[_Group], own: Float1D) -> tuple[float, float]:
     return result if best > alone + CONVINCING else (0.0, 0.0)
 
 
-def _log_likelihoods(group: _Group, own: Float1D, memory: float) -> Float1D:
+def _log_likelihoods(group: StepGroup, own: Float1D, memory: float) -> Float1D:
     """Return the log likelihood of a group for every size in `SHARED`; one eigenbasis serves all sizes."""
     steps = len(group.basis)
     chain = memory ** np.abs(np.subtract.outer(np.arange(steps), np.arange(steps)))
