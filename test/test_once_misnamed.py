@@ -90,3 +90,12 @@ def test_friction_of_another_law_is_one_cause_with_an_open_law(tmp_path: Path) -
     assert not finding.law_settled
     assert [words.split()[0] for words in finding.refinements] == ["creep"]
     assert "the form of its law is not" in finding.explanation
+
+
+def test_friction_that_scatters_is_not_taken_for_noise(tmp_path: Path) -> None:
+    """Uneven friction jumps from step to step as correlated noise of the tracker does, but along its joint alone."""
+    found = answered(328, tmp_path).found
+    assert found.verdict == "partly_explained"
+    assert [(f.effect, dict(f.location)) for f in found.findings] == [("hysteresis", {"joint": "joint_1"})]
+    assert list(found.rest.where["joints"]) == ["joint_1"]  # type: ignore[call-overload]
+    assert "no noise of the tracker" in found.rest.text

@@ -10,9 +10,11 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.data_checks.noise import claimed, directions, scatter, with_noise
+from calibration_core.diagnosis.data_checks.step_direction import Jumps, jumps_along_a_joint
 from calibration_core.identification.statistics.offsets import whitened
 from calibration_core.identification.stiffness.loaded import Options, PreparedLoaded, prepare_loaded
-from calibration_core.timeseries import Float2D
+from calibration_core.model.kinematics import linear_jacobian, posture
+from calibration_core.timeseries import Float2D, Float3D
 
 SIGMA = 2e-5
 
@@ -73,3 +75,43 @@ def test_two_steps_cannot_tell(prepared: PreparedLoaded) -> None:
     found = scatter(rows, np.ones((180, 3)), problem.readings, directions(problem.readings, None))
     assert found == claimed()
     assert found.freedom == 0
+
+
+def jumps(prepared: PreparedLoaded, residual: Float2D) -> Jumps | None:
+    rows, axes, found = seen(prepared, residual)
+    return jumps_along_a_joint(rows, residual, prepared.problem.readings, axes, _answer(prepared), found)
+
+
+def _answer(prepared: PreparedLoaded) -> Float3D:
+    problem = prepared.problem
+    at = posture(problem.chain, problem.readings.q)
+    points = np.array([problem.parameters.points[name] for name in problem.readings.points])[problem.readings.point].T
+    return np.stack(linear_jacobian(at, at.point(points)), axis=-1).transpose(1, 0, 2)
+
+
+def _noise(rng: np.random.Generator) -> Float2D:
+    """Return noise of every reading, and more that the points of a step share."""
+    own, together = rng.standard_normal((450, 3)), np.repeat(rng.standard_normal((150, 3)), 3, axis=0)
+    return SIGMA * (own + 1.5 * together)
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2])
+def test_a_joint_that_jumps_is_told_from_the_noise_that_steps_share(prepared: PreparedLoaded, joint: int) -> None:
+    rng = np.random.default_rng(5)
+    answer = _answer(prepared)[:, :, joint]
+    jumping = answer * np.repeat(rng.standard_normal(150), 3)[:, None]
+    size = float(np.sqrt(np.mean(np.sum(jumping**2, axis=1))))
+    found = jumps(prepared, _noise(rng) + jumping * (4 * SIGMA / size))
+    assert found is not None
+    assert found.joint == joint
+    assert found.rms == pytest.approx(4 * SIGMA, rel=0.35)
+    assert 0.5 < found.share < 1.0
+
+
+def test_noise_that_steps_share_follows_no_joint(prepared: PreparedLoaded) -> None:
+    """At a chance of 1e-4, not one of 300 recordings."""
+    assert [seed for seed in range(300) if jumps(prepared, _noise(np.random.default_rng(1000 + seed)))] == []
+
+
+def test_a_load_that_is_not_followed_jumps_nowhere(prepared: PreparedLoaded) -> None:
+    assert jumps(prepared, np.zeros((450, 3))) is None
