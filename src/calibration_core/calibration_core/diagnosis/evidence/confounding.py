@@ -8,19 +8,23 @@ from calibration_core.model.effects.candidate import Candidate, link_name
 
 TOOL = 1 << 20  # beyond the last joint
 MEMORY = frozenset({"hysteresis", "creep"})
+DRIFTS = frozenset({"tracker_drift", "wrench_drift"})
 
 
 def are_confounded(first: Candidate, second: Candidate, joints: Sequence[str]) -> bool:
     """Say whether two candidates could be one cause under two laws.
 
     Joint laws: the same joint, both with memory or both without.  Structure: the same or neighbouring parts.  Load
-    chain and point chain: always.
+    chain and point chain: always.  What a law with memory leaves goes on in time, as a drift does.
 
     Args:
         first: A candidate.
         second: Another.
         joints: Names of the robot's joints, from the base on.
     """
+    effects = {first.effect, second.effect}
+    if effects & MEMORY and effects & DRIFTS:
+        return True
     if first.family != second.family:
         return False
     if first.family in {"load chain", "point chain"}:

@@ -290,7 +290,8 @@ def _choices(cache: GramCache, accepted: tuple[int, ...], level: float) -> tuple
         evidence = alone[index][0]
         for k, choice in enumerate(choices):
             first, second = design.candidates[choice.candidate], design.candidates[index]
-            weaker = evidence < CONFOUNDED_SHARE * choice.log_bayes_factor or first.effect in MEMORY
+            weaker = evidence < CONFOUNDED_SHARE * choice.log_bayes_factor
+            weaker = weaker or {first.effect, second.effect} <= MEMORY
             if weaker and are_confounded(first, second, design.joints):
                 choices[k] = dataclasses.replace(choice, refinements=(*choice.refinements, index))
                 break
