@@ -379,13 +379,19 @@ class Search:
         return not why
 
     def _one_does(self, accepted: Accepted, trial: Trial) -> bool:
-        """Say whether one joint explains so much of what all joints explain that the rest is no further cause."""
+        """Say whether one joint explains so much of what all joints explain that the rest is no further cause.
+
+        The others must gain what any hypothesis must; where the one passes by itself, what a further cause must.
+        """
         if not trial.hypothesis.everywhere:
             return False
         hypotheses, nats = self.field.offered.hypotheses, self.scores(accepted, narrow=True).nats
-        members = set(trial.hypothesis.members)
-        alone = (nats[k] for k in np.flatnonzero(self.alone) if hypotheses[self.judged[k]].members[0] in members)
-        return trial.gain - max(alone, default=0.0) < BESIDE
+        members, least = set(trial.hypothesis.members), self._least(accepted)
+        alone = [k for k in np.flatnonzero(self.alone) if hypotheses[self.judged[k]].members[0] in members]
+        best = max(alone, key=lambda k: nats[k], default=None)
+        if best is None:
+            return False
+        return bool(trial.gain - nats[best] < (BESIDE if nats[best] > least[best] else self.limit))
 
     def objection(self, trial: Trial) -> str:
         """Return what physics or the controls of its kind say against a hypothesis; empty if nothing."""
