@@ -21,11 +21,13 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from calibration_core.estimation.likelihood import LEAST, MOST, Gram, Sizes, basis_serves, price
-from calibration_core.timeseries import Float1D, Float2D, Int1D
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 GRID = np.exp(np.linspace(np.log(LEAST), np.log(MOST), 36))
 SHOWN = 1e-7  # of the largest eigenvalue: directions below it are rounding errors
 BATCH = 100  # blocks at a time
+FALSE_ALARM, DRAWS, SEED = 0.01, 60, 17384
+EULER = 0.5772156649015329
 LEAST_LEFT = 1e-9  # share of the squared residual that a block may leave
 ROUNDING = 1e-12  # of one
 SQUARED, PRICE = GRID**2, price(GRID)
@@ -163,3 +165,27 @@ def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tupl
         off[g] = squared * (along**2 / wide[:, None]).sum(axis=0) + squared**2 * (through**2).sum(axis=0)
         lost[g] = 0.5 * np.log(wide).sum() + np.log(np.diag(lower)).sum() + PRICE[g]
     return off, lost
+
+
+def chance_gain(gram: Gram, clear: Bool1D, blocks: Sequence[Int1D]) -> float:
+    """Return what the best block gains in one per cent of recordings with the null model alone, nats.
+
+    A parametric bootstrap; the largest gain of each recording is taken to follow Gumbel's law.
+
+    Args:
+        gram: The rows.
+        clear: (p,) columns of which the null model leaves enough.
+        blocks: Columns of the blocks.
+    """
+    if not blocks:
+        return 0.0
+    kept = np.flatnonzero(clear)
+    scale = np.sqrt(np.where(clear, np.diag(gram.matrix), 1.0))
+    part = (gram.matrix / np.outer(scale, scale))[np.ix_(kept, kept)]
+    lower = np.linalg.cholesky(part + 1e-8 * np.eye(len(kept)))
+    drawn = np.zeros((len(scale), DRAWS))
+    drawn[kept] = scale[kept, None] * (lower @ np.random.default_rng(SEED).standard_normal((len(kept), DRAWS)))
+    null = Seen(gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
+    largest = gains(null, blocks, drawn).nats.max(axis=0)
+    width = float(np.std(largest)) * np.sqrt(6) / np.pi
+    return float(np.mean(largest) - EULER * width - width * np.log(-np.log(1 - FALSE_ALARM)))

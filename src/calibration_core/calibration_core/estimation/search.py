@@ -18,16 +18,13 @@ import numpy as np
 
 from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
-from calibration_core.estimation.gains import Seen, beside, gains
+from calibration_core.estimation.gains import Seen, beside, chance_gain, gains
 from calibration_core.estimation.leave_out import LEAST_NATS, LeftOut, Proof
 from calibration_core.estimation.likelihood import Sizes, fit_sizes
 from calibration_core.timeseries import Float1D
 
-FALSE_ALARM = 0.01
-DRAWS = 60
 FLOOR = 10.0  # nats: the threshold is never lower
 BESIDE = 20.0  # nats that a further cause must gain: what is accepted is seldom of quite the right form
-SEED = 17384
 TRIED = 6  # proposals per round that may try
 EQUIVALENT = 5.0  # nats
 PART = 3.0  # nats that a member must gain to stand, with a few others, in an accepted family's stead
@@ -37,7 +34,6 @@ ROUNDS = 3  # of refinement
 FEW = 6  # members of a family that are tried in its stead
 NARROW = 24  # columns of a hypothesis that is tried in another's stead; families come in by themselves
 KEPT = 4  # models with blocks left out, for what is tried beside them
-EULER = 0.5772156649015329
 Control = Callable[[Trial], str]
 
 
@@ -97,7 +93,7 @@ class Search:
         self._left_out: dict[Accepted, LeftOut] = {}
         self.refused: dict[str, None] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
-        self.limit = self._threshold()
+        self.limit = max(chance_gain(field.gram, field.clear, field.blocks(self.judged)), FLOOR)
 
     def sizes(self, accepted: Accepted) -> Sizes:
         """Return the sizes of hypotheses together."""
@@ -248,15 +244,13 @@ class Search:
 
     def _to_try(self, order: list[int]) -> list[int]:
         """Return the first few of some hypotheses, and the neighbours of those whose law may lie at another form's."""
-        offered = self.field.offered
-        few = order[:TRIED]
-        near = {offered.hypotheses[self.judged[k]].place for k in few if self._reaches(k)}
-        return [*few, *(k for k in order[TRIED:] if offered.hypotheses[self.judged[k]].place in near)]
-
-    def _reaches(self, k: int) -> bool:
-        """Say whether a judged hypothesis is one of several forms between which its law may lie."""
-        members = self.field.offered.hypotheses[self.judged[k]].members
-        return any(math.isfinite(p.reach) for i in members for p in self.field.offered.candidates[i].parameters)
+        hypotheses, candidates = self.field.offered.hypotheses, self.field.offered.candidates
+        one = {k: hypotheses[self.judged[k]] for k in order}
+        reaching = (
+            k for k in order[:TRIED] if any(p.reach < math.inf for p in candidates[one[k].members[0]].parameters)
+        )
+        near = {one[k].place for k in reaching}
+        return [*order[:TRIED], *(k for k in order[TRIED:] if one[k].place in near)]
 
     def _gain(self, accepted: Accepted, *, narrow: bool) -> Float1D:
         """Return what hypotheses gain, nats; narrow: single ones, minus infinity for families."""
@@ -404,20 +398,3 @@ class Search:
         if why:
             self.refused[f"{trial.hypothesis.words}: {why}"] = None
         return not why
-
-    def _threshold(self) -> float:
-        """Return what the best hypothesis gains in one per cent of recordings with the null model alone, nats."""
-        field = self.field
-        if not self.judged:
-            return FLOOR
-        clear = np.flatnonzero(field.clear)
-        matrix = field.gram.matrix
-        scale = np.sqrt(np.where(field.clear, np.diag(matrix), 1.0))
-        part = (matrix / np.outer(scale, scale))[np.ix_(clear, clear)]
-        lower = np.linalg.cholesky(part + 1e-8 * np.eye(len(clear)))
-        drawn = np.zeros((len(scale), DRAWS))
-        drawn[clear] = scale[clear, None] * (lower @ np.random.default_rng(SEED).standard_normal((len(clear), DRAWS)))
-        null = Seen(field.gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
-        largest = gains(null, field.blocks(self.judged), drawn).nats.max(axis=0)
-        width = float(np.std(largest)) * np.sqrt(6) / np.pi
-        return max(float(np.mean(largest) - EULER * width - width * np.log(-np.log(1 - FALSE_ALARM))), FLOOR)
