@@ -15,7 +15,14 @@ from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import WAVE
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.structure.gravity_compensator import Triangle, carriers, pull, spring, triangle_of
+from calibration_core.model.effects.structure.gravity_compensator import (
+    TURN,
+    Triangle,
+    carriers,
+    pull,
+    spring,
+    triangle_of,
+)
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 SPRING = "gravity_compensator"
@@ -64,12 +71,30 @@ def _shape(field: Field, others: Accepted, state: State, joint: int, weigh: Call
     offered = [
         triangle_of(c.variant) for c in field.offered.candidates if c.effect == SPRING and c.location["joint"] == name
     ]
-    starts = [np.array([shape.anchor, shape.flatness, shape.preload]) for shape in offered if shape is not None]
-    starts.sort(key=lambda x: float(np.sum(left(x) ** 2)))
+    turned = [
+        _turned(shape, weigh(pull(state, joint, shape)), basis, residual) for shape in offered if shape is not None
+    ]
+    starts = [start for start, _ in sorted(turned, key=lambda one: one[1])]
     from scipy.optimize import least_squares  # slow to load, and loaded recordings do not need it
 
     fits = [least_squares(left, x, bounds=_around(x), x_scale=SCALE, max_nfev=STEPS) for x in starts[:STARTS]]
     return spring(state, joint, Triangle(*map(float, min(fits, key=lambda fit: float(fit.cost)).x)))
+
+
+def _turned(shape: Triangle, columns: Float2D, basis: Float2D, residual: Float1D) -> tuple[Float1D, float]:
+    """Return a shape with its anchor where its two columns put it, and the sum of squares that these leave.
+
+    Args:
+        shape: As it is offered.
+        columns: (r, 2) its torque, and what a turn of the anchor changes in it.
+        basis: (r, b) of the null model and other hypotheses.
+        residual: (r,) beside them.
+    """
+    columns = columns - basis @ (basis.T @ columns)
+    value, *_ = np.linalg.lstsq(columns, residual, rcond=None)
+    by = np.degrees(TURN) * value[1] / value[0] if value[0] else 0.0
+    start = np.array([shape.anchor + np.clip(by, -REACH, REACH), shape.flatness, shape.preload])
+    return start, float(np.sum((residual - columns @ value) ** 2))
 
 
 def _without(field: Field, others: Accepted) -> tuple[Float2D, Float1D]:

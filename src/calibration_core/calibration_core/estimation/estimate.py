@@ -38,6 +38,7 @@ SEARCH_BLOCKS = {"time": 15, "posture": 15}
 COVARIANCE_BLOCKS = 40
 LEFT_OUT = 3  # configurations under load from which on they are left out like others
 MORE = 0.02  # share of readings whose use must change before the search is made again
+QUIETER = 0.8  # or: to which share of it the variance of what is left must fall
 EXCITED = 1e-3  # of the claimed noise: what a compliance of typical size must move to be fitted
 
 
@@ -89,11 +90,14 @@ def estimate(readings: Readings, cell: Cell, evaluated: Evaluated, sound: Bool1D
     if identifiable and found.selection.accepted:  # what was missing may have hidden what the geometry explains
         model, found = _with_geometry(model, found, evaluated.choice.term)
     used = settled(found.extended)
-    if not np.array_equal(used, model.used):
-        again = np.mean(used != model.used) > MORE
-        model = dataclasses.replace(model, used=used)
-        found = _searched(model) if again else _again(found, model)
-    return found
+    if np.array_equal(used, model.used):
+        return found
+    again = np.mean(used != model.used) > MORE
+    model = dataclasses.replace(model, used=used)
+    refitted = _again(found, model)
+    if again or refitted.extended.variance < QUIETER * found.extended.variance:
+        return _searched(model)
+    return refitted
 
 
 def null_model(readings: Readings, cell: Cell, evaluated: Evaluated, used: Bool1D) -> NullModel:
