@@ -137,8 +137,8 @@ def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tup
     configuration = model.readings.configuration
     blocks = time_blocks(configuration, COVARIANCE_BLOCKS)
     before, after = (one.extended.held_out(blocks).T[:, model.used] for one in (found, other))
-    clear = compare(before, after, configuration[model.used]).clear
-    return (more, other) if clear else (model, found)
+    gain = compare(before, after, configuration[model.used])
+    return (more, other) if gain.clear or gain.general else (model, found)
 
 
 def _searched(model: NullModel) -> Estimate:

@@ -89,3 +89,15 @@ def test_one_lucky_configuration_is_no_clear_gain() -> None:
     gain = compare(before, after, np.arange(50))
     assert gain.after < gain.before
     assert not gain.clear
+
+
+def test_what_nearly_every_configuration_gains_is_a_gain_though_two_gain_far_more() -> None:
+    rng = np.random.default_rng(4)
+    before = rng.standard_normal((3, 42))
+    before[:, :2] *= 100.0
+    gain = compare(before, 0.3 * before, np.arange(42))
+    assert not gain.clear
+    assert gain.general
+    assert gain.better == 42
+    equals = [compare(*np.random.default_rng(k).standard_normal((2, 3, 42)), np.arange(42)) for k in range(400)]
+    assert sum(one.general for one in equals) <= 4

@@ -31,6 +31,7 @@ from calibration_core.timeseries import Bool1D, Float2D, Int1D
 FOLDS = 5
 FEW = 30  # configurations below which every one is left out on its own
 SEED = 17384
+SIGNS = 3.0  # standard deviations of the number of configurations that gain by chance
 CHANCE = 0.023  # probability of a clear gain where there is none: two standard errors of many configurations
 
 
@@ -52,6 +53,7 @@ class Improvement:
         before: Root mean square of the 3-d error before, m.
         after: The same after, m.
         configurations: On how many configurations it rests.
+        better: In how many of them the error is smaller.
     """
 
     gain: float
@@ -59,6 +61,7 @@ class Improvement:
     before: float
     after: float
     configurations: int
+    better: int
 
     @property
     def clear(self) -> bool:
@@ -72,6 +75,15 @@ class Improvement:
         if self.configurations < 2:
             return False
         return self.gain > student_quantile(1 - CHANCE, self.configurations - 1) * self.error
+
+    @property
+    def general(self) -> bool:
+        """Whether far more configurations gain than chance gives (sign test), and they gain on the whole.
+
+        A few configurations that gain far more than the others make a gain of all of them doubtful to `clear`.
+        """
+        count = self.configurations
+        return self.gain > 0 and self.better > count / 2 + SIGNS * np.sqrt(count) / 2
 
     @property
     def text(self) -> str:
@@ -91,7 +103,8 @@ def compare(before: Float2D, after: Float2D, configuration: Int1D) -> Improvemen
     difference = np.bincount(index, squares[0] - squares[1]) / np.bincount(index)
     error = float(np.std(difference, ddof=1) / np.sqrt(len(difference))) if len(difference) > 1 else np.inf
     rms = np.sqrt(squares.mean(axis=1))
-    return Improvement(float(difference.mean()), error, float(rms[0]), float(rms[1]), len(difference))
+    better = int(np.count_nonzero(difference > 0))
+    return Improvement(float(difference.mean()), error, float(rms[0]), float(rms[1]), len(difference), better)
 
 
 def held_out(problem: AbsoluteProblem, whole: GeometryFit, fold: Int1D, used: Bool1D) -> Float2D:
