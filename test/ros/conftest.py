@@ -177,6 +177,7 @@ class Suite:
 
         self.runs = client = self.runs or GoalClient(self.client, RunPlan, "sequencer/run")
         assert client.wait_for_server(LONG), self.log("sequencer")
+        self._knock(client)
         goal = RunPlan.Goal(plan=str(plan), session=str(session or self.session), resume=resume)
         end = time.monotonic() + LONG
         sent: list[Any] = []  # an answer may come late: no goal is forgotten
@@ -189,6 +190,25 @@ class Suite:
                         return Run(accepted.result())
                 time.sleep(0.01)
         raise AssertionError(f"the plan is not accepted\n{self.log('sequencer')[-1500:]}")
+
+    def _knock(self, client: Any) -> None:
+        """Ask for a plan that does not exist until that is answered.
+
+        A server that has not found its client yet begins a run and cannot say so ("client will not receive response"):
+        a goal that is rejected leaves nothing behind when its answer is lost.
+        """
+        from calibration_interfaces.action import RunPlan
+
+        asked: list[Any] = []
+        end = time.monotonic() + LONG
+        while time.monotonic() < end:
+            asked.append(client.send_goal_async(RunPlan.Goal(plan=str(self.session / "no plan"))))
+            again = time.monotonic() + 1.0
+            while time.monotonic() < again:
+                if any(one.done() for one in asked):
+                    return
+                time.sleep(0.01)
+        raise AssertionError(f"the sequencer does not answer\n{self.log('sequencer')[-1500:]}")
 
     def rejected(self, plan: Path) -> str:
         """Send a goal that is not accepted; return the words that are told of it."""
