@@ -98,4 +98,5 @@ def test_friction_that_scatters_is_not_taken_for_noise(tmp_path: Path) -> None:
     assert found.verdict == "partly_explained"
     assert [(f.effect, dict(f.location)) for f in found.findings] == [("hysteresis", {"joint": "joint_1"})]
     assert list(found.rest.where["joints"]) == ["joint_1"]  # type: ignore[call-overload]
-    assert "no noise of the tracker" in found.rest.text
+    assert "in which joint_1 moves them" in found.rest.text
+    assert "The noise of the tracker has no such direction: the cause is at this joint" in found.rest.text

@@ -193,8 +193,7 @@ def _with_jumps(rest: Rest, prepared: PreparedLoaded, extended: ExtendedLoadedMo
     """Say of jumps from step to step that follow one joint that they are no noise."""
     if not seen.freedom:
         return rest
-    problem, used = prepared.problem, extended.used
-    axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
+    problem, used, axes = prepared.problem, extended.used, _axes(prepared)
     rows, answer = problem.linearise(extended.compliance).rows, extended.state.answer.transpose(2, 0, 1)
     readings = problem.readings.select(used)
     found = jumps_along_a_joint(rows.select(used), extended.raw[used], readings, axes[used], answer[used], seen)
@@ -202,9 +201,9 @@ def _with_jumps(rest: Rest, prepared: PreparedLoaded, extended: ExtendedLoadedMo
         return rest
     name = problem.chain.joints[found.joint]
     text = (
-        f"From step to step the points jump by {1e6 * found.rms:.1f} µm rms along with {name}, beyond what they do in "
-        "other directions: that is no noise of the tracker but this joint, as where friction is another than the "
-        "catalogue's."
+        f"From step to step the points jump by {1e6 * found.rms:.1f} µm rms more in the direction in which {name} "
+        "moves them than in the others. The noise of the tracker has no such direction: the cause is at this joint, "
+        "for example friction of another law than the catalogue's."
     )
     before = f"{rest.text} " if rest.significant else ""
     where = {**rest.where, "joints": {name: round(found.share, 3)}}
@@ -266,7 +265,7 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
     """
     problem, compliance = prepared.problem, prepared.fit.compliance
     hypotheses = _hypotheses(prepared, cell)
-    axes = directions(problem.readings, None if prepared.frames is None else problem.parameters.tracker)
+    axes = _axes(prepared)
     sound = np.flatnonzero(checked.sound)
     used = np.flatnonzero(checked.sound & prepared.rejection.used)
     linear = problem.linearise(compliance)
@@ -307,6 +306,12 @@ def _attempt(
         selection = selection.without([one.choice for one in outdone])
         extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     return Attempt(seen, design, selection, extended, outdone, _rms(used, prepared))
+
+
+def _axes(prepared: PreparedLoaded) -> Float3D:
+    """Return (m, 3, 3) the directions in which the tracker errs independently, of all readings."""
+    tracker = None if prepared.frames is None else prepared.problem.parameters.tracker
+    return directions(prepared.problem.readings, tracker)
 
 
 def _seen(rows: Rows, residual: Float2D, problem: LoadedProblem, axes: Float3D, used: Int1D) -> Scatter:

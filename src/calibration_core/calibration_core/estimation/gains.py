@@ -27,7 +27,6 @@ GRID = np.exp(np.linspace(np.log(LEAST), np.log(MOST), 36))
 SHOWN = 1e-7  # of the largest eigenvalue: directions below it are rounding errors
 BATCH = 100  # blocks at a time
 FALSE_ALARM, DRAWS, SEED = 0.01, 60, 17384
-EULER = 0.5772156649015329
 LEAST_LEFT = 1e-9  # share of the squared residual that a block may leave
 ROUNDING = 1e-12  # of one
 SQUARED, PRICE = GRID**2, price(GRID)
@@ -188,4 +187,4 @@ def chance_gain(gram: Gram, clear: Bool1D, blocks: Sequence[Int1D]) -> float:
     null = Seen(gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
     largest = gains(null, blocks, drawn).nats.max(axis=0)
     width = float(np.std(largest)) * np.sqrt(6) / np.pi
-    return float(np.mean(largest) - EULER * width - width * np.log(-np.log(1 - FALSE_ALARM)))
+    return float(np.mean(largest) - np.euler_gamma * width - width * np.log(-np.log(1 - FALSE_ALARM)))

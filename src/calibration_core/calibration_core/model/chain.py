@@ -5,8 +5,8 @@ Every joint turns about the z axis of the frame before it, or slides along it:
     T_base_flange(q) = prod_i [ P_i J_i(q_i) ] F,    J_i = Rz(q_i + offset_i)  or  Rz(offset_i) Tz(q_i)
 
 with P_i the fixed pose of the frame before joint i in the body frame of link i-1, and F the flange in the body frame
-of the last link.  For standard DH rows the frame before joint i is the DH frame i-1.  For modified rows it is the DH
-frame i as well, but for d_i along its z axis, which stands behind J_i (`Chain.along`).
+of the last link.  For standard DH rows the frame before joint i is the DH frame i-1.  For modified rows it is DH
+frame i before its turn theta_i and its shift d_i, which `Chain.along` holds.
 """
 
 from __future__ import annotations
@@ -79,10 +79,11 @@ class Chain:
 
     @property
     def other_end(self) -> Float1D:
-        """(n,) m, how far along each axis from the frame before the other end of what is known of the axis lies.
+        """(n,) m, from the frame before each joint to the other end of the stretch of its axis that the file shows.
 
-        A frame may stand anywhere on its axis, and where a bearing sits is not known from it: with modified rows the
-        joint's own frame is d away, and with a URDF the point next to the previous joint's frame may be elsewhere.
+        The frame before a joint may have its origin anywhere on the axis, and does not show where the bearing sits.
+        With modified rows the other end is the joint's own frame, d away; with a URDF it is the point of the axis next
+        to the previous joint's frame.  0 where both ends are one.
         """
         own = np.zeros((self.n, 3))
         own[1:, 2] = self.along[:-1]

@@ -125,7 +125,7 @@ def test_a_step_of_which_every_point_is_elsewhere_is_no_gross_error_of_the_track
     assert "all points moved together" in found.rest.text
 
 
-def test_a_step_set_aside_whole_is_told_from_gross_errors_by_the_shape_of_the_tool(cell: Cell) -> None:
+def test_a_step_set_aside_whole_is_distinguished_from_gross_errors_by_the_shape_of_the_tool(cell: Cell) -> None:
     readings = loaded_readings(cell, 5)
     m = len(readings)
     every, noise = np.arange(m), np.tile(1e-10 * np.eye(3), (m, 1, 1))
@@ -135,18 +135,18 @@ def test_a_step_set_aside_whole_is_told_from_gross_errors_by_the_shape_of_the_to
     residual[step] += np.cross([2e-3, -1e-3, 3e-3], lever) + np.array([4e-4, -3e-4, 4e-4])
     without = np.setdiff1d(every, step)
 
-    def told(used: np.ndarray, sound: np.ndarray, moved: np.ndarray = residual) -> list[int]:
+    def moved_steps(used: np.ndarray, sound: np.ndarray, moved: np.ndarray = residual) -> list[int]:
         return list(whole_steps(readings, moved, noise, used, sound))
 
-    assert told(without, every) == list(step)
-    assert told(every, every) == []
-    assert told(without, without) == []  # it may not be used at all
-    assert told(np.setdiff1d(every, step[:2]), every) == []
+    assert moved_steps(without, every) == list(step)
+    assert moved_steps(every, every) == []
+    assert moved_steps(without, without) == []  # it may not be used at all
+    assert moved_steps(np.setdiff1d(every, step[:2]), every) == []
     wild = residual.copy()
     wild[step[1]] += [2e-4, 1e-4, -2e-4]
-    assert told(without, every, wild) == []
+    assert moved_steps(without, every, wild) == []
     alone = np.setdiff1d(every, np.flatnonzero(readings.configuration == readings.configuration[0]))
-    assert told(alone, every) == []  # nothing is left to compare the step with
+    assert moved_steps(alone, every) == []  # nothing is left to compare the step with
 
 
 def moved_flange(readings: Readings, cell: Cell, point: int, rows: np.ndarray, shift: np.ndarray) -> Readings:

@@ -96,7 +96,9 @@ def _noise(rng: np.random.Generator) -> Float2D:
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])
-def test_a_joint_that_jumps_is_told_from_the_noise_that_steps_share(prepared: PreparedLoaded, joint: int) -> None:
+def test_a_joint_that_jumps_is_distinguished_from_the_noise_that_steps_share(
+    prepared: PreparedLoaded, joint: int
+) -> None:
     rng = np.random.default_rng(5)
     answer = _answer(prepared)[:, :, joint]
     jumping = answer * np.repeat(rng.standard_normal(150), 3)[:, None]

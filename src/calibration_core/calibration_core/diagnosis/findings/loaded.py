@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
+from calibration_core.diagnosis.evidence.selection import LAW, Choice, LoadedSelection
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, Location
 from calibration_core.identification.result.estimate import Identification
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 
 LISTED = 5
-LAW = "joint law"
 DETERMINED = 2.0  # standard deviations from zero, at which a compliance counts as known
 
 

@@ -55,13 +55,13 @@ def _cause(one: Hypothesis, lagging: Collection[object]) -> object:
 
 def _finding(found: Estimate, members: list[int]) -> Finding:
     hypotheses, selection, extended = found.offered.hypotheses, found.selection, found.extended
-    nats = dict(zip(selection.accepted, selection.gain, strict=True))
-    members = sorted(members, key=lambda i: (hypotheses[i].family != LAW, -nats[i]))  # the law explains the rest
+    gained = dict(zip(selection.accepted, selection.gain, strict=True))
+    members = sorted(members, key=lambda i: (hypotheses[i].family != LAW, -gained[i]))  # the law explains the rest
     first = hypotheses[members[0]]
     of_first = [i for i in members if hypotheses[i].place == first.place]
     parts = sorted({part for i in members for part in found.members[i]})
     reported = sorted({part for i in of_first for part in found.members[i]})
-    score = float(sum(nats[i] for i in members))
+    score = float(sum(gained[i] for i in members))
     gain = max(selection.proofs[selection.accepted.index(i)][0].share for i in members)
     magnitude = float(np.sqrt(np.mean(np.sum(extended.own_shift(parts) ** 2, axis=1))))
     as_well = [(hypotheses[i], nats) for i, nats in equivalents(found, members)]

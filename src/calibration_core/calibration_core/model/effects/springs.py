@@ -50,7 +50,7 @@ def along_link(
     *,
     own_weight: bool = True,
 ) -> Float3D:
-    """Return the (m, 3, k) columns of springs spread evenly between a link's joint and its tip, per unit of length.
+    """Return the (m, 3, k) columns of springs spread evenly between the two ends of a link, per unit of length.
 
     The weight of the link itself acts at its centre of gravity: sections before it bear it, those behind do not.
     Integral over both parts; three Gauss points each are exact, the integrands being quadratic in the position.
@@ -60,7 +60,7 @@ def along_link(
         link: Index of the joint that carries the link.
         ends: (3, m) m each, where it begins and ends.
         column: Cut and place (3, m) m -> columns (m, 3, k) of the springs there.
-        own_weight: Whether the link bears its own weight; False: it rests on the link's joint, as that of motors does.
+        own_weight: Whether the link bears its own weight; False: it rests on the link's joint.
     """
     start, tip = ends
     span = tip - start

@@ -119,7 +119,7 @@ class State:
         return self.at.body_origin[link] + self._beyond(link, other_end=other_end)
 
     def _beyond(self, joint: int, *, other_end: bool) -> Float2D:
-        return float(self.chain.other_end[joint]) * other_end * self.at.axis(joint)
+        return (float(self.chain.other_end[joint]) if other_end else 0.0) * self.at.axis(joint)
 
     def seen_by(self, number: int) -> State:
         """Return the same state with the tracker where one recording's stood, and wrenches as the sensors read them."""

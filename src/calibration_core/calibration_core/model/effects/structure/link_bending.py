@@ -1,9 +1,9 @@
 """Bending and torsion of a link as a beam between its joint and the next.
 
 u = F L^3/3EI + M L^2/2EI, phi = F L^2/2EI + M L/EI, torsion M L/GJ: rotary springs spread evenly along the link.
-The weight of the link itself bends it where its centre of gravity is; or it rests on the link's joint, as that of
-motors does that sit there.  A link reaches from the frame of its joint to that of the next; or, where these stand
-not all that is known of their axes, between the other ends of both.
+The weight of the link itself acts at its centre of gravity; or it rests on the link's joint, as the weight of motors
+that sit there does.  A link reaches from the frame before its joint to the frame before the next joint, or from the
+other end of its axis to that of the next (`Chain.other_end`).
 Source: Euler-Bernoulli beam by virtual work.
 """
 

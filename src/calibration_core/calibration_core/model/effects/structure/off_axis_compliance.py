@@ -2,7 +2,7 @@
 
 theta_u = C_u tau_u about x and y of the frame before the joint (DH frame i-1), or of the body frame behind it; a
 compliance between x and y turns the principal directions.  Where on its axis a bearing sits is not known: under
-the robot's own weight both ends of what is known of the axis are tried.
+the robot's own weight both ends of the axis are tried (`Chain.other_end`).
 Source: virtual joints with several springs each (Pashkevich, Klimchik, Chablat); moment rigidity of reducers.
 """
 
