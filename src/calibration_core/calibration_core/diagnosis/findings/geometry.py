@@ -169,13 +169,47 @@ def judged(
     rng = np.random.default_rng(SEED)
     drawn = np.linalg.cholesky(best) @ rng.standard_normal((len(best), SAMPLES))
     values = np.column_stack([seen.value, drawn])
-    null = np.max([_log_densities(values, covariance) for covariance in usual], axis=0)
-    scores = np.empty((len(hypotheses), 1 + SAMPLES))
-    for index, one in enumerate(hypotheses):
-        more = one.image(seen) @ one.image(seen).T
-        scores[index] = np.max([_log_densities(values, covariance + more) for covariance in usual], axis=0) - null
+    null = np.full(1 + SAMPLES, -np.inf)
+    scores = np.full((len(hypotheses), 1 + SAMPLES), -np.inf)
+    for covariance in usual:
+        alone, beyond = _beside_each(seen, hypotheses, values, covariance)
+        np.maximum(null, alone, out=null)
+        np.maximum(scores, alone + beyond, out=scores)
+    scores -= null
     limit = float(np.quantile(scores[:, 1:].max(axis=0), 1 - FALSE_ALARM))
     return scores[:, 0].copy(), max(limit, LEAST)
+
+
+def _beside_each(
+    seen: Corrections, hypotheses: Sequence[GeometryFault], values: Float2D, covariance: Float2D
+) -> tuple[Float1D, Float2D]:
+    """Return the log densities of every column of (g, s) values, and by how much each hypothesis raises them.
+
+    A hypothesis adds B B^T to the covariance L L^T: with Z = L^-1 B and y = L^-1 g the log density rises by
+    1/2 y^T Z M^-1 Z^T y - 1/2 log|M|, M = I + Z^T Z (Woodbury).
+
+    Returns:
+        alone: (s,) nats up to a constant.
+        beyond: (h, s) nats.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    lower = np.linalg.cholesky(covariance / np.outer(scale, scale))
+    white = np.linalg.solve(lower, np.column_stack([values, seen.answer]) / scale[:, None])
+    y, every = white[:, : values.shape[1]], white[:, values.shape[1] :]
+    alone = -0.5 * (y**2).sum(axis=0) - np.log(np.diag(lower)).sum() - np.log(scale).sum()
+    among, toward = every.T @ every, every.T @ y
+    beyond = np.empty((len(hypotheses), values.shape[1]))
+    counts = [len(one.rows) for one in hypotheses]
+    for k in sorted(set(counts)):
+        members = [h for h, count in enumerate(counts) if count == k]
+        rows = np.array([hypotheses[h].rows for h in members])
+        prior = np.stack([hypotheses[h].prior for h in members])
+        own = among[rows[:, :, None], rows[:, None, :]] * prior[:, :, None] * prior[:, None, :]
+        factor = np.linalg.cholesky(np.eye(k) + own)
+        half = np.linalg.solve(factor, toward[rows] * prior[:, :, None])
+        lost = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        beyond[members] = 0.5 * (half**2).sum(axis=1) - lost[:, None]
+    return alone, beyond
 
 
 def _covariance(seen: Corrections, level: tuple[float, float], present: Sequence[GeometryFault]) -> Float2D:
