@@ -18,13 +18,13 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
     most_probable,
     posterior,
     profile,
-    threshold,
 )
 from calibration_core.diagnosis.evidence.confounding import are_confounded
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.positive_share import log_positive
 from calibration_core.diagnosis.evidence.predictive_density import FLAT, log_predictive_densities, passes
 from calibration_core.diagnosis.evidence.selection import select
+from calibration_core.diagnosis.evidence.threshold import threshold
 from calibration_core.model.effects.candidate import Candidate, Parameter
 
 ROWS, CONFIGURATIONS = 120, 12

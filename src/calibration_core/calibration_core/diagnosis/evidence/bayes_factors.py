@@ -31,8 +31,6 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
 NOISE_ALONE = (0.0,)  # where the noise is what the model leaves, small effects are part of it
 LEVELS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5)
-SAMPLES = 500
-FALSE_ALARM = 0.01
 MOST = 1.0  # in typical sizes: how large the structured discrepancy may make any effect
 LAW = 0.15  # share to which the law of an effect is known
 
@@ -233,7 +231,7 @@ def log_bayes_factors(f: MarginalModel) -> Float1D:
         own = f.taken[columns]
         blocks.append(gram[columns[:, :, None], columns[:, None, :]] - own @ own.transpose(0, 2, 1))
     vectors = gram[n:-1, -1:] - f.taken[n:-1] @ f.taken[-1:].T
-    return _scores(f.cache.alike, blocks, vectors)[:, 0]
+    return log_bayes_factors_of(f.cache.alike, blocks, vectors)[:, 0]
 
 
 def chance_alone(f: MarginalModel, candidate: int) -> float:
@@ -242,26 +240,6 @@ def chance_alone(f: MarginalModel, candidate: int) -> float:
     matrix = f.schur[block, block] + np.eye(block.stop - block.start)
     vector = f.schur[block, -1]
     return float(0.5 * (vector @ np.linalg.solve(matrix, vector) - np.linalg.slogdet(matrix)[1]))
-
-
-def threshold(f: MarginalModel, freedom: int = 0, seed: int = 0) -> float:
-    """Return what the largest log Bayes factor exceeds in 1 % of recordings in which nothing more is missing.
-
-    Args:
-        f: The model.
-        freedom: Degrees of freedom on which the noise rests; its size is drawn anew in every sample.  0: it is known.
-        seed: Of the bootstrap.
-    """
-    gram = f.schur[:-1, :-1]
-    values, vectors = np.linalg.eigh(gram)
-    root = vectors * np.sqrt(np.clip(values, 0.0, None))
-    rng = np.random.default_rng(seed)
-    noise = rng.standard_normal((len(gram), SAMPLES))
-    if freedom:
-        noise /= np.sqrt(rng.chisquare(freedom, SAMPLES) / freedom)
-    blocks = [gram[alike.columns[:, :, None], alike.columns[:, None, :]] for alike in f.cache.alike]
-    scores = _scores(f.cache.alike, blocks, root @ noise)
-    return float(np.quantile(scores.max(axis=0, initial=-np.inf), 1 - FALSE_ALARM)) if len(scores) else 0.0
 
 
 def posterior(f: MarginalModel, candidate: int) -> tuple[Float1D, Float2D]:
@@ -360,7 +338,7 @@ def _projected(rows: Float2D, columns: list[int]) -> Float2D:
     return np.asarray(cross.T @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 
-def _scores(several: Sequence[Alike], blocks: Sequence[Float3D], vectors: Float2D) -> Float2D:
+def log_bayes_factors_of(several: Sequence[Alike], blocks: Sequence[Float3D], vectors: Float2D) -> Float2D:
     """Return log Bayes factors (l, s) of all candidates for s right-hand sides.
 
     Where physics allows positive values only the prior is one half of the normal per parameter; by what share of the

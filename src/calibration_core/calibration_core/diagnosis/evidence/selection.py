@@ -25,13 +25,13 @@ from calibration_core.diagnosis.evidence.bayes_factors import (
     log_bayes_factors,
     marginal_model,
     posterior,
-    threshold,
     visible_size,
     without_confounded,
 )
 from calibration_core.diagnosis.evidence.confounding import MEMORY, are_confounded
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.evidence.predictive_density import GATE, log_predictive_densities, passes
+from calibration_core.diagnosis.evidence.threshold import threshold
 from calibration_core.model.effects.possible import forbidden, impossibility
 from calibration_core.timeseries import Float1D
 
