@@ -20,7 +20,8 @@ from calibration_core.planning.plans.planned_robot import planned_robot
 from calibration_core.timeseries import Readings
 
 POSTURES = 400
-DIRECTIONS = 3
+LOADED = 200  # postures that are offered with loads
+DIRECTIONS = 3  # of these in each
 BATCH, BATCHES = 4000, 30
 
 
@@ -45,11 +46,12 @@ def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ..
     site = Site.of(chain_of(cell), parameters, cell)
     rng = np.random.default_rng([seed, 0])
     low, high = joint_range(site.chain, SpaceRules())
+    count = LOADED if loaded else POSTURES
     found = np.empty((0, site.chain.n))
     for _ in range(BATCHES):
         drawn = rng.uniform(low, high, (BATCH, site.chain.n))
-        found = np.vstack([found, drawn[measurable(site, drawn, SpaceRules())]])[:POSTURES]
-        if len(found) == POSTURES:
+        found = np.vstack([found, drawn[measurable(site, drawn, SpaceRules())]])[:count]
+        if len(found) == count:
             break
     if not loaded:
         return tuple(Offer(k, q, np.zeros((1, 6))) for k, q in enumerate(found, start=1))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 
 from calibration_core.recording.definitions.fields import Types
-from calibration_core.recording.definitions.own import STEP_DEFINITION, STEP_TYPE
+from calibration_core.recording.definitions.own import STEP_DEFINITION, STEP_TYPE, TEXT_TYPE
 from calibration_core.recording.definitions.text import parse_definition
 
 _STAMPED = "std_msgs/Header header\n"
@@ -25,6 +25,7 @@ DEFINITIONS = {
     "sensor_msgs/msg/JointState": _STAMPED
     + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
     "sensor_msgs/msg/Temperature": _STAMPED + "float64 temperature\nfloat64 variance\n",
+    TEXT_TYPE: "string data\n",
     STEP_TYPE: STEP_DEFINITION,
 }
 """Type to its definition, without those of the types in it."""
