@@ -1,8 +1,8 @@
 """What a hypothesis must pass besides likelihood and blocks left out.
 
 Compliances are positive.  Sag under the robot's own weight resembles what geometry and gears do to a posture: it is
-believed only if gravity turned by 90 degrees explains far less.  Noise that lasts resembles a drift.  A step must
-matter.
+believed only if gravity turned by 90 degrees explains far less.  Noise that lasts resembles a drift, of the tracker or
+of the sensor.  A step must matter.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from calibration_core.model.effects.possible import forbidden, nearest, out_of_b
 from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
-DRIFT = "tracker_drift"
+DRIFTS = frozenset({"tracker_drift", "wrench_drift"})
 SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness and turned levers
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
-CONVINCING = 6.0  # nats
+FLOOR = 10.0  # nats that any hypothesis must gain
 LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
 STEP_SHARE = 0.1  # of the squared residual on blocks left out, that a step must explain
 
@@ -46,7 +46,7 @@ class Controls:
             return _small(trial)
         if trial.movement < SECOND_ORDER * trial.movement_of_others:
             return "it is no larger than what second order leaves of larger effects"
-        if one.effect == DRIFT:
+        if one.effect in DRIFTS:
             return _lasting(trial)
         return self._turned(trial) if one.effect == SAG else ""
 
@@ -86,7 +86,7 @@ def _small(trial: Trial) -> str:
 
 
 def _lasting(trial: Trial) -> str:
-    if min(one.nats for one in trial.proofs) > LASTING * CONVINCING:
+    if min(trial.gain, *(one.nats for one in trial.proofs)) > LASTING * FLOOR:
         return ""
     return f"it does not convince where {LASTING:g} configurations in a row may share their noise"
 

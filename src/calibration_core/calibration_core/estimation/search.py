@@ -16,14 +16,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calibration_core.estimation.controls import impossible
+from calibration_core.estimation.controls import FLOOR, impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.gains import Seen, beside, chance_gain, gains
 from calibration_core.estimation.leave_out import LEAST_NATS, LeftOut, Proof
 from calibration_core.estimation.likelihood import Sizes, fit_sizes
 from calibration_core.timeseries import Float1D
 
-FLOOR = 10.0  # nats: the threshold is never lower
 BESIDE = 20.0  # nats that a further cause must gain: what is accepted is seldom of quite the right form
 TRIED = 6  # proposals per round that may try
 EQUIVALENT = 5.0  # nats

@@ -85,6 +85,20 @@ def test_approach_direction_from_the_order_of_the_poses(cell: Cell) -> None:
     assert width.std < 5e-6
 
 
+def test_a_drift_of_the_tracker_is_found_with_its_rate(cell: Cell) -> None:
+    q, hours = random_angles(SEED, CONFIGURATIONS, 6), 2.0
+    readings = planted(cell, q, np.zeros_like(q))
+    time = np.repeat(np.linspace(0.0, 3600 * hours, len(q)), len(cell.points))
+    rate = np.array([1.2e-8, -9e-9, 6e-9])  # m/s: 86, 65 and 43 µm in all
+    drifted = dataclasses.replace(readings, time=time, position=readings.position + time[:, None] * rate)
+    found = diagnose_still(drifted, cell)
+    (finding,) = found.findings
+    assert (finding.effect, dict(finding.location)) == ("tracker_drift", {"tracker": "tracker"})
+    moved = found.shift @ found.model.tracker[:3, :3] if found.model is not None else np.zeros((1, 3))
+    gone = (moved[-1] - moved[0]) / time[-1]
+    np.testing.assert_allclose(gone, rate, atol=3e-9)
+
+
 def test_wrist_coupling(cell: Cell) -> None:
     q = random_angles(SEED, CONFIGURATIONS, 6)
     extra = np.zeros_like(q)
