@@ -12,7 +12,7 @@ BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
 RECORD := build/record
-STILL := src/calibration_core/test src/calibration_sim/test test
+STILL := test src/calibration_core/test src/calibration_sim/test
 CONCEALED := test/test_concealed.py
 INPUTS := test/test_fuzz.py test/test_absurd_inputs.py test/test_bias.py
 FLEET := test/test_fleet_proof.py test/test_fleet_speed.py
@@ -53,13 +53,14 @@ lint: setup
 	@$(BIN)/mypy
 
 # A test that runs a whole cell runs alone; the others share the cores.  One process takes a whole file, so that what
-# its tests have in common is made once; the concealed effects are diagnosed by two processes of their own.
+# its tests have in common is made once, the longest files first; the concealed effects are diagnosed by two processes
+# of their own.  Tests of nodes wait more than they compute: one process more than there are cores.
 # Drawn inputs are the same in every run (one tree, one answer); `make prove` draws them anew.
 test: PYTEST += --hypothesis-seed=0
 test: lint setup-fleet
 	@$(PYTEST) -n $(JOBS) --dist loadfile -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
 	@$(PYTEST) $(CONCEALED)
-	@$(PYTEST) -n $(JOBS) --dist loadfile -m "not slow and not alone" $(NODES)
+	@$(PYTEST) -n $$(($(JOBS) + 1)) --dist loadfile -m "not slow and not alone" $(NODES)
 	@$(PYTEST) -m "alone and not slow" $(NODES)
 	@$(PYTEST) -m "not slow" $(WHOLE)
 
