@@ -8,6 +8,7 @@ SHELL := /usr/bin/env bash
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 JOBS ?= $(shell nproc)
+SHARING = $(shell expr $(JOBS) + 1)
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
@@ -52,15 +53,15 @@ lint: setup
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-# A test that runs a whole cell runs alone; the others share the cores.  One process takes a whole file, so that what
-# its tests have in common is made once, the longest files first; the concealed effects are diagnosed by two processes
-# of their own.  Tests of nodes wait more than they compute: one process more than there are cores.
+# A test that runs a whole cell runs alone; the others share the cores, one process more than there are, for some wait
+# more than they compute.  One process takes a whole file, so that what its tests have in common is made once, the longest
+# files first; the concealed effects are diagnosed by two processes of their own.
 # Drawn inputs are the same in every run (one tree, one answer); `make prove` draws them anew.
 test: PYTEST += --hypothesis-seed=0
 test: lint setup-fleet
-	@$(PYTEST) -n $(JOBS) --dist loadfile -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
+	@$(PYTEST) -n $(SHARING) --dist loadfile -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
 	@$(PYTEST) $(CONCEALED)
-	@$(PYTEST) -n $$(($(JOBS) + 1)) --dist loadfile -m "not slow and not alone" $(NODES)
+	@$(PYTEST) -n $(SHARING) --dist loadfile -m "not slow and not alone" $(NODES)
 	@$(PYTEST) -m "alone and not slow" $(NODES)
 	@$(PYTEST) -m "not slow" $(WHOLE)
 
