@@ -56,14 +56,15 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def reference(plant: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The plant evaluated by two processes of this machine, without any disturbance."""
     out = tmp_path_factory.mktemp("reference")
-    done = fleet(plant, out, "--jobs", "2")
+    done = fleet(plant, out, "--jobs", "2", report=True)
     assert done.returncode == 0, done.stderr
     assert "6 recordings, 2 of them not usable" in done.stdout
     return out
 
 
-def fleet(plant: Path, out: Path, *options: str) -> subprocess.CompletedProcess[str]:
+def fleet(plant: Path, out: Path, *options: str, report: bool = False) -> subprocess.CompletedProcess[str]:
     command = [BIN / "calibration", "fleet", plant / "plant.csv", "--out", out, *options]
+    command += [] if report else ["--no-report"]
     return subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False, timeout=PATIENCE)
 
 
@@ -180,8 +181,8 @@ def test_ended_by_hand_says_what_stays(
     """SIGINT as a terminal sends it, to the workers too; SIGTERM to the program alone."""
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [BIN / "calibration", "fleet", plant / "plant.csv", "--out", out, "--jobs", "1"], env=ENVIRONMENT,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        [BIN / "calibration", "fleet", plant / "plant.csv", "--out", out, "--jobs", "1", "--no-report"],
+        env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
     deadline = time.monotonic() + PATIENCE
     while len(rows_on_disk(out)) < 2 and time.monotonic() < deadline and process.poll() is None:
