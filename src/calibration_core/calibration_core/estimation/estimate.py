@@ -96,7 +96,7 @@ def estimate(readings: Readings, cell: Cell, evaluated: Evaluated, sound: Bool1D
     model = dataclasses.replace(model, used=used)
     refitted = _again(found, model)
     if again or refitted.extended.variance < QUIETER * found.extended.variance:
-        return _searched(model)
+        return _search(refitted.extended.model) if _sags(refitted) else _searched(model)
     return refitted
 
 
@@ -132,8 +132,10 @@ def axial(joint: int, name: str, state: State) -> Candidate:
 
 def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tuple[NullModel, Estimate]:
     """Search once more with the geometry in the null model; keep that if it predicts configurations left out better."""
-    more = dataclasses.replace(model, terms=(*model.terms, term))
-    other = _searched(more)
+    terms = (*model.terms, term)
+    more = dataclasses.replace(model, terms=terms)
+    sagging = dataclasses.replace(found.extended.model, terms=terms)
+    other = _search(sagging) if _sags(found) else _searched(more)
     configuration = model.readings.configuration
     blocks = time_blocks(configuration, COVARIANCE_BLOCKS)
     before, after = (one.extended.held_out(blocks).T[:, model.used] for one in (found, other))
@@ -144,10 +146,13 @@ def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tup
 def _searched(model: NullModel) -> Estimate:
     """Search, and once more about the solution where the robot sags enough to change what everything else does."""
     found = _search(model)
-    sagging = found.extended.model
-    if model.fitted_compliances or not np.any(sagging.parameters.compliance):
-        return found
-    return _search(sagging)
+    return _search(found.extended.model) if _sags(found) else found
+
+
+def _sags(found: Estimate) -> bool:
+    """Say whether compliances were found, that the null model does not fit."""
+    model = found.extended.model
+    return not model.fitted_compliances and bool(np.any(model.parameters.compliance))
 
 
 def _search(model: NullModel) -> Estimate:
