@@ -9,15 +9,14 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from calibration_core.diagnosis.evidence.bayes_factors import (
+    at_its_level,
     chance_alone,
     estimates,
     gram_cache,
+    judge,
     log_bayes_factors,
     marginal_model,
-    marginal_models,
-    most_probable,
     posterior,
-    profile,
 )
 from calibration_core.diagnosis.evidence.confounding import are_confounded
 from calibration_core.diagnosis.evidence.design import Design
@@ -112,10 +111,8 @@ def test_a_threshold_is_higher_where_the_noise_is_known_badly() -> None:
 def test_the_threshold_is_passed_by_chance_in_one_of_a_hundred() -> None:
     above = 0
     for seed in range(300):
-        d = design(1000 + seed)
-        now = most_probable(marginal_models(gram_cache(d), ()))
-        scores, _ = profile(marginal_models(gram_cache(d), ()))
-        above += bool(scores.max() > threshold(now, seed=seed))
+        cache = gram_cache(design(1000 + seed))
+        above += bool(judge(cache, ()).scores.max() > threshold(at_its_level(cache, ()), seed=seed))
     assert above <= 12  # 1 % expected, 12 of 300 has a chance below 1e-4; choosing the level costs a little
 
 

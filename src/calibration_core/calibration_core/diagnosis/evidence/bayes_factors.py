@@ -164,13 +164,6 @@ def without_confounded(f: MarginalModel, candidate: int) -> MarginalModel:
     return dataclasses.replace(f, weights=weights)
 
 
-def marginal_models(
-    cache: GramCache, accepted: tuple[int, ...], law_errors: Float1D | None = None, levels: tuple[float, ...] = LEVELS
-) -> tuple[MarginalModel, ...]:
-    """Set up the models at all levels."""
-    return tuple(marginal_model(cache, accepted, level, law_errors) for level in levels)
-
-
 def most_probable(several: tuple[MarginalModel, ...]) -> MarginalModel:
     """Return the model at the level at which the recording is most probable."""
     return max(several, key=lambda f: (f.likelihood, -f.level))
