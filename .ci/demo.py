@@ -42,7 +42,8 @@ CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 PARAMETERS = [ROOT / "config" / name for name in ("ros.yaml", "simulation.yaml")]
 NODES = ("guard", "tracker", "force_torque", "sequencer", "recorder", "identification")
 SPEED = 25.0  # times real time, if the machine can
-EFFECT, JOINT, COMPLIANCE = "off_axis_compliance", "joint_2", 3.0e-7  # concealed: a bearing that tilts, rad/(N*m)
+# Concealed: a bearing that tilts, rad/(N*m), of a joint that the plan distinguishes from its neighbours.
+EFFECT, JOINT, COMPLIANCE = "off_axis_compliance", "joint_3", 3.0e-7
 CHOSEN = ("besides", "heavy", "transmission_error")  # concealed in the second robot: group, robot and effect
 CHOSEN_SEED = 1  # by whose lot it has its joint and size
 PATIENCE = 300.0  # s
