@@ -9,6 +9,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 JOBS ?= $(shell nproc)
 SHARING = $(shell expr $(JOBS) + 1)
+BY_FILE := --dist loadfile --no-loadscope-reorder
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
@@ -54,14 +55,15 @@ lint: setup
 	@$(BIN)/mypy
 
 # A test that runs a whole cell runs alone; the others share the cores, one process more than there are, for some wait
-# more than they compute.  One process takes a whole file, so that what its tests have in common is made once, the longest
-# files first; the concealed effects are diagnosed by two processes of their own.
+# more than they compute.  One process takes a whole file, so that what its tests have in common is made once.  Files are
+# taken in the order given here (by itself xdist takes those of the fewest tests, which are the longest, last).  The
+# concealed effects are diagnosed by two processes of their own.
 # Drawn inputs are the same in every run (one tree, one answer); `make prove` draws them anew.
 test: PYTEST += --hypothesis-seed=0
 test: lint setup-fleet
-	@$(PYTEST) -n $(SHARING) --dist loadfile -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
+	@$(PYTEST) -n $(SHARING) $(BY_FILE) -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
 	@$(PYTEST) $(CONCEALED)
-	@$(PYTEST) -n $(SHARING) --dist loadfile -m "not slow and not alone" $(NODES)
+	@$(PYTEST) -n $(SHARING) $(BY_FILE) -m "not slow and not alone" $(NODES)
 	@$(PYTEST) -m "alone and not slow" $(NODES)
 	@$(PYTEST) -m "not slow" $(WHOLE)
 
