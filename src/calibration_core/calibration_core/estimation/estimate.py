@@ -96,7 +96,7 @@ def estimate(readings: Readings, cell: Cell, evaluated: Evaluated, sound: Bool1D
     model = dataclasses.replace(model, used=used)
     refitted = _again(found, model)
     if again or refitted.extended.variance < QUIETER * found.extended.variance:
-        return _search(refitted.extended.model) if _sags(refitted) else _searched(model)
+        return _searched(model, refitted)
     return refitted
 
 
@@ -132,10 +132,8 @@ def axial(joint: int, name: str, state: State) -> Candidate:
 
 def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tuple[NullModel, Estimate]:
     """Search once more with the geometry in the null model; keep that if it predicts configurations left out better."""
-    terms = (*model.terms, term)
-    more = dataclasses.replace(model, terms=terms)
-    sagging = dataclasses.replace(found.extended.model, terms=terms)
-    other = _search(sagging) if _sags(found) else _searched(more)
+    more = dataclasses.replace(model, terms=(*model.terms, term))
+    other = _searched(more, found)
     configuration = model.readings.configuration
     blocks = time_blocks(configuration, COVARIANCE_BLOCKS)
     before, after = (one.extended.held_out(blocks).T[:, model.used] for one in (found, other))
@@ -143,10 +141,18 @@ def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tup
     return (more, other) if gain.clear or gain.general else (model, found)
 
 
-def _searched(model: NullModel) -> Estimate:
-    """Search, and once more about the solution where the robot sags enough to change what everything else does."""
-    found = _search(model)
-    return _search(found.extended.model) if _sags(found) else found
+def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
+    """Search, and once more about the solution where the robot sags enough to change what everything else does.
+
+    Args:
+        model: What is fitted before any hypothesis.
+        known: What was found with other terms or readings; the search begins about it where the robot sags in it.
+    """
+    if known is None or not _sags(known):
+        known = _search(model)
+        if not _sags(known):
+            return known
+    return _search(dataclasses.replace(known.extended.model, terms=model.terms, used=model.used))
 
 
 def _sags(found: Estimate) -> bool:

@@ -94,7 +94,8 @@ def test_a_drift_of_the_tracker_is_found_with_its_rate(cell: Cell) -> None:
     found = diagnose_still(drifted, cell)
     (finding,) = found.findings
     assert (finding.effect, dict(finding.location)) == ("tracker_drift", {"tracker": "tracker"})
-    moved = found.shift @ found.model.tracker[:3, :3] if found.model is not None else np.zeros((1, 3))
+    assert found.model is not None
+    moved = found.shift @ found.model.tracker[:3, :3]
     gone = (moved[-1] - moved[0]) / time[-1]
     np.testing.assert_allclose(gone, rate, atol=3e-9)
 

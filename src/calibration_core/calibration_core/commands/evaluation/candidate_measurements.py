@@ -19,9 +19,9 @@ from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 from calibration_core.planning.plans.planned_robot import planned_robot
 from calibration_core.timeseries import Readings
 
-POSTURES = 400
-LOADED = 200  # postures that are offered with loads
-DIRECTIONS = 3  # of these in each
+POSTURES = 400  # that are offered without loads
+LOADED_POSTURES = 200
+DIRECTIONS = 3  # of the load in each of these
 BATCH, BATCHES = 4000, 30
 
 
@@ -46,7 +46,7 @@ def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ..
     site = Site.of(chain_of(cell), parameters, cell)
     rng = np.random.default_rng([seed, 0])
     low, high = joint_range(site.chain, SpaceRules())
-    count = LOADED if loaded else POSTURES
+    count = LOADED_POSTURES if loaded else POSTURES
     found = np.empty((0, site.chain.n))
     for _ in range(BATCHES):
         drawn = rng.uniform(low, high, (BATCH, site.chain.n))

@@ -12,8 +12,8 @@ from scipy.linalg.lapack import dpstrf
 from calibration_core.diagnosis.evidence.bayes_factors import MarginalModel, log_bayes_factors_of
 from calibration_core.timeseries import Float1D, Float2D
 
-SAMPLES = 500
-FALSE_ALARM = 0.01
+SAMPLES = 500  # of the bootstrap
+FALSE_ALARM = 0.01  # share of them in which the best exceeds the threshold
 ROUNDING = 1e-10  # of a column's square: what is left of it where it is rounding alone
 
 
@@ -37,7 +37,7 @@ def threshold(f: MarginalModel, freedom: int = 0, seed: int = 0) -> float:
 
 
 def _root(gram: Float2D, before: Float1D) -> Float2D:
-    """Return a square root (p, r) of a Gram matrix (p, p), r its rank.
+    """Return a square root (p, r) of a Gram matrix (p, p), r its rank, by Cholesky's factorisation with pivots.
 
     Args:
         gram: What is left of the columns.

@@ -34,7 +34,7 @@ from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float1D, Float2D, Int2D
 
 PRIOR_WIDTH = 3.0  # standard deviations of the prior per typical size
 STEPS = tuple(0.5 * 2.0**k for k in range(9))
@@ -169,10 +169,11 @@ def judged(
     rng = np.random.default_rng(SEED)
     drawn = np.linalg.cholesky(best) @ rng.standard_normal((len(best), SAMPLES))
     values = np.column_stack([seen.value, drawn])
+    alike = _alike(hypotheses)
     null = np.full(1 + SAMPLES, -np.inf)
     scores = np.full((len(hypotheses), 1 + SAMPLES), -np.inf)
     for covariance in usual:
-        alone, beyond = _beside_each(seen, hypotheses, values, covariance)
+        alone, beyond = _with_each(seen, alike, values, covariance)
         np.maximum(null, alone, out=null)
         np.maximum(scores, alone + beyond, out=scores)
     scores -= null
@@ -180,36 +181,45 @@ def judged(
     return scores[:, 0].copy(), max(limit, LEAST)
 
 
-def _beside_each(
-    seen: Corrections, hypotheses: Sequence[GeometryFault], values: Float2D, covariance: Float2D
+def _alike(hypotheses: Sequence[GeometryFault]) -> list[tuple[list[int], Int2D, Float2D]]:
+    """Return hypotheses of equally many errors together: their places (c), rows (c, k) and priors (c, k)."""
+    counts = [len(one.rows) for one in hypotheses]
+    together = ([h for h, count in enumerate(counts) if count == k] for k in sorted(set(counts)))
+    return [
+        (members, np.array([hypotheses[h].rows for h in members]), np.stack([hypotheses[h].prior for h in members]))
+        for members in together
+    ]
+
+
+def _with_each(
+    seen: Corrections, alike: Sequence[tuple[list[int], Int2D, Float2D]], values: Float2D, covariance: Float2D
 ) -> tuple[Float1D, Float2D]:
     """Return the log densities of every column of (g, s) values, and by how much each hypothesis raises them.
 
     A hypothesis adds B B^T to the covariance L L^T: with Z = L^-1 B and y = L^-1 g the log density rises by
     1/2 y^T Z M^-1 Z^T y - 1/2 log|M|, M = I + Z^T Z (Woodbury).
 
+    Args:
+        seen: What was fitted.
+        alike: The hypotheses, as `_alike` returns them.
+        values: (g, s) m and rad.
+        covariance: (g, g) without a hypothesis.
+
     Returns:
         alone: (s,) nats up to a constant.
         beyond: (h, s) nats.
     """
-    scale = np.sqrt(np.diag(covariance))
-    lower = np.linalg.cholesky(covariance / np.outer(scale, scale))
-    white = np.linalg.solve(lower, np.column_stack([values, seen.answer]) / scale[:, None])
+    white, log_root = _whitened(np.column_stack([values, seen.answer]), covariance)
     y, every = white[:, : values.shape[1]], white[:, values.shape[1] :]
-    alone = -0.5 * (y**2).sum(axis=0) - np.log(np.diag(lower)).sum() - np.log(scale).sum()
     among, toward = every.T @ every, every.T @ y
-    beyond = np.empty((len(hypotheses), values.shape[1]))
-    counts = [len(one.rows) for one in hypotheses]
-    for k in sorted(set(counts)):
-        members = [h for h, count in enumerate(counts) if count == k]
-        rows = np.array([hypotheses[h].rows for h in members])
-        prior = np.stack([hypotheses[h].prior for h in members])
+    beyond = np.empty((sum(len(members) for members, _, _ in alike), values.shape[1]))
+    for members, rows, prior in alike:
         own = among[rows[:, :, None], rows[:, None, :]] * prior[:, :, None] * prior[:, None, :]
-        factor = np.linalg.cholesky(np.eye(k) + own)
+        factor = np.linalg.cholesky(np.eye(rows.shape[1]) + own)
         half = np.linalg.solve(factor, toward[rows] * prior[:, :, None])
         lost = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         beyond[members] = 0.5 * (half**2).sum(axis=1) - lost[:, None]
-    return alone, beyond
+    return -0.5 * (y**2).sum(axis=0) - log_root, beyond
 
 
 def _covariance(seen: Corrections, level: tuple[float, float], present: Sequence[GeometryFault]) -> Float2D:
@@ -222,10 +232,16 @@ def _covariance(seen: Corrections, level: tuple[float, float], present: Sequence
 
 def _log_densities(values: Float2D, covariance: Float2D) -> Float1D:
     """Return the log density of every column of (g, s) values, (s,) nats up to a constant."""
+    white, log_root = _whitened(values, covariance)
+    return np.asarray(-0.5 * (white**2).sum(axis=0) - log_root)
+
+
+def _whitened(values: Float2D, covariance: Float2D) -> tuple[Float2D, float]:
+    """Return L^-1 of (g, s) values, L L^T being a covariance (g, g), and log|L|."""
     scale = np.sqrt(np.diag(covariance))
     lower = np.linalg.cholesky(covariance / np.outer(scale, scale))
-    half = np.linalg.solve(lower, values / scale[:, None])
-    return np.asarray(-0.5 * (half**2).sum(axis=0) - np.log(np.diag(lower)).sum() - np.log(scale).sum())
+    log_root = float(np.log(np.diag(lower)).sum() + np.log(scale).sum())
+    return np.asarray(np.linalg.solve(lower, values / scale[:, None]), dtype=np.float64), log_root
 
 
 def _level(seen: Corrections, present: Sequence[GeometryFault]) -> tuple[float, float]:

@@ -1,7 +1,8 @@
-"""The message types of a recording's streams, field by field, as ROS 2 Jazzy and `calibration_interfaces` define them.
+"""The message types of a recording's streams and of the robot description, field by field.
 
-rosbags knows all types of ROS 2, but to import them takes longer than to read a short recording.  These few are held
-against the bag's own definitions without them; a test compares them with what rosbags says.
+They are as ROS 2 Jazzy and `calibration_interfaces` define them.  rosbags knows all types of ROS 2, but to import them
+takes longer than to read a short recording.  These few are held against the bag's own definitions without them; a test
+compares them with what rosbags says.
 """
 
 from __future__ import annotations
