@@ -199,7 +199,7 @@ def test_no_module_needs_itself() -> None:
         ("calibration_core.model.robot", "from .chain import Chain", True),
         (
             "calibration_core.model.effects.joint_law.creep",
-            "def f():\n    import calibration_core.diagnosis.evidence.bayes_factors",
+            "def f():\n    import calibration_core.diagnosis.evidence.selection",
             False,
         ),
         ("calibration_core.report.document", "from calibration_core.recording.tables.table import read", True),
@@ -265,11 +265,11 @@ def test_no_module_needs_itself() -> None:
         ("calibration_core.formats.urdf", "from calibration_core.model.chain import Chain", True),
         ("calibration_core.formats.urdf", "from calibration_core.report import document", False),
         (
-            "calibration_core.diagnosis.evidence.bayes_factors",
+            "calibration_core.diagnosis.evidence.selection",
             "from calibration_core.planning.plans import plan",
             False,
         ),
-        ("calibration_core.diagnosis.evidence.bayes_factors", "from calibration_core.cli import main", False),
+        ("calibration_core.diagnosis.evidence.selection", "from calibration_core.cli import main", False),
         ("calibration_core.cli", "from calibration_core.report import document", True),
         ("calibration_core", "from calibration_core.library.identification import identify", True),
         ("calibration_core", "from calibration_core.identification.identify import identify", False),
@@ -283,7 +283,7 @@ def test_no_module_needs_itself() -> None:
         ("calibration_sim.proving.running", "from calibration_core.engine.pieces import run_all", True),
         ("calibration_core.engine.pieces", "from calibration_core.fleet.recordings.task import measure", False),
         (
-            "calibration_core.diagnosis.evidence.bayes_factors",
+            "calibration_core.diagnosis.evidence.selection",
             "from calibration_core.engine.pieces import run_all",
             False,
         ),

@@ -20,7 +20,7 @@ import pytest
 import calibration_sim.scenarios.generate as simulator
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.evaluation.candidate_measurements import offers_for
-from calibration_core.diagnosis.evidence.bayes_factors import gram_cache, log_bayes_factors, marginal_model
+from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import design_at, loaded_state
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.proposals.candidates import Offer, alternating
@@ -167,11 +167,25 @@ def margins(readings: Readings, cell: Cell, found: Diagnosis, places: Sequence[P
     used = np.flatnonzero(prepared.rejection.used)
     rows = dataclasses.replace(rows, noise=rows.noise * factor).select(used)
     design = design_at(prepared.problem, cell, found.compliance, rows, used, asked, prepared.frames)[1]
-    scores = log_bayes_factors(marginal_model(gram_cache(design), (), 0.0))
+    scores = log_bayes_factors(design)
     best = [
         max(s for s, c in zip(scores, asked, strict=True) if (c.effect, dict(c.location)) == place) for place in places
     ]
     return np.array([best[truth] - score for k, score in enumerate(best) if k != truth])
+
+
+def log_bayes_factors(design: Design) -> list[float]:
+    """Return the log Bayes factor of every candidate beside the null model, with its wide prior, nats."""
+    beside = np.column_stack([design.null / np.linalg.norm(design.null, axis=0), design.columns[:, design.discrepancy]])
+    prior = np.concatenate([np.zeros(design.n), np.ones(beside.shape[1] - design.n)])
+    inverse = np.linalg.inv(beside.T @ beside + np.diag(prior))
+    factors = []
+    for index in range(len(design.candidates)):
+        own = design.columns[:, design.own(index)]
+        left = own - beside @ (inverse @ (beside.T @ own))
+        matrix, vector = own.T @ left + np.eye(own.shape[1]), left.T @ design.residual
+        factors.append(0.5 * float(vector @ np.linalg.solve(matrix, vector) - np.linalg.slogdet(matrix)[1]))
+    return factors
 
 
 @pytest.mark.slow

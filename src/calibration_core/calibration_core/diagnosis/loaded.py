@@ -19,7 +19,6 @@ from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_
 from calibration_core.diagnosis.data_checks.step_direction import jumps_along_a_joint
 from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
-from calibration_core.diagnosis.evidence.bayes_factors import LEVELS, NOISE_ALONE
 from calibration_core.diagnosis.evidence.block_scatter import scattered_covariance
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import (
@@ -299,7 +298,7 @@ def _attempt(
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
-    selection = select(design, LEVELS if seen.freedom else NOISE_ALONE, seen.freedom)
+    selection = select(design, noise_known=seen.freedom > 0)
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     outdone = rejected_candidates(extended, selection)
     if outdone:

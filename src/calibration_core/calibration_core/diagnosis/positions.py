@@ -19,7 +19,7 @@ from calibration_core.diagnosis.data_checks.noise import Scatter
 from calibration_core.diagnosis.data_checks.shift_anomalies import shift_anomalies
 from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.diagnosis.findings.geometry import geometry_findings
-from calibration_core.diagnosis.findings.positions import equivalents, position_findings
+from calibration_core.diagnosis.findings.positions import position_findings
 from calibration_core.diagnosis.loaded import ALIASES
 from calibration_core.diagnosis.model_estimate import positions_compliance, positions_estimate
 from calibration_core.diagnosis.proposals.candidates import Offer
@@ -28,6 +28,7 @@ from calibration_core.diagnosis.proposals.postures import Known, propose_posture
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, Verdict, by_size
 from calibration_core.diagnosis.tested import tested_on
 from calibration_core.estimation.blocks import posture_blocks, time_blocks
+from calibration_core.estimation.equivalents import equivalents
 from calibration_core.estimation.estimate import Estimate, estimate
 from calibration_core.estimation.hypotheses import is_axial
 from calibration_core.estimation.refit import Extended
@@ -197,7 +198,7 @@ def _proposals(found: Estimate, readings: Readings, cell: Cell, offers: Sequence
     physics = [i for i in accepted if hypotheses[i].family != FAMILY]
     places = [hypotheses[i].place for i in physics]
     single = [i for i in physics if places.count(hypotheses[i].place) == 1]
-    equal = {i: equivalents(found, (i,)) for i in single}
+    equal = {i: equivalents(found.search, found.selection, (i,)) for i in single}
     sizes = dict(zip(accepted, map(float, found.selection.sizes.size), strict=True))
     for index, rivals in equal.items():
         scores = found.search.scores(tuple(i for i in accepted if i != index))

@@ -43,7 +43,8 @@ class Hypothesis:
         location: Where; `{"joints": "all"}` for every joint.
         variant: Form of the law.
         members: Indices of its candidates.
-        columns: Indices of their columns.
+        columns: Indices of their columns, those of chance among them.
+        chance: Indices of the columns of what they leave to chance in each configuration.
     """
 
     effect: str
@@ -52,6 +53,7 @@ class Hypothesis:
     variant: str
     members: tuple[int, ...]
     columns: Int1D
+    chance: Int1D = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def everywhere(self) -> bool:

@@ -14,6 +14,7 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 RIDGE = 1e-10  # of columns of length one: keeps a block that alone shows a parameter solvable
 FEW = 48  # columns: more are not added to a factorisation, they get their own
+NOTHING = np.zeros(0)
 LEAST_NATS = 3.0  # that a hypothesis must gain on blocks left out
 
 
@@ -102,23 +103,63 @@ class LeftOut:
     def beside(self, columns: Float2D, ridge: Float1D) -> list[Float1D]:
         """Return the same with k further columns (r, k), of prior precision (k,) times the noise variance."""
         if columns.shape[1] > FEW:
-            both, precision = np.concatenate([self.columns, columns], axis=1), np.concatenate([self.ridge, ridge])
-            return LeftOut(both, self.residual, self.partitions, precision).errors
-        rest = columns - self.half.T @ (self.half @ columns)
-        lower = cholesky(columns.T @ rest + np.diag(RIDGE + ridge), lower=True)
-        more = solve_triangular(lower, rest.T, lower=True)  # (k, r)
-        left = self.left - (more @ self.residual) @ more
+            return self._with(columns, ridge).errors
+        more, left = self._more(columns, ridge)
         answers = []
         for several in self.blocks:
             result = np.zeros_like(self.residual)
             for rows, factor in several:
-                own = more[:, rows]
-                solved = dpotrs(factor, np.column_stack([left[rows], own.T]), lower=True)[0]
-                plain, through = solved[:, 0], solved[:, 1:]
-                inner = np.eye(len(own)) - own @ through
-                result[rows] = plain + through @ np.linalg.solve(inner, own @ plain)
+                result[rows], _ = _beside(factor, left[rows], more[:, rows])
             answers.append(result)
         return answers
+
+    def scores(self, variance: float, columns: Float2D | None = None, ridge: Float1D = NOTHING) -> list[Float1D]:
+        """Return per partition and block, (b,), -2 v log density of its rows given all others, up to a constant.
+
+        With v the variance of the noise the rows of a block given the others have covariance v (I - H_bb)^(-1).
+
+        Args:
+            variance: v.
+            columns: (r, k) further columns; None: none.
+            ridge: (k,) their prior precision times the noise variance.
+        """
+        if columns is not None and columns.shape[1] > FEW:
+            return self._with(columns, ridge).scores(variance)
+        more, left = (np.zeros((0, len(self.residual))), self.left) if columns is None else self._more(columns, ridge)
+        answers = []
+        for several in self.blocks:
+            scores = []
+            for rows, factor in several:
+                error, beside = _beside(factor, left[rows], more[:, rows])
+                log_determinant = 2 * float(np.log(np.diag(factor)).sum()) + beside
+                scores.append(float(left[rows] @ error) - variance * log_determinant)
+            answers.append(np.array(scores))
+        return answers
+
+    def _with(self, columns: Float2D, ridge: Float1D) -> LeftOut:
+        both, precision = np.concatenate([self.columns, columns], axis=1), np.concatenate([self.ridge, ridge])
+        return LeftOut(both, self.residual, self.partitions, precision)
+
+    def _more(self, columns: Float2D, ridge: Float1D) -> tuple[Float2D, Float1D]:
+        """Return what further columns add to `half`, (k, r), and what is left beside them, (r,)."""
+        rest = columns - self.half.T @ (self.half @ columns)
+        lower = cholesky(columns.T @ rest + np.diag(RIDGE + ridge), lower=True)
+        more = solve_triangular(lower, rest.T, lower=True)
+        return more, self.left - (more @ self.residual) @ more
+
+
+def _beside(factor: Float2D, left: Float1D, more: Float2D) -> tuple[Float1D, float]:
+    """Return what is left of a block's b rows when it is left out, (b,), and by how much log |I - H_bb| changes.
+
+    Args:
+        factor: (b, b) Cholesky factor of I - H_bb.
+        left: (b,) what the whole model, further columns included, leaves of them.
+        more: (k, b) what k further columns add to H.
+    """
+    solved = dpotrs(factor, np.column_stack([left, more.T]), lower=True)[0]
+    plain, through = solved[:, 0], solved[:, 1:]
+    inner = np.eye(len(more)) - more @ through
+    return plain + through @ np.linalg.solve(inner, more @ plain), float(np.linalg.slogdet(inner)[1])
 
 
 def _factor(matrix: Float2D) -> Float2D:

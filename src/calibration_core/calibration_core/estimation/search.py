@@ -5,7 +5,8 @@ of all gains in one per cent of recordings without it (parametric bootstrap of t
 1993), predicts blocks left out in time and in posture better, and passes the controls of its kind.  One cause is
 preferred to two: where another form or place instead of an accepted one gains as much as the proposal beside it, it is
 swapped and nothing is added.  After each acceptance all sizes are fitted together.  What is accepted is swapped or
-dropped where others make it needless.
+dropped where others make it needless.  Where small effects are part of the noise (`small_effects.py`), a proposal must
+stand out from them, too.
 """
 
 from __future__ import annotations
@@ -18,12 +19,21 @@ import numpy as np
 
 from calibration_core.estimation.controls import FLOOR, impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
-from calibration_core.estimation.gains import Seen, beside, chance_gain, gains
+from calibration_core.estimation.gains import Gains, chance_gain
 from calibration_core.estimation.leave_out import LEAST_NATS, LeftOut, Proof
-from calibration_core.estimation.likelihood import Sizes, fit_sizes
-from calibration_core.timeseries import Float1D
+from calibration_core.estimation.likelihood import Sizes
+from calibration_core.estimation.small_effects import (
+    LEVELS,
+    NONE,
+    Fit,
+    SmallEffects,
+    best_gains,
+    gain_at,
+    most_probable,
+    visible,
+)
+from calibration_core.timeseries import Float1D, Int1D
 
-BESIDE = 20.0  # nats that a further cause must gain: what is accepted is seldom of quite the right form
 TRIED = 6  # proposals per round that may try
 EQUIVALENT = 5.0  # nats
 PART = 3.0  # nats that a member must gain to stand, with a few others, in an accepted family's stead
@@ -33,7 +43,32 @@ ROUNDS = 3  # of refinement
 FEW = 6  # members of a family that are tried in its stead
 NARROW = 24  # columns of a hypothesis that is tried in another's stead; families come in by themselves
 KEPT = 4  # models with blocks left out, for what is tried beside them
+STANDS_OUT = 2.5  # times the signal-to-noise ratio of small effects
+CROWD_GONE = 1.0  # signal-to-noise ratio of the small effects that may be left beside several strong ones
+WIDE = 3.0  # typical sizes: what is found is seldom larger
 Control = Callable[[Trial], str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Demands:
+    """What a hypothesis must show, by the kind of recording.
+
+    Attributes:
+        least: Nats that any must gain, and
+        further: a further cause: what is accepted is seldom of quite the right form.
+        levels: Of the small effects that are part of the noise.
+        by_density: Whether blocks left out are judged by the density of their readings (Sundararajan and Keerthi 2001),
+            not by their squares: where blocks are few, some show an effect far better than others.
+    """
+
+    least: float
+    further: float
+    levels: tuple[float, ...]
+    by_density: bool
+
+
+POSITIONS = Demands(least=FLOOR, further=20.0, levels=NONE, by_density=False)
+STEPS = Demands(least=5.0, further=8.0, levels=LEVELS, by_density=True)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,6 +82,7 @@ class Selection:
         proofs: Of each beside the others, per partition.
         limit: Threshold, nats.
         refused: Sentences on strong hypotheses that failed.
+        level: Signal-to-noise ratio of the small effects beside them, each.
     """
 
     accepted: Accepted
@@ -55,6 +91,7 @@ class Selection:
     proofs: tuple[tuple[Proof, ...], ...]
     limit: float
     refused: tuple[str, ...]
+    level: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,29 +112,33 @@ class Scores:
 class Search:
     """The steps of the search, and what they refuse."""
 
-    def __init__(self, field: Field, control: Control) -> None:
-        self.field, self.control = field, control
+    def __init__(self, field: Field, control: Control, demands: Demands = POSITIONS) -> None:
+        self.field, self.control, self.demands = field, control, demands
+        self.small = SmallEffects(field.gram, field.offered, demands.levels)
         self.judged = field.judged
         self.place = {index: k for k, index in enumerate(self.judged)}
         several = [len(field.offered.hypotheses[index].columns) for index in self.judged]
         self.narrow = np.flatnonzero(np.array(several, dtype=np.int64) <= NARROW)
         self.alone = np.array([len(field.offered.hypotheses[index].members) == 1 for index in self.judged], dtype=bool)
         self._narrow = frozenset(map(int, self.narrow))
-        self.fits: dict[Accepted, Sizes] = {}
+        self.fits: dict[Accepted, tuple[Fit, ...]] = {}
         self.held_out: dict[Accepted, list[Float1D]] = {}
         self.known: dict[tuple[Accepted, bool], Scores] = {}
         self.trials: dict[tuple[Accepted, int], Trial] = {}
         self.alone_known: dict[tuple[Accepted, int], tuple[float, float, float]] = {}
-        self._seen: dict[Accepted, Seen] = {}
         self._left_out: dict[Accepted, LeftOut] = {}
         self.refused: dict[str, None] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
-        self.limit = max(chance_gain(field.gram, field.clear, field.blocks(self.judged)), FLOOR)
+        self.limit = max(chance_gain(field.gram, field.clear, field.blocks(self.judged)), demands.least)
 
     def sizes(self, accepted: Accepted) -> Sizes:
         """Return the sizes of hypotheses together."""
+        return most_probable(self.fitted(accepted)).sizes
+
+    def fitted(self, accepted: Accepted) -> tuple[Fit, ...]:
+        """Return hypotheses together, beside small effects of the levels that come into question."""
         if accepted not in self.fits:
-            self.fits[accepted] = fit_sizes(self.field.gram, self.field.blocks(accepted), self._start(accepted))
+            self.fits[accepted] = self.small.fits(self.field.blocks(accepted), self._start(accepted))
         return self.fits[accepted]
 
     def squares(self, accepted: Accepted) -> list[Float1D]:
@@ -123,18 +164,14 @@ class Search:
             chosen = self.narrow if narrow else np.arange(len(self.judged))
             every = Scores(*(np.full(len(self.judged), fill) for fill in (-np.inf, 1.0, 1.0)))
             blocks = self.field.blocks(tuple(self.judged[k] for k in chosen))
-            found = gains(self.seen(accepted), blocks)
-            every.nats[chosen], every.size[chosen], every.left[chosen] = (
-                one[:, 0] for one in (found.nats, found.size, found.left)
-            )
+            found = self._gains(accepted, blocks)
+            every.nats[chosen], every.size[chosen], every.left[chosen] = found.nats, found.size, found.left
             self.known[key] = every
         return self.known[key]
 
-    def seen(self, accepted: Accepted) -> Seen:
-        """Return what is seen beside the accepted ones."""
-        if accepted not in self._seen:
-            self._seen[accepted] = beside(self.field.gram, self.field.blocks(accepted), self.sizes(accepted))
-        return self._seen[accepted]
+    def _gains(self, accepted: Accepted, blocks: list[Int1D]) -> Gains:
+        """Return what blocks gain beside the accepted ones, (h,) each."""
+        return best_gains(self.fitted(accepted), blocks)
 
     def score(self, accepted: Accepted, index: int) -> tuple[float, float, float]:
         """Return how one hypothesis does beside the accepted ones: nats, size and what is left, as `Scores`."""
@@ -144,12 +181,8 @@ class Search:
             if known is not None and not (narrow and k not in self._narrow):
                 return float(known.nats[k]), float(known.size[k]), float(known.left[k])
         if (accepted, index) not in self.alone_known:
-            found = gains(self.seen(accepted), self.field.blocks((index,)))
-            self.alone_known[accepted, index] = (
-                float(found.nats[0, 0]),
-                float(found.size[0, 0]),
-                float(found.left[0, 0]),
-            )
+            found = self._gains(accepted, self.field.blocks((index,)))
+            self.alone_known[accepted, index] = float(found.nats[0]), float(found.size[0]), float(found.left[0])
         return self.alone_known[accepted, index]
 
     def trial(self, accepted: Accepted, index: int) -> Trial:
@@ -164,6 +197,9 @@ class Search:
         sizes = Sizes(at.variance * left, np.append(at.size, own) * np.sqrt(left), float("nan"))
         columns = self.field.columns((index,))
         before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
+        if self.demands.by_density:
+            several = before.scores(sizes.variance), before.scores(sizes.variance, columns, ridge)
+            return Trial(self.field, accepted, index, sizes, nats, *several)
         after = self.field.in_blocks(before.beside(columns, ridge))
         return Trial(self.field, accepted, index, sizes, nats, self.squares(accepted), after)
 
@@ -187,7 +223,7 @@ class Search:
         Of more effects than the others are, they must be as much more probable as one more effect must be.
         """
         effects = [len({self.field.offered.hypotheses[i].effect for i in several}) for several in (one, other)]
-        if effects[0] > effects[1] and self.sizes(one).value < self.sizes(other).value + BESIDE:
+        if effects[0] > effects[1] and self.sizes(one).value < self.sizes(other).value + self.demands.further:
             return False
         pairs = zip(self.squares(one), self.squares(other), strict=True)
         least = 2 * self.sizes(one).variance * LEAST_NATS
@@ -228,18 +264,45 @@ class Search:
             accepted = others[forbidden]
 
     def grow(self, accepted: Accepted, *, narrow: bool = False) -> Accepted:
-        """Add hypotheses one at a time until none passes; narrow: few, and no family."""
+        """Add hypotheses one at a time until none passes; narrow: few, and no family.
+
+        Several strong effects make each other look like two of a crowd; with all of them in the model it is gone.
+        """
         while len(accepted) < (FEW if narrow else MOST):
             gain = self._gain(accepted, narrow=narrow)
             least = self._least(accepted)
             order = self._to_try([int(k) for k in np.argsort(-gain, kind="stable") if gain[k] > least[k]])
             found = next((k for k in order if self._passes(accepted, self.judged[k])), None)
             if found is None:
-                break
+                several = self._together(accepted) if len(self.small.levels) > 1 else ()
+                if not several:
+                    break
+                accepted = (*accepted, *several)
+                continue
             close = [k for k in order[order.index(found) :] if gain[k] > gain[found] - EQUIVALENT]
             instead = self._instead(accepted, float(gain[found]), narrow=narrow)
             accepted = instead or (*accepted, self._best_proven(accepted, [self.judged[k] for k in close]))
         return accepted
+
+    def _together(self, accepted: Accepted) -> Accepted:
+        """Return single hypotheses that pass beside each other, though none does alone; nothing if there are none."""
+        trial = accepted
+        while len(trial) < FEW:
+            gain = np.where(self.alone, self.scores(trial, narrow=True).nats, -np.inf)
+            best = int(np.argmax(gain))
+            if gain[best] <= self._least(trial)[best]:
+                break
+            trial = (*trial, self.judged[best])
+            more = trial[len(accepted) :]
+            others = {i: tuple(k for k in trial if k != i) for i in more}
+            gone = len(more) > 1 and most_probable(self.fitted(trial)).level <= CROWD_GONE
+            if gone and all(self._gains_enough(rest, i) and self._passes(rest, i) for i, rest in others.items()):
+                return more
+        return ()
+
+    def _gains_enough(self, others: Accepted, index: int) -> bool:
+        """Say whether a hypothesis gains beside others what it must."""
+        return self.score(others, index)[0] > self._asked(others, index)
 
     def _to_try(self, order: list[int]) -> list[int]:
         """Return the first few of some hypotheses, and the neighbours of those whose law may lie at another form's."""
@@ -261,7 +324,7 @@ class Search:
         hypotheses = self.field.offered.hypotheses
         known = {hypotheses[i].place for i in accepted}
         further = [bool(known) and hypotheses[i].place not in known for i in self.judged]
-        return np.where(further, max(self.limit, BESIDE), self.limit)
+        return np.where(further, max(self.limit, self.demands.further), self.limit)
 
     def _instead(self, accepted: Accepted, gained: float, *, narrow: bool) -> Accepted:
         """Return the accepted ones, one of them swapped, where that gains as much as one more; else nothing.
@@ -330,15 +393,25 @@ class Search:
         trials = [self.trial(tuple(i for i in accepted if i != index), index) for index in accepted]
         gain = tuple(self._beside(accepted, index) for index in accepted)
         proofs = tuple(trial.proofs for trial in trials)
-        return Selection(accepted, self.sizes(accepted), gain, proofs, self.limit, tuple(self.refused))
+        return Selection(
+            accepted, self.sizes(accepted), gain, proofs, self.limit, tuple(self.refused),
+            most_probable(self.fitted(accepted)).level,
+        )  # fmt: skip
 
     def _beside(self, accepted: Accepted, index: int) -> float:
         """Return what one of the accepted hypotheses gains beside the others, nats."""
         return self.score(tuple(i for i in accepted if i != index), index)[0]
 
     def _best_proven(self, accepted: Accepted, close: list[int]) -> int:
-        """Return which of hypotheses that are as probable predicts blocks left out best; the first passes."""
-        worth = {i: min(one.share for one in self.trial(accepted, i).proofs) for i in close if len(close) > 1}
+        """Return which of hypotheses that are as probable predicts blocks left out best; the first passes.
+
+        Where blocks are few they do not distinguish: it is the one that is most probable were its size a usual one.
+        """
+        if self.demands.by_density:
+            fits = self.fitted(accepted)
+            worth = {i: gain_at(fits, self.field.blocks((i,))[0], WIDE) for i in close if len(close) > 1}
+        else:
+            worth = {i: min(one.share for one in self.trial(accepted, i).proofs) for i in close if len(close) > 1}
         for index in sorted(worth, key=lambda i: -worth[i]):
             if index == close[0] or self._passes(accepted, index):
                 return index
@@ -351,12 +424,15 @@ class Search:
             scores = self.known.get(((), False))
             usual = {} if scores is None else dict(zip(self.judged, scores.size, strict=True))
             null = self.fits.get(())
-            variance = self.field.gram.square / self.field.gram.freedom if null is None else null.variance
+            variance = (
+                self.field.gram.square / self.field.gram.freedom if null is None else most_probable(null).sizes.variance
+            )
             return Sizes(variance, np.array([max(usual.get(i, 0.3), 1e-2) for i in accepted]), float("nan"))
-        fit = dict(zip(known, self.fits[known].size, strict=True))
+        last = most_probable(self.fits[known]).sizes
+        fit = dict(zip(known, last.size, strict=True))
         beyond = dict(zip(self.judged, self.scores(known, narrow=True).size, strict=True))
         size = np.array([fit.get(i, max(beyond.get(i, 0.3), 1e-2)) for i in accepted])
-        return Sizes(self.fits[known].variance, size, float("nan"))
+        return Sizes(last.variance, size, float("nan"))
 
     def _passes(self, accepted: Accepted, index: int) -> bool:
         trial = self.trial(accepted, index)
@@ -366,10 +442,23 @@ class Search:
             return False
         if self._one_does(accepted, trial):
             return False
-        why = self.objection(trial)
+        why = self._hidden(accepted, trial) or self.objection(trial)
         if why:
             self.refused[f"{words}: {why}"] = None
         return not why
+
+    def _hidden(self, accepted: Accepted, trial: Trial) -> str:
+        """Say why a hypothesis is none by itself: it is one of many small effects, or a matter of chance.
+
+        What it leaves to chance in each configuration explains much of anything: that is no evidence by itself.
+        """
+        chance = trial.hypothesis.chance
+        if len(chance) and trial.gain - float(self._gains(accepted, [chance]).nats[0]) <= PART:
+            return "what it leaves to chance in each configuration explains as much"
+        if len(self.small.levels) == 1:
+            return ""
+        level, seen = visible(self.fitted(accepted), self.field.blocks((trial.index,))[0])
+        return "" if seen >= STANDS_OUT * level else "it does not stand out from many small effects"
 
     def _one_does(self, accepted: Accepted, trial: Trial) -> bool:
         """Say whether one joint explains so much of what all joints explain that the rest is no further cause.
@@ -384,7 +473,7 @@ class Search:
         best = max(alone, key=lambda k: nats[k], default=None)
         if best is None:
             return False
-        return bool(trial.gain - nats[best] < (BESIDE if nats[best] > least[best] else self.limit))
+        return bool(trial.gain - nats[best] < (self.demands.further if nats[best] > least[best] else self.limit))
 
     def objection(self, trial: Trial) -> str:
         """Return what physics or the controls of its kind say against a hypothesis; empty if nothing."""

@@ -1,4 +1,4 @@
-"""Bayes factors, levels and left-out predictions against dense computations of the same joint normal distribution."""
+"""What is selected of loaded steps, and its estimate, on random designs of known truth."""
 
 from __future__ import annotations
 
@@ -6,24 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal, norm
 
-from calibration_core.diagnosis.evidence.bayes_factors import (
-    at_its_level,
-    chance_alone,
-    estimates,
-    gram_cache,
-    judge,
-    log_bayes_factors,
-    marginal_model,
-    posterior,
-)
 from calibration_core.diagnosis.evidence.confounding import are_confounded
-from calibration_core.diagnosis.evidence.design import Design
-from calibration_core.diagnosis.evidence.positive_share import log_positive
-from calibration_core.diagnosis.evidence.predictive_density import FLAT, log_predictive_densities, passes
-from calibration_core.diagnosis.evidence.selection import select
-from calibration_core.diagnosis.evidence.threshold import threshold
+from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
+from calibration_core.diagnosis.evidence.estimates import estimates
+from calibration_core.diagnosis.evidence.selection import field_of, select
+from calibration_core.estimation.small_effects import shared_power
 from calibration_core.model.effects.candidate import Candidate, Parameter
 
 ROWS, CONFIGURATIONS = 120, 12
@@ -61,100 +49,34 @@ def design(
     )  # fmt: skip
 
 
-def dense(d: Design, weights: np.ndarray, flat: float = 50.0) -> float:
-    covariance = np.eye(ROWS) + (d.columns * weights**2) @ d.columns.T + flat**2 * d.null @ d.null.T
-    return float(multivariate_normal.logpdf(d.residual, np.zeros(ROWS), covariance, allow_singular=False))
-
-
-@pytest.mark.parametrize("level", [0.0, 1.0, 3.0])
-@pytest.mark.parametrize("chance", [0, 4])
-def test_bayes_factors_are_ratios_of_marginal_likelihoods(level: float, chance: int) -> None:
-    d = design(1, {4: 1.0}, chance=chance)
-    f = marginal_model(gram_cache(d), (5,), level)
-    scores = log_bayes_factors(f)
-    for index in (0, 2, 7):
-        more = f.weights.copy()
-        more[d.own(index)] = np.hypot(more[d.own(index)], 1.0)
-        assert scores[index] == pytest.approx(dense(d, more) - dense(d, f.weights), abs=1e-3)
-
-
-def test_levels_are_compared_by_their_marginal_likelihood() -> None:
-    d = design(2)
-    one, two = (marginal_model(gram_cache(d), (), level) for level in (0.5, 3.0))
-    assert one.likelihood - two.likelihood == pytest.approx(dense(d, one.weights) - dense(d, two.weights), abs=1e-3)
-
-
-def test_what_is_negative_speaks_against_an_effect_that_cannot_be() -> None:
-    signs = {}
-    for value in (0.5, -0.5):
-        d = design(3, {4: value, 5: value}, positive=True)
-        signs[value] = log_bayes_factors(marginal_model(gram_cache(d), (), 0.0))[2]
-    assert signs[0.5] > 20
-    assert signs[-0.5] < 0
-
-
-def test_the_share_of_a_posterior_that_is_positive_counts_all_parameters_together() -> None:
-    covariance = np.array([[1.0, 0.7, -0.3], [0.7, 2.0, 0.2], [-0.3, 0.2, 0.5]])
-    means = np.array([[0.5, -1.0, 0.3], [2.0, 1.0, -0.5], [-1.0, -1.5, 0.2]])
-    seen = log_positive(means.T, covariance)
-    exact = [multivariate_normal(np.zeros(3), covariance).cdf(mean) for mean in means]
-    np.testing.assert_allclose(seen, np.log(exact), atol=0.15)
-    apart = np.diag([1.0, 4.0])
-    np.testing.assert_allclose(log_positive(means[:, :2].T, apart), norm.logcdf(means[:, :2] / [1, 2]).sum(axis=1))
-
-
-def test_a_threshold_is_higher_where_the_noise_is_known_badly() -> None:
-    f = marginal_model(gram_cache(design(4)), (), 0.0)
-    assert threshold(f, 20) > threshold(f, 200) > threshold(f, 0) - 0.5
-
-
-def test_the_threshold_is_passed_by_chance_in_one_of_a_hundred() -> None:
-    above = 0
-    for seed in range(300):
-        cache = gram_cache(design(1000 + seed))
-        above += bool(judge(cache, ()).scores.max() > threshold(at_its_level(cache, ()), seed=seed))
-    assert above <= 12  # 1 % expected, 12 of 300 has a chance below 1e-4; choosing the level costs a little
-
-
 def test_estimates_are_those_of_generalised_least_squares() -> None:
     d = design(5, {4: 1.0, 5: -0.5})
-    value, covariance = estimates(marginal_model(gram_cache(d), (2,), 0.0))
+    value, covariance = estimates(d, (2,))
     columns = np.column_stack([d.null, d.columns[:, 4:6], d.columns[:, 16:]])
     prior = np.diag([0.0] * 3 + [1.0] * 4)
     inverse = np.linalg.inv(columns.T @ columns + prior)
     np.testing.assert_allclose(value, (inverse @ columns.T @ d.residual)[:5], rtol=1e-6)
     np.testing.assert_allclose(covariance, inverse[:5, :5], rtol=1e-5, atol=1e-10)
-    mean, _ = posterior(marginal_model(gram_cache(d), (), 0.0), 2)
-    np.testing.assert_allclose(mean, value[3:], rtol=1e-6)
 
 
-@pytest.mark.parametrize("chance", [0, CONFIGURATIONS])
-def test_left_out_densities_are_conditional_densities(chance: int) -> None:
-    d = design(6, {4: 0.6}, chance=chance)
-    f = marginal_model(gram_cache(d), (), 1.0)
-    more = f.weights.copy()
-    more[d.own(2)] = np.hypot(more[d.own(2)], 1.0)
-    null = d.null / np.linalg.norm(d.null, axis=0) * FLAT
-    for seen, weights in zip(log_predictive_densities(f, 2), (f.weights, more), strict=True):
-        covariance = np.eye(ROWS) + null @ null.T + (d.columns * weights**2) @ d.columns.T
-        expected = []
-        for k in range(CONFIGURATIONS):
-            out, rest = np.flatnonzero(d.configuration == k), np.flatnonzero(d.configuration != k)
-            gain = covariance[np.ix_(out, rest)] @ np.linalg.inv(covariance[np.ix_(rest, rest)])
-            conditional = covariance[np.ix_(out, out)] - gain @ covariance[np.ix_(rest, out)]
-            density = multivariate_normal(gain @ d.residual[rest], (conditional + conditional.T) / 2)
-            expected.append(density.logpdf(d.residual[out]) + 0.5 * len(out) * np.log(2 * np.pi))
-        np.testing.assert_allclose(seen, expected, atol=1e-4)
-    assert passes(np.zeros(5), np.full(5, 1.0))
-    assert not passes(np.zeros(5), np.array([9.0, -1.0, -1.0, -1.0, -1.0]))  # one configuration alone
+def test_small_effects_widen_the_estimate_as_their_columns_do() -> None:
+    d = design(5, {4: 1.0, 5: -0.5})
+    share = np.full(16, 0.7)
+    value, covariance = estimates(d, (2,), share)
+    basis = np.linalg.qr(d.null)[0]
+    left = d.columns[:, :16] - basis @ (basis.T @ d.columns[:, :16])
+    unit = np.repeat([1 / np.sqrt((left[:, k : k + 2] ** 2).sum()) for k in range(0, 16, 2)], 2)
+    others = [k for k in range(16) if k not in (4, 5)]
+    small = d.columns[:, others] * np.minimum(share * unit, 1 / PRIOR_WIDTH)[others]
+    columns = np.column_stack([d.null, d.columns[:, 4:6], d.columns[:, 16:], small])
+    inverse = np.linalg.inv(columns.T @ columns + np.diag([0.0] * 3 + [1.0] * (columns.shape[1] - 3)))
+    np.testing.assert_allclose(value, (inverse @ columns.T @ d.residual)[:5], rtol=1e-6)
+    np.testing.assert_allclose(covariance, inverse[:5, :5], rtol=1e-5, atol=1e-10)
 
 
-def test_chance_is_part_of_the_covariance_where_its_effect_is_accepted() -> None:
+def test_what_an_accepted_effect_leaves_to_chance_is_part_of_the_covariance() -> None:
     d = design(10, {4: 1.0}, chance=CONFIGURATIONS)
-    without, with_it = (marginal_model(gram_cache(d), accepted, 0.0) for accepted in ((), (2,)))
-    assert np.all(without.weights[d.chances[2]] == 0)
-    assert np.all(with_it.weights[d.chances[2]] == 1)
-    value, covariance = estimates(with_it)
+    value, covariance = estimates(d, (2,))
     columns = np.column_stack([d.null, d.columns[:, 4:6], d.columns[:, 16:]])
     inverse = np.linalg.inv(columns.T @ columns + np.diag([0.0] * 3 + [1.0] * (columns.shape[1] - 3)))
     np.testing.assert_allclose(value, (inverse @ columns.T @ d.residual)[:5], rtol=1e-6)
@@ -163,13 +85,8 @@ def test_chance_is_part_of_the_covariance_where_its_effect_is_accepted() -> None
 
 def test_what_an_effect_leaves_to_chance_is_no_evidence_for_it() -> None:
     chance = {18 + k: (-1.0) ** k * 4.0 for k in range(CONFIGURATIONS)}
-    d = design(7, chance, chance=CONFIGURATIONS)
-    f = marginal_model(gram_cache(d), (), 0.0)
-    assert log_bayes_factors(f)[2] > 50
-    assert chance_alone(f, 2) > log_bayes_factors(f)[2] - 1
-    assert chance_alone(f, 3) == 0.0  # which leaves nothing to chance
-    assert 2 not in select(d).accepted
-    assert select(design(7, {**chance, 4: 2.0}, chance=CONFIGURATIONS)).accepted == (2,)
+    assert 2 not in select(design(7, chance, chance=CONFIGURATIONS)).accepted
+    assert select(design(7, {**chance, 4: 2.0, 5: 1.5}, chance=CONFIGURATIONS)).accepted == (2,)
 
 
 def test_two_planted_effects_are_selected_and_nothing_else() -> None:
@@ -217,10 +134,29 @@ def test_a_crowd_of_small_effects_is_no_finding() -> None:
     named = 0
     for seed in range(20):
         d = design(50 + seed)
-        unit = gram_cache(d).unit[:16]
-        crowd = d.columns[:, :16] @ (3 * unit * rng.standard_normal(16))
+        field = field_of(d)
+        unit = shared_power(np.diag(field.gram.matrix), field.offered) / PRIOR_WIDTH
+        crowd = d.columns[:, :16] @ (3 * unit[:16] * rng.standard_normal(16))
         named += bool(select(dataclasses.replace(d, residual=d.residual + crowd)).accepted)
     assert named <= 3
+
+
+def test_nothing_is_selected_of_noise() -> None:
+    assert sum(bool(select(design(1000 + seed)).accepted) for seed in range(100)) <= 4  # 1 % expected
+
+
+def test_forms_of_one_cause_are_one_choice() -> None:
+    """Two laws of one joint without memory are one cause; a law with memory beside them is another."""
+    d = design(12, {0: 3.0, 2: 2.0, 4: 2.5})
+    names = ("soft_zone", "backlash", "hysteresis")
+    laws = tuple(
+        dataclasses.replace(one, effect=name, family="joint law", location={"joint": "joint_1"})
+        for one, name in zip(d.candidates[:3], names, strict=True)
+    )
+    chosen = select(dataclasses.replace(d, candidates=(*laws, *d.candidates[3:])))
+    assert set(chosen.accepted) == {0, 1, 2}
+    assert {(c.candidate, c.refinements) for c in chosen.choices} == {(0, (1,)), (2, ())}
+    assert chosen.without([c for c in chosen.choices if c.candidate == 0]).accepted == (2,)
 
 
 @pytest.mark.parametrize(

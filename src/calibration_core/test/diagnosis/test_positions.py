@@ -9,9 +9,9 @@ import pytest
 from absolute_cases import SIGMA, make_cell, make_readings, random_angles, truth_of
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.findings.positions import EQUIVALENT, equivalents
 from calibration_core.diagnosis.positions import diagnose_still
 from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.estimation.equivalents import EQUIVALENT, equivalents
 from calibration_core.estimation.estimate import estimate
 from calibration_core.identification.absolute.evaluate import evaluate_absolute
 from calibration_core.identification.stiffness.predict import predict_readings
@@ -283,8 +283,8 @@ def test_a_finding_of_several_terms_names_what_explains_as_much() -> None:
     low = {hypotheses[i].variant: i for i in waves}
     members = tuple(low[f"order {n}"] for n in (1, 2, 3, 4))
     selection = dataclasses.replace(found.selection, accepted=members, gain=(20.0,) * 4)
-    listed = equivalents(dataclasses.replace(found, selection=selection), members)
+    listed = equivalents(found.search, selection, members)
     places = [(hypotheses[i].effect, dict(hypotheses[i].location)) for i, _ in listed]
     assert places[0] == ("pose_dependent_stiffness", {"joint": "joint_3"})
     assert listed[0][1] > 80.0 - EQUIVALENT
-    assert equivalents(dataclasses.replace(found, selection=selection), members[:1]) != listed
+    assert equivalents(found.search, selection, members[:1]) != listed

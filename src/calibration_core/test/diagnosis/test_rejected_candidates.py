@@ -27,7 +27,8 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
 
 
 @pytest.mark.parametrize(
-    ("seed", "own", "effects"), [(6, 1, {"base_compliance"}), (7, 2, {"pose_dependent_stiffness"})]
+    ("seed", "own", "effects"),
+    [(5, 1, {"pose_dependent_stiffness", "off_axis_compliance"}), (7, 2, {"pose_dependent_stiffness"}), (6, 1, set())],
 )
 def test_a_law_outside_the_catalogue_is_not_called_by_a_name_in_it(
     cell: Cell, seed: int, own: int, effects: set[str], monkeypatch: pytest.MonkeyPatch

@@ -55,6 +55,28 @@ def test_further_columns_change_what_is_left_as_if_they_had_been_there(
         np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.parametrize("further", [0, 3, 60])
+def test_scores_are_densities_of_a_block_given_the_others(
+    example: tuple[np.ndarray, np.ndarray, np.ndarray], further: int
+) -> None:
+    columns, residual, ridge = example
+    ridge, v = np.array([1e-3] * 3 + [2.0, 2.0, 5.0, 5.0]), 0.7
+    more, more_ridge = np.random.default_rng(2).standard_normal((len(residual), further)), np.full(further, 3.0)
+    blocks = time_blocks(np.arange(READINGS), 5)
+    model = LeftOut(columns, residual, (blocks,), ridge)
+    (seen,) = model.scores(v, more, more_ridge) if further else model.scores(v)
+    wide, precision = np.concatenate([columns, more], axis=1), np.append(ridge, more_ridge)
+    covariance = v * (np.eye(len(residual)) + (wide / precision) @ wide.T)
+    label = np.repeat(blocks.label, 3)
+    for block in range(5):
+        out, rest = np.flatnonzero(label == block), np.flatnonzero(label != block)
+        gain = covariance[np.ix_(out, rest)] @ np.linalg.inv(covariance[np.ix_(rest, rest)])
+        left = covariance[np.ix_(out, out)] - gain @ covariance[np.ix_(rest, out)]
+        error = residual[out] - gain @ residual[rest]
+        density = -0.5 * (error @ np.linalg.solve(left, error) + np.linalg.slogdet(left / v)[1])
+        assert -0.5 * seen[block] / v == pytest.approx(density, rel=1e-5, abs=1e-4)
+
+
 def test_a_parameter_that_one_block_alone_shows_leaves_finite_errors() -> None:
     rng = np.random.default_rng(3)
     columns = rng.standard_normal((3 * READINGS, 3))

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.evidence.bayes_factors import estimates, gram_cache, law_share, marginal_model
 from calibration_core.diagnosis.evidence.design import Design, build_design
 from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
+from calibration_core.diagnosis.evidence.estimates import estimates
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
 from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
@@ -139,9 +139,7 @@ def extend(
     value = np.zeros(n)
     for round_number in range(ROUNDS):
         _, design = design_at(problem, cell, compliance, rows, used, chosen, frames)
-        value = _allowed(
-            compliance, chosen, *estimates(marginal_model(gram_cache(design), tuple(range(len(chosen))), 0.0))
-        )
+        value = _allowed(compliance, chosen, *estimates(design, tuple(range(len(chosen)))))
         change = np.clip(compliance + value[:n], LEAST_STEP * compliance, MOST_STEP * compliance) - compliance
         if np.abs(change).max() < CONVERGED * np.abs(compliance).max():
             break
@@ -157,8 +155,7 @@ def extend(
         at += k
     raw = linear.residual - shift - np.einsum("mij,j->mi", linear.columns, value[:n])
     raw = raw - _by_chance(whole, accepted, value, state)
-    cache = gram_cache(whole)
-    final, covariance = estimates(marginal_model(cache, accepted, selection.level, law_share(cache, accepted)))
+    final, covariance = estimates(whole, accepted, selection.share)
     final = _allowed(compliance, chosen, final, covariance)
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     return ExtendedLoadedModel(

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
+from calibration_core.estimation.equivalents import equivalents
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
@@ -17,10 +18,6 @@ from calibration_core.model.effects.absolute.transmission_error import order_of
 from calibration_core.model.effects.words import effect_sentence
 from calibration_core.timeseries import Float1D, Float2D
 
-LISTED = 5
-EQUIVALENT = 5.0  # nats
-ASKED = 8  # alternatives that are refitted together with everything else
-PLAUSIBLE = 6.0  # typical sizes
 SEVERAL = 6  # terms that are listed one by one
 LAW = "joint law"
 LOW = 8  # orders of waves that are a gear's, whatever else its joint does
@@ -64,7 +61,7 @@ def _finding(found: Estimate, members: list[int]) -> Finding:
     score = float(sum(gained[i] for i in members))
     gain = max(selection.proofs[selection.accepted.index(i)][0].share for i in members)
     magnitude = float(np.sqrt(np.mean(np.sum(extended.own_shift(parts) ** 2, axis=1))))
-    as_well = [(hypotheses[i], nats) for i, nats in equivalents(found, members)]
+    as_well = [(hypotheses[i], nats) for i, nats in equivalents(found.search, found.selection, members)]
     listed = tuple(Alternative(h.effect, h.family, dict(h.location), nats) for h, nats in as_well)
     laws = [i for i in members if hypotheses[i].family == LAW]
     waves = any(hypotheses[i].effect == WAVE for i in members)
@@ -101,37 +98,6 @@ def _other_law(found: Estimate, index: int) -> bool:
         if same and i not in found.selection.accepted and gain[k] > search.limit:
             return True
     return False
-
-
-def equivalents(found: Estimate, members: Sequence[int]) -> tuple[tuple[int, float], ...]:
-    """Return single other places that explain the data as well as the accepted hypotheses of a finding, all refitted.
-
-    Returns:
-        Hypothesis and its log Bayes factor, nats; at most five, nearest first.
-    """
-    search, hypotheses = found.search, found.offered.hypotheses
-    others = tuple(i for i in found.selection.accepted if i not in members)
-    scores = search.scores(others)
-    gain, size = scores.nats, scores.size * np.sqrt(scores.left)
-    whole = search.sizes((*others, *members)).value
-    stated = sum(found.selection.gain[found.selection.accepted.index(i)] for i in members)
-    together = stated if len(members) == 1 else whole - search.sizes(others).value
-    places = {hypotheses[i].place for i in members}
-    best: dict[object, tuple[int, float]] = {}
-    asked = 0
-    for k in np.argsort(-gain, kind="stable"):
-        i = search.judged[int(k)]
-        other = hypotheses[i]
-        if gain[k] < together - 2 * EQUIVALENT or asked == ASKED:
-            break
-        if other.family == FAMILY or other.place in places | set(best) or size[k] > PLAUSIBLE:
-            continue
-        asked += 1
-        behind = whole - search.sizes((*others, i)).value
-        if behind <= EQUIVALENT and not search.objection(search.trial(others, i)):
-            best[other.place] = i, float(stated - behind)
-    nearest = sorted(best.values(), key=lambda pair: -pair[1])
-    return tuple(nearest[:LISTED])
 
 
 def _parameters(extended: Extended, parts: Sequence[int], *, everywhere: bool) -> tuple[FoundParameter, ...]:

@@ -1,0 +1,63 @@
+"""Compliances and accepted effects of loaded steps together, by generalised least squares.
+
+The covariance of the rows holds, beside their noise, the errors of instruments and geometry, what effects leave to
+chance, and the small effects that were found to be there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
+from calibration_core.estimation.small_effects import MOST, sized
+from calibration_core.timeseries import Float1D, Float2D
+
+RANK = 1e-10  # of the largest eigenvalue: directions below it are rounding errors
+
+
+def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | None = None) -> tuple[Float1D, Float2D]:
+    """Return values and covariance of null corrections and accepted parameters, in their units.
+
+    Accepted parameters keep their (wide) priors.
+
+    Args:
+        design: The whitened model.
+        accepted: Candidates in the model.
+        share: (p,) signal-to-noise ratio of every candidate's place in the covariance; None: none.
+    """
+    n, gram = design.n, design.gram()
+    weights = np.zeros(len(design.prior))
+    if share is not None:
+        weights[: design.discrepancy.start] = np.minimum(share * _unit(design, gram), MOST / PRIOR_WIDTH)
+    own = [c for i in accepted for c in range(design.blocks[i].start, design.blocks[i].stop)]
+    for i in accepted:
+        weights[design.chances[i]] = 1.0
+    weights[design.discrepancy] = 1.0
+    weights[own] = 0.0
+    active = np.flatnonzero(weights)
+    scaled = gram[:, n + active] * weights[active]
+    lower = cholesky(np.eye(len(active)) + scaled[n + active] * weights[active][:, None], lower=True)
+    half = solve_triangular(lower, scaled.T, lower=True, check_finite=False).T
+    columns = [*range(n), *(n + c for c in own)]
+    metric = gram[columns] - half[columns] @ half.T
+    matrix = metric[:, columns] + np.diag(np.concatenate([np.zeros(n), np.ones(len(own))]))
+    scale = np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
+    inverse = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
+    unit = np.concatenate([np.ones(n), design.prior[own]])
+    return (inverse @ metric[:, -1]) * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
+
+
+def _unit(design: Design, gram: Float2D) -> Float1D:
+    """Return the sizes at which every place moves the points by as much as the noise, null model apart, (p,)."""
+    n, own = design.n, design.discrepancy.start
+    cross = gram[:n, n : n + own]
+    scale = np.sqrt(np.clip(np.diag(gram)[:n], 1e-300, None))
+    values, vectors = np.linalg.eigh(gram[:n, :n] / np.outer(scale, scale))
+    kept = values > RANK * values[-1]
+    taken = (vectors[:, kept] / np.sqrt(values[kept])).T @ (cross / scale[:, None])
+    power = np.maximum(np.diag(gram)[n : n + own] - (taken**2).sum(axis=0), 0.0)
+    places: dict[object, list[slice]] = {}
+    for candidate, block in zip(design.candidates, design.blocks, strict=True):
+        places.setdefault(candidate.place, []).append(block)
+    return sized(power, places)

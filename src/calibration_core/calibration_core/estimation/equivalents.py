@@ -1,0 +1,89 @@
+"""Other places that one recording cannot distinguish from what was accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration_core.estimation.search import WIDE, Search, Selection
+from calibration_core.estimation.shifts import FAMILY
+from calibration_core.estimation.small_effects import most_probable
+
+LISTED = 5
+EQUIVALENT = 5.0  # nats
+ASKED = 8  # alternatives that are refitted together with everything else
+PLAUSIBLE = 6.0  # typical sizes
+
+
+def equivalents(search: Search, selection: Selection, members: Sequence[int]) -> tuple[tuple[int, float], ...]:
+    """Return single other places that explain the data as well as the accepted hypotheses of a finding, all refitted.
+
+    Args:
+        search: Rows, hypotheses and what was asked of them.
+        selection: What was accepted.
+        members: Accepted hypotheses of one finding.
+
+    Returns:
+        Hypothesis and its log Bayes factor, nats; at most five, nearest first.
+    """
+    hypotheses = search.field.offered.hypotheses
+    others = tuple(i for i in selection.accepted if i not in members)
+    scores = search.scores(others)
+    gain, size = scores.nats, scores.size * np.sqrt(scores.left)
+    whole = search.sizes((*others, *members)).value
+    stated = sum(selection.gain[selection.accepted.index(i)] for i in members)
+    together = stated if len(members) == 1 else whole - search.sizes(others).value
+    places = {hypotheses[i].place for i in members}
+    best: dict[object, tuple[int, float]] = {}
+    asked = 0
+    for k in np.argsort(-gain, kind="stable"):
+        i = search.judged[int(k)]
+        other = hypotheses[i]
+        if gain[k] < together - 2 * EQUIVALENT or asked == ASKED:
+            break
+        if other.family == FAMILY or other.place in places | set(best) or size[k] > PLAUSIBLE:
+            continue
+        asked += 1
+        behind = whole - search.sizes((*others, i)).value
+        if behind <= EQUIVALENT and not search.objection(search.trial(others, i)):
+            best[other.place] = i, float(stated - behind)
+    nearest = sorted(best.values(), key=lambda pair: -pair[1])
+    return tuple(nearest[:LISTED])
+
+
+def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[int, float], ...]:
+    """Return single other places that would explain the data as well had the accepted hypothesis's fit been the truth.
+
+    Between exact aliases the sizes that are usual decide alone, which the recording knows nothing of.
+
+    Args:
+        search: Rows, hypotheses and what was asked of them.
+        selection: What was accepted.
+        index: An accepted hypothesis.
+
+    Returns:
+        Hypothesis and its gain in the stead of the accepted one, nats.
+    """
+    hypotheses = search.field.offered.hypotheses
+    others = tuple(i for i in selection.accepted if i != index)
+    fit, block = most_probable(search.fitted(others)), search.field.blocks((index,))[0]
+    taken, vector = fit.seen.of(np.arange(len(fit.gram.vector)))
+    seen = (fit.gram.matrix[:, block] - taken.T @ taken[:, block]) / fit.sizes.variance
+    mean = np.linalg.solve(np.eye(len(block)) / search.score(others, index)[1] ** 2 + seen[block], vector[block])
+    image = seen @ mean
+    power = float(mean @ image[block])
+    scores = search.scores(others)
+    found = []
+    for k, i in enumerate(search.judged):
+        other = hypotheses[i]
+        same = other.place == hypotheses[index].place or len(other.members) > 1 or other.family == FAMILY
+        if same or scores.nats[k] <= 0 or scores.size[k] > PLAUSIBLE:
+            continue
+        own = taken[:, other.columns]
+        matrix = (fit.gram.matrix[np.ix_(other.columns, other.columns)] - own.T @ own) / fit.sizes.variance
+        matrix += np.eye(len(matrix)) / WIDE**2
+        lost = 0.5 * (power - float(image[other.columns] @ np.linalg.solve(matrix, image[other.columns])))
+        if lost < EQUIVALENT and not search.objection(search.trial(others, i)):
+            found.append((i, float(scores.nats[k])))
+    return tuple(found)
