@@ -117,7 +117,7 @@ class Search:
         self.small = SmallEffects(field.gram, field.offered, demands.levels)
         self.judged = field.judged
         self.place = {index: k for k, index in enumerate(self.judged)}
-        several = [len(field.offered.hypotheses[index].columns) for index in self.judged]
+        several = [len(one.columns) - len(one.chance) for one in (field.offered.hypotheses[i] for i in self.judged)]
         self.narrow = np.flatnonzero(np.array(several, dtype=np.int64) <= NARROW)
         self.alone = np.array([len(field.offered.hypotheses[index].members) == 1 for index in self.judged], dtype=bool)
         self._narrow = frozenset(map(int, self.narrow))
@@ -208,8 +208,13 @@ class Search:
 
         A family explains a little of everything, waves of many orders resemble any law of a joint, and what is
         accepted first bends what comes later.  So the search is made once more with few single hypotheses, and its
-        answer taken where it predicts blocks left out better.
+        answer taken where it predicts blocks left out better.  Where small effects are part of the noise, single
+        hypotheses come first, and families only where such effects are left.
         """
+        if len(self.small.levels) > 1:
+            few = self._grown(accepted, narrow=True)
+            crowd = most_probable(self.fitted(few)).level > 0
+            return self.result(self._grown(few, narrow=False) if crowd else few)
         found = self._grown(accepted, narrow=False)
         if len(found) > 1 or any(len(self.field.offered.hypotheses[i].members) > 1 for i in found):
             few = self._grown(accepted, narrow=True)

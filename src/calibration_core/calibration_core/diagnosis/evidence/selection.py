@@ -114,6 +114,9 @@ def field_of(design: Design) -> Field:
 
 
 def _with_chance(one: Hypothesis, design: Design) -> Hypothesis:
+    """Return a single hypothesis with its columns of chance; a family, which is wide without, as it is."""
+    if len(one.members) > 1:
+        return one
     before = design.discrepancy.stop - design.discrepancy.start
     parts = [np.arange(design.chances[k].start, design.chances[k].stop) - before for k in one.members]
     chance = np.unique(np.concatenate(parts))
