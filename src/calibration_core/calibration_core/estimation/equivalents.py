@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration_core.estimation.likelihood.small_effects import most_probable
 from calibration_core.estimation.search import WIDE, Search, Selection
 from calibration_core.estimation.shifts import FAMILY
-from calibration_core.estimation.small_effects import most_probable
 
 LISTED = 5
 EQUIVALENT = 5.0  # nats

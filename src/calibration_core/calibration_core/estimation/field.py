@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.hypotheses import Hypothesis, Offered
 from calibration_core.estimation.leave_out import LeftOut, Proof, block_squares, proof
-from calibration_core.estimation.likelihood import Gram, Sizes
+from calibration_core.estimation.likelihood.restricted import Gram, Sizes
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 LEAST_REST = 0.02  # share of a column that frames and geometry must leave

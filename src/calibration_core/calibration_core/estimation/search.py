@@ -5,8 +5,8 @@ of all gains in one per cent of recordings without it (parametric bootstrap of t
 1993), predicts blocks left out in time and in posture better, and passes the controls of its kind.  One cause is
 preferred to two: where another form or place instead of an accepted one gains as much as the proposal beside it, it is
 swapped and nothing is added.  After each acceptance all sizes are fitted together.  What is accepted is swapped or
-dropped where others make it needless.  Where small effects are part of the noise (`small_effects.py`), a proposal must
-stand out from them, too.
+dropped where others make it needless.  Where small effects are part of the noise (`likelihood/small_effects.py`), a
+proposal must stand out from them, too.
 """
 
 from __future__ import annotations
@@ -17,22 +17,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calibration_core.estimation.controls import FLOOR, impossible
+from calibration_core.estimation.comparisons import POSITIONS, Comparisons, Demands
+from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
-from calibration_core.estimation.gains import Gains, chance_gain
-from calibration_core.estimation.leave_out import LEAST_NATS, LeftOut, Proof
-from calibration_core.estimation.likelihood import Sizes
-from calibration_core.estimation.small_effects import (
-    LEVELS,
-    NONE,
-    Fit,
-    SmallEffects,
-    best_gains,
+from calibration_core.estimation.leave_out import LEAST_NATS, Proof
+from calibration_core.estimation.likelihood.gains import chance_gain
+from calibration_core.estimation.likelihood.restricted import Sizes
+from calibration_core.estimation.likelihood.small_effects import (
     gain_at,
-    most_probable,
     visible,
 )
-from calibration_core.timeseries import Float1D, Int1D
+from calibration_core.timeseries import Float1D
 
 TRIED = 6  # proposals per round that may try
 EQUIVALENT = 5.0  # nats
@@ -41,34 +36,10 @@ SWAP = 5.0  # nats by which a swap must be better
 MOST = 16  # hypotheses
 ROUNDS = 3  # of refinement
 FEW = 6  # members of a family that are tried in its stead
-NARROW = 24  # columns of a hypothesis that is tried in another's stead; families come in by themselves
-KEPT = 4  # models with blocks left out, for what is tried beside them
 STANDS_OUT = 2.5  # times the signal-to-noise ratio of small effects
 CROWD_GONE = 1.0  # signal-to-noise ratio of the small effects that may be left beside several strong ones
 WIDE = 3.0  # typical sizes: what is found is seldom larger
 Control = Callable[[Trial], str]
-
-
-@dataclasses.dataclass(frozen=True)
-class Demands:
-    """What a hypothesis must show, by the kind of recording.
-
-    Attributes:
-        least: Nats that any must gain, and
-        further: a further cause: what is accepted is seldom of quite the right form.
-        levels: Of the small effects that are part of the noise.
-        by_density: Whether blocks left out are judged by the density of their readings (Sundararajan and Keerthi 2001),
-            not by their squares: where blocks are few, some show an effect far better than others.
-    """
-
-    least: float
-    further: float
-    levels: tuple[float, ...]
-    by_density: bool
-
-
-POSITIONS = Demands(least=FLOOR, further=20.0, levels=NONE, by_density=False)
-STEPS = Demands(least=5.0, further=8.0, levels=LEVELS, by_density=True)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,114 +65,15 @@ class Selection:
     level: float
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Scores:
-    """How hypotheses do beside accepted ones, (j,) each.
-
-    Attributes:
-        nats: Gain at the best size; minus infinity where it was not asked for.
-        size: That size, typical ones, at the noise before.
-        left: Share of the squared residual that is left.
-    """
-
-    nats: Float1D
-    size: Float1D
-    left: Float1D
-
-
-class Search:
+class Search(Comparisons):
     """The steps of the search, and what they refuse."""
 
     def __init__(self, field: Field, control: Control, demands: Demands = POSITIONS) -> None:
-        self.field, self.control, self.demands = field, control, demands
-        self.small = SmallEffects(field.gram, field.offered, demands.levels)
-        self.judged = field.judged
-        self.place = {index: k for k, index in enumerate(self.judged)}
-        several = [len(one.columns) - len(one.chance) for one in (field.offered.hypotheses[i] for i in self.judged)]
-        self.narrow = np.flatnonzero(np.array(several, dtype=np.int64) <= NARROW)
-        self.alone = np.array([len(field.offered.hypotheses[index].members) == 1 for index in self.judged], dtype=bool)
-        self._narrow = frozenset(map(int, self.narrow))
-        self.fits: dict[Accepted, tuple[Fit, ...]] = {}
-        self.held_out: dict[Accepted, list[Float1D]] = {}
-        self.known: dict[tuple[Accepted, bool], Scores] = {}
-        self.trials: dict[tuple[Accepted, int], Trial] = {}
-        self.alone_known: dict[tuple[Accepted, int], tuple[float, float, float]] = {}
-        self._left_out: dict[Accepted, LeftOut] = {}
+        super().__init__(field, demands)
+        self.control = control
         self.refused: dict[str, None] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
         self.limit = max(chance_gain(field.gram, field.clear, field.blocks(self.judged)), demands.least)
-
-    def sizes(self, accepted: Accepted) -> Sizes:
-        """Return the sizes of hypotheses together."""
-        return most_probable(self.fitted(accepted)).sizes
-
-    def fitted(self, accepted: Accepted) -> tuple[Fit, ...]:
-        """Return hypotheses together, beside small effects of the levels that come into question."""
-        if accepted not in self.fits:
-            self.fits[accepted] = self.small.fits(self.field.blocks(accepted), self._start(accepted))
-        return self.fits[accepted]
-
-    def squares(self, accepted: Accepted) -> list[Float1D]:
-        """Return the squares of blocks left out."""
-        if accepted not in self.held_out:
-            self.held_out[accepted] = self.field.in_blocks(self.left_out(accepted).errors)
-        return self.held_out[accepted]
-
-    def left_out(self, accepted: Accepted) -> LeftOut:
-        """Return the model of the accepted ones with every block left out; only the last few are kept."""
-        if accepted not in self._left_out:
-            while len(self._left_out) >= KEPT:
-                self._left_out.pop(next(iter(self._left_out)))
-            self._left_out[accepted] = self.field.left_out(accepted, self.sizes(accepted))
-        return self._left_out[accepted]
-
-    def scores(self, accepted: Accepted, *, narrow: bool = False) -> Scores:
-        """Return how every judged hypothesis does beside the accepted ones; narrow: those of few columns alone."""
-        key = accepted, narrow
-        if key not in self.known:
-            if narrow and (accepted, False) in self.known:
-                return self.known[accepted, False]
-            chosen = self.narrow if narrow else np.arange(len(self.judged))
-            every = Scores(*(np.full(len(self.judged), fill) for fill in (-np.inf, 1.0, 1.0)))
-            blocks = self.field.blocks(tuple(self.judged[k] for k in chosen))
-            found = self._gains(accepted, blocks)
-            every.nats[chosen], every.size[chosen], every.left[chosen] = found.nats, found.size, found.left
-            self.known[key] = every
-        return self.known[key]
-
-    def _gains(self, accepted: Accepted, blocks: list[Int1D]) -> Gains:
-        """Return what blocks gain beside the accepted ones, (h,) each."""
-        return best_gains(self.fitted(accepted), blocks)
-
-    def score(self, accepted: Accepted, index: int) -> tuple[float, float, float]:
-        """Return how one hypothesis does beside the accepted ones: nats, size and what is left, as `Scores`."""
-        k = self.place[index]
-        for narrow in (False, True):
-            known = self.known.get((accepted, narrow))
-            if known is not None and not (narrow and k not in self._narrow):
-                return float(known.nats[k]), float(known.size[k]), float(known.left[k])
-        if (accepted, index) not in self.alone_known:
-            found = self._gains(accepted, self.field.blocks((index,)))
-            self.alone_known[accepted, index] = float(found.nats[0]), float(found.size[0]), float(found.left[0])
-        return self.alone_known[accepted, index]
-
-    def trial(self, accepted: Accepted, index: int) -> Trial:
-        """Put one more hypothesis beside the accepted ones, at the size that suits it best."""
-        if (accepted, index) not in self.trials:
-            self.trials[accepted, index] = self._trial(accepted, index)
-        return self.trials[accepted, index]
-
-    def _trial(self, accepted: Accepted, index: int) -> Trial:
-        at = self.sizes(accepted)
-        nats, own, left = self.score(accepted, index)
-        sizes = Sizes(at.variance * left, np.append(at.size, own) * np.sqrt(left), float("nan"))
-        columns = self.field.columns((index,))
-        before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
-        if self.demands.by_density:
-            several = before.scores(sizes.variance), before.scores(sizes.variance, columns, ridge)
-            return Trial(self.field, accepted, index, sizes, nats, *several)
-        after = self.field.in_blocks(before.beside(columns, ridge))
-        return Trial(self.field, accepted, index, sizes, nats, self.squares(accepted), after)
 
     def run(self, accepted: Accepted = ()) -> Selection:
         """Search, beginning with some hypotheses.
@@ -213,7 +85,7 @@ class Search:
         """
         if len(self.small.levels) > 1:
             few = self._grown(accepted, narrow=True)
-            crowd = most_probable(self.fitted(few)).level > 0
+            crowd = self.level(few) > 0
             return self.result(self._grown(few, narrow=False) if crowd else few)
         found = self._grown(accepted, narrow=False)
         if len(found) > 1 or any(len(self.field.offered.hypotheses[i].members) > 1 for i in found):
@@ -300,7 +172,7 @@ class Search:
             trial = (*trial, self.judged[best])
             more = trial[len(accepted) :]
             others = {i: tuple(k for k in trial if k != i) for i in more}
-            gone = len(more) > 1 and most_probable(self.fitted(trial)).level <= CROWD_GONE
+            gone = len(more) > 1 and self.level(trial) <= CROWD_GONE
             if gone and all(self._gains_enough(rest, i) and self._passes(rest, i) for i, rest in others.items()):
                 return more
         return ()
@@ -400,7 +272,7 @@ class Search:
         proofs = tuple(trial.proofs for trial in trials)
         return Selection(
             accepted, self.sizes(accepted), gain, proofs, self.limit, tuple(self.refused),
-            most_probable(self.fitted(accepted)).level,
+            self.level(accepted),
         )  # fmt: skip
 
     def _beside(self, accepted: Accepted, index: int) -> float:
@@ -422,23 +294,6 @@ class Search:
                 return index
         return close[0]
 
-    def _start(self, accepted: Accepted) -> Sizes | None:
-        """Return sizes to begin with: those of a fit with most of the same hypotheses, and what suits the new ones."""
-        known = max(self.fits, key=lambda other: len(set(other) & set(accepted)), default=None)
-        if known is None or not known:
-            scores = self.known.get(((), False))
-            usual = {} if scores is None else dict(zip(self.judged, scores.size, strict=True))
-            null = self.fits.get(())
-            variance = (
-                self.field.gram.square / self.field.gram.freedom if null is None else most_probable(null).sizes.variance
-            )
-            return Sizes(variance, np.array([max(usual.get(i, 0.3), 1e-2) for i in accepted]), float("nan"))
-        last = most_probable(self.fits[known]).sizes
-        fit = dict(zip(known, last.size, strict=True))
-        beyond = dict(zip(self.judged, self.scores(known, narrow=True).size, strict=True))
-        size = np.array([fit.get(i, max(beyond.get(i, 0.3), 1e-2)) for i in accepted])
-        return Sizes(last.variance, size, float("nan"))
-
     def _passes(self, accepted: Accepted, index: int) -> bool:
         trial = self.trial(accepted, index)
         words = trial.hypothesis.words
@@ -458,7 +313,7 @@ class Search:
         What it leaves to chance in each configuration explains much of anything: that is no evidence by itself.
         """
         chance = trial.hypothesis.chance
-        if len(chance) and trial.gain - float(self._gains(accepted, [chance]).nats[0]) <= PART:
+        if len(chance) and trial.gain - float(self.gains(accepted, [chance]).nats[0]) <= PART:
             return "what it leaves to chance in each configuration explains as much"
         if len(self.small.levels) == 1:
             return ""

@@ -11,7 +11,7 @@ from calibration_core.diagnosis.evidence.confounding import are_confounded
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.evidence.estimates import estimates
 from calibration_core.diagnosis.evidence.selection import field_of, select
-from calibration_core.estimation.small_effects import shared_power
+from calibration_core.estimation.likelihood.small_effects import shared_power
 from calibration_core.model.effects.candidate import Candidate, Parameter
 
 ROWS, CONFIGURATIONS = 120, 12

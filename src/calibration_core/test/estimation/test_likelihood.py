@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from calibration_core.estimation.gains import beside, gains
-from calibration_core.estimation.likelihood import WIDE, Gram, Sizes, fit_sizes, price
+from calibration_core.estimation.likelihood.gains import beside, gains
+from calibration_core.estimation.likelihood.restricted import WIDE, Gram, Sizes, fit_sizes, price
 
 ROWS, FLAT = 90, 4
 BLOCKS = [np.arange(3), np.arange(3, 8)]

@@ -1,1 +1,1 @@
-"""Bayes factors of the hypotheses about loaded steps, their selection, and the model extended by them."""
+"""Loaded steps as rows without offsets, what is selected of them, and the model extended by it."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
-from calibration_core.estimation.small_effects import MOST, sized
+from calibration_core.estimation.likelihood.small_effects import MOST, sized
 from calibration_core.timeseries import Float1D, Float2D
 
 RANK = 1e-10  # of the largest eigenvalue: directions below it are rounding errors

@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.estimation.hypotheses import WAVE, Offered
-from calibration_core.estimation.likelihood import Gram, fit_sizes
+from calibration_core.estimation.likelihood.restricted import Gram, fit_sizes
 from calibration_core.estimation.noise.whitening import Strata, Whitening, whiten
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY

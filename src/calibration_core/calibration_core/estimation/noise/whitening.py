@@ -6,8 +6,8 @@ In units of a reading's own noise the covariance of a configuration is
 
 S the steps (what all points of a step share: slow tracker noise), W what the noise of the step's wrench moves, O one
 offset per point (set-up and second-order geometry that absolute positions do not explain).  s and o are sizes of their
-own, found by likelihood (`likelihood.py`).  Configurations are independent, so that V^(-1/2) is closed form, block by
-block, and rows keep their configuration.
+own, found by likelihood (`likelihood/restricted.py`).  Configurations are independent, so that V^(-1/2) is closed form,
+block by block, and rows keep their configuration.
 Source: variance components (Patterson and Thompson 1971).
 """
 

@@ -8,7 +8,7 @@ q = sum((U'w)^2 t^2/(1 + t^2 l)) off Q.  V then shrinks by the same share, so th
 maximised over t.  (At a fixed noise all large effects would look alike.)  Sizes beyond what the catalogue calls typical
 pay for it.
 
-A wide block, as all orders of all gears, keeps the eigenvectors of its own part of A'A (`likelihood.Gram.basis`): what
+A wide block, as all orders of all gears, keeps the eigenvectors of its own part of A'A (`restricted.Gram.basis`): what
 is accepted changes g by as many ranks as it has columns, so that they serve beside everything (Woodbury).
 """
 
@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from calibration_core.estimation.likelihood import LEAST, MOST, Gram, Sizes, basis_serves, price
+from calibration_core.estimation.likelihood.restricted import LEAST, MOST, Gram, Sizes, basis_serves, price
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 GRID = np.exp(np.linspace(np.log(LEAST), np.log(MOST), 36))

@@ -20,9 +20,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from calibration_core.estimation.gains import LEAST_LEFT, Gains, Seen, beside, gains
 from calibration_core.estimation.hypotheses import Offered
-from calibration_core.estimation.likelihood import Gram, Sizes, fit_sizes
+from calibration_core.estimation.likelihood.gains import LEAST_LEFT, Gains, Seen, beside, gains
+from calibration_core.estimation.likelihood.restricted import Gram, Sizes, fit_sizes
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.timeseries import Float1D, Int1D
 
@@ -32,7 +32,7 @@ MOST = 1.0  # in typical sizes: how large the small effects may make any
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Fit:
+class LevelFit:
     """Accepted hypotheses beside small effects of one level.
 
     Attributes:
@@ -67,13 +67,13 @@ class SmallEffects:
         self._unit = shared_power(np.diag(gram.matrix), offered) if len(levels) > 1 else np.zeros(0)
         self._known: dict[float, tuple[Gram, float]] = {0.0: (gram, 0.0)}
 
-    def fits(self, blocks: Sequence[Int1D], start: Sizes | None) -> tuple[Fit, ...]:
+    def fits(self, blocks: Sequence[Int1D], start: Sizes | None) -> tuple[LevelFit, ...]:
         """Return hypotheses beside small effects of the levels up to one above the most probable."""
-        found: list[Fit] = []
+        found: list[LevelFit] = []
         for level in self.levels:
             gram, value = self._at(level)
             sizes = fit_sizes(gram, blocks, start)
-            found.append(Fit(level, gram, tuple(blocks), dataclasses.replace(sizes, value=sizes.value + value)))
+            found.append(LevelFit(level, gram, tuple(blocks), dataclasses.replace(sizes, value=sizes.value + value)))
             if most_probable(found).level < level:
                 break
         return tuple(found)
@@ -96,12 +96,12 @@ class SmallEffects:
         return self._known[level]
 
 
-def most_probable(fits: Sequence[Fit]) -> Fit:
+def most_probable(fits: Sequence[LevelFit]) -> LevelFit:
     """Return the fit at the level at which the recording is most probable; of several the lowest."""
     return max(fits, key=lambda fit: (fit.sizes.value, -fit.level))
 
 
-def best_gains(fits: Sequence[Fit], blocks: Sequence[Int1D]) -> Gains:
+def best_gains(fits: Sequence[LevelFit], blocks: Sequence[Int1D]) -> Gains:
     """Return what every block gains, each at the level that suits it best, against the most probable level, (h,) each.
 
     Sizes and what is left are those beside the noise of the most probable level.
@@ -117,7 +117,7 @@ def best_gains(fits: Sequence[Fit], blocks: Sequence[Int1D]) -> Gains:
     return Gains(*(np.take_along_axis(one, best, axis=0)[0] for one in (nats, size, left)))
 
 
-def visible(fits: Sequence[Fit], block: Int1D) -> tuple[float, float]:
+def visible(fits: Sequence[LevelFit], block: Int1D) -> tuple[float, float]:
     """Return the level that suits a block best, and its signal-to-noise ratio beside small effects of that level."""
     found = [gains(fit.seen, [block]) for fit in fits]
     best = int(np.argmax([fit.sizes.value + float(one.nats[0, 0]) for fit, one in zip(fits, found, strict=True)]))
@@ -127,7 +127,7 @@ def visible(fits: Sequence[Fit], block: Int1D) -> tuple[float, float]:
     return fits[best].level, float(np.sqrt(max(float(mean @ matrix @ mean), 0.0) / left))
 
 
-def gain_at(fits: Sequence[Fit], block: Int1D, size: float) -> float:
+def gain_at(fits: Sequence[LevelFit], block: Int1D, size: float) -> float:
     """Return the log likelihood of a block of some size, typical ones, at the level that suits it best, nats."""
     several = []
     for fit in fits:
@@ -141,7 +141,7 @@ def gain_at(fits: Sequence[Fit], block: Int1D, size: float) -> float:
     return float(max(several))
 
 
-def _own(fit: Fit, block: Int1D) -> tuple[Float1D, Float1D]:
+def _own(fit: LevelFit, block: Int1D) -> tuple[Float1D, Float1D]:
     """Return A' V^-1 A (k, k) and A' V^-1 y (k,) of a block beside what was accepted."""
     taken, vector = fit.seen.of(block)
     return (fit.gram.matrix[np.ix_(block, block)] - taken.T @ taken) / fit.sizes.variance, vector

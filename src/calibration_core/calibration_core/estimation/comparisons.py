@@ -1,0 +1,175 @@
+"""How hypotheses do beside accepted ones: every question is answered once."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.estimation.controls import FLOOR
+from calibration_core.estimation.field import Accepted, Field, Trial
+from calibration_core.estimation.leave_out import LeftOut
+from calibration_core.estimation.likelihood.gains import Gains
+from calibration_core.estimation.likelihood.restricted import Sizes
+from calibration_core.estimation.likelihood.small_effects import (
+    LEVELS,
+    NONE,
+    LevelFit,
+    SmallEffects,
+    best_gains,
+    most_probable,
+)
+from calibration_core.timeseries import Float1D, Int1D
+
+NARROW = 24  # columns of a hypothesis that is tried in another's stead; families come in by themselves
+KEPT = 4  # models with blocks left out, for what is tried beside them
+
+
+@dataclasses.dataclass(frozen=True)
+class Demands:
+    """What a hypothesis must show, by the kind of recording.
+
+    Attributes:
+        least: Nats that any must gain, and
+        further: a further cause: what is accepted is seldom of quite the right form.
+        levels: Of the small effects that are part of the noise.
+        by_density: Whether blocks left out are judged by the density of their readings (Sundararajan and Keerthi 2001),
+            not by their squares: where blocks are few, some show an effect far better than others.
+    """
+
+    least: float
+    further: float
+    levels: tuple[float, ...]
+    by_density: bool
+
+
+POSITIONS = Demands(least=FLOOR, further=20.0, levels=NONE, by_density=False)
+STEPS = Demands(least=5.0, further=8.0, levels=LEVELS, by_density=True)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scores:
+    """How hypotheses do beside accepted ones, (j,) each.
+
+    Attributes:
+        nats: Gain at the best size; minus infinity where it was not asked for.
+        size: That size, typical ones, at the noise before.
+        left: Share of the squared residual that is left.
+    """
+
+    nats: Float1D
+    size: Float1D
+    left: Float1D
+
+
+class Comparisons:
+    """Rows and hypotheses, and all that was asked of them."""
+
+    def __init__(self, field: Field, demands: Demands) -> None:
+        self.field, self.demands = field, demands
+        self.small = SmallEffects(field.gram, field.offered, demands.levels)
+        self.judged = field.judged
+        self.place = {index: k for k, index in enumerate(self.judged)}
+        several = [len(one.columns) - len(one.chance) for one in (field.offered.hypotheses[i] for i in self.judged)]
+        self.narrow = np.flatnonzero(np.array(several, dtype=np.int64) <= NARROW)
+        self.alone = np.array([len(field.offered.hypotheses[index].members) == 1 for index in self.judged], dtype=bool)
+        self._narrow = frozenset(map(int, self.narrow))
+        self.fits: dict[Accepted, tuple[LevelFit, ...]] = {}
+        self.held_out: dict[Accepted, list[Float1D]] = {}
+        self.known: dict[tuple[Accepted, bool], Scores] = {}
+        self.trials: dict[tuple[Accepted, int], Trial] = {}
+        self.alone_known: dict[tuple[Accepted, int], tuple[float, float, float]] = {}
+        self._left_out: dict[Accepted, LeftOut] = {}
+
+    def level(self, accepted: Accepted) -> float:
+        """Return the signal-to-noise ratio of the small effects beside hypotheses, each."""
+        return most_probable(self.fitted(accepted)).level
+
+    def sizes(self, accepted: Accepted) -> Sizes:
+        """Return the sizes of hypotheses together."""
+        return most_probable(self.fitted(accepted)).sizes
+
+    def fitted(self, accepted: Accepted) -> tuple[LevelFit, ...]:
+        """Return hypotheses together, beside small effects of the levels that come into question."""
+        if accepted not in self.fits:
+            self.fits[accepted] = self.small.fits(self.field.blocks(accepted), self._start(accepted))
+        return self.fits[accepted]
+
+    def squares(self, accepted: Accepted) -> list[Float1D]:
+        """Return the squares of blocks left out."""
+        if accepted not in self.held_out:
+            self.held_out[accepted] = self.field.in_blocks(self.left_out(accepted).errors)
+        return self.held_out[accepted]
+
+    def left_out(self, accepted: Accepted) -> LeftOut:
+        """Return the model of the accepted ones with every block left out; only the last few are kept."""
+        if accepted not in self._left_out:
+            while len(self._left_out) >= KEPT:
+                self._left_out.pop(next(iter(self._left_out)))
+            self._left_out[accepted] = self.field.left_out(accepted, self.sizes(accepted))
+        return self._left_out[accepted]
+
+    def scores(self, accepted: Accepted, *, narrow: bool = False) -> Scores:
+        """Return how every judged hypothesis does beside the accepted ones; narrow: those of few columns alone."""
+        key = accepted, narrow
+        if key not in self.known:
+            if narrow and (accepted, False) in self.known:
+                return self.known[accepted, False]
+            chosen = self.narrow if narrow else np.arange(len(self.judged))
+            every = Scores(*(np.full(len(self.judged), fill) for fill in (-np.inf, 1.0, 1.0)))
+            blocks = self.field.blocks(tuple(self.judged[k] for k in chosen))
+            found = self.gains(accepted, blocks)
+            every.nats[chosen], every.size[chosen], every.left[chosen] = found.nats, found.size, found.left
+            self.known[key] = every
+        return self.known[key]
+
+    def gains(self, accepted: Accepted, blocks: list[Int1D]) -> Gains:
+        """Return what blocks gain beside the accepted ones, (h,) each."""
+        return best_gains(self.fitted(accepted), blocks)
+
+    def score(self, accepted: Accepted, index: int) -> tuple[float, float, float]:
+        """Return how one hypothesis does beside the accepted ones: nats, size and what is left, as `Scores`."""
+        k = self.place[index]
+        for narrow in (False, True):
+            known = self.known.get((accepted, narrow))
+            if known is not None and not (narrow and k not in self._narrow):
+                return float(known.nats[k]), float(known.size[k]), float(known.left[k])
+        if (accepted, index) not in self.alone_known:
+            found = self.gains(accepted, self.field.blocks((index,)))
+            self.alone_known[accepted, index] = float(found.nats[0]), float(found.size[0]), float(found.left[0])
+        return self.alone_known[accepted, index]
+
+    def trial(self, accepted: Accepted, index: int) -> Trial:
+        """Put one more hypothesis beside the accepted ones, at the size that suits it best."""
+        if (accepted, index) not in self.trials:
+            self.trials[accepted, index] = self._trial(accepted, index)
+        return self.trials[accepted, index]
+
+    def _trial(self, accepted: Accepted, index: int) -> Trial:
+        at = self.sizes(accepted)
+        nats, own, left = self.score(accepted, index)
+        sizes = Sizes(at.variance * left, np.append(at.size, own) * np.sqrt(left), float("nan"))
+        columns = self.field.columns((index,))
+        before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
+        if self.demands.by_density:
+            several = before.scores(sizes.variance), before.scores(sizes.variance, columns, ridge)
+            return Trial(self.field, accepted, index, sizes, nats, *several)
+        after = self.field.in_blocks(before.beside(columns, ridge))
+        return Trial(self.field, accepted, index, sizes, nats, self.squares(accepted), after)
+
+    def _start(self, accepted: Accepted) -> Sizes | None:
+        """Return sizes to begin with: those of a fit with most of the same hypotheses, and what suits the new ones."""
+        known = max(self.fits, key=lambda other: len(set(other) & set(accepted)), default=None)
+        if known is None or not known:
+            scores = self.known.get(((), False))
+            usual = {} if scores is None else dict(zip(self.judged, scores.size, strict=True))
+            null = self.fits.get(())
+            variance = (
+                self.field.gram.square / self.field.gram.freedom if null is None else most_probable(null).sizes.variance
+            )
+            return Sizes(variance, np.array([max(usual.get(i, 0.3), 1e-2) for i in accepted]), float("nan"))
+        last = most_probable(self.fits[known]).sizes
+        fit = dict(zip(known, last.size, strict=True))
+        beyond = dict(zip(self.judged, self.scores(known, narrow=True).size, strict=True))
+        size = np.array([fit.get(i, max(beyond.get(i, 0.3), 1e-2)) for i in accepted])
+        return Sizes(last.variance, size, float("nan"))
