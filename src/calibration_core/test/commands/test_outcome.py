@@ -119,6 +119,23 @@ def test_signals_end_with_one_line_and_leave_the_earlier_result(out: Path, numbe
         assert (out / "result.json").read_text() == "earlier"
 
 
+def test_an_error_that_a_signal_became_is_an_interruption(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compiled code that is interrupted while it is imported says that its initialization failed."""
+
+    def action() -> str:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("initialization failed") from None
+        return "done"
+
+    assert outcome.carry_out("diagnose", SOURCE, out, action) == 130
+    said = capsys.readouterr().err
+    assert "interrupted" in said
+    assert "defect" not in said
+    assert list(out.parent.glob("*crash*")) == []
+
+
 def test_a_signal_that_is_ignored_where_it_arrives_ends_the_command_all_the_same(tmp_path: Path) -> None:
     """Python ignores an exception in a finaliser, and in its own callbacks while a module is imported."""
     code = """

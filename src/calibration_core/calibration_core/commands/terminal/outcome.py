@@ -111,7 +111,8 @@ def _terminable() -> Iterator[None]:
     """Turn SIGINT and SIGTERM into an exception, so that what was begun is cleared up.
 
     An exception that arrives in a callback of the interpreter, for example while a module is imported, is ignored;
-    therefore it is raised again every `AGAIN` until the command ends by it.
+    therefore it is raised again every `AGAIN` until the command ends by it.  Compiled code that is being imported turns
+    it into an error of its own (`ImportError: initialization failed`): what fails after a signal fails because of it.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -128,6 +129,10 @@ def _terminable() -> Iterator[None]:
     before = {number: signal.signal(number, end) for number in numbers}
     try:
         yield
+    except Exception:
+        if kinds:
+            raise kinds[-1] from None
+        raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():

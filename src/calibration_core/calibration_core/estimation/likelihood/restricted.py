@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import cholesky
 from scipy.linalg.lapack import dpotri
+from scipy.optimize import minimize
 
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
@@ -116,8 +117,6 @@ def fit_sizes(gram: Gram, blocks: Sequence[Int1D], start: Sizes | None = None) -
     begin = np.concatenate([[np.log(variance)], np.log(sizes)])
     bounds = [(begin[0] - 12, begin[0] + 5)] + [(np.log(LEAST), np.log(MOST))] * len(blocks)
     options = {"maxiter": ITERATIONS, "ftol": 1e-8}
-    from scipy.optimize import minimize  # slow to load, and loaded recordings do not need it
-
     best = minimize(negative, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return Sizes(float(np.exp(best.x[0])), np.exp(best.x[1:]), -float(best.fun))
 
