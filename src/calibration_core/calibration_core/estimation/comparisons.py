@@ -21,7 +21,6 @@ from calibration_core.estimation.likelihood.small_effects import (
 )
 from calibration_core.timeseries import Float1D, Int1D
 
-NARROW = 24  # columns of a hypothesis that is tried in another's stead; families come in by themselves
 KEPT = 4  # models with blocks left out, for what is tried beside them
 
 
@@ -35,16 +34,18 @@ class Demands:
         levels: Of the small effects that are part of the noise.
         by_density: Whether blocks left out are judged by the density of their readings (Sundararajan and Keerthi 2001),
             not by their squares: where blocks are few, some show an effect far better than others.
+        narrow: Columns of a hypothesis that is tried in another's stead; wider ones, as families, come in by themselves.
     """
 
     least: float
     further: float
     levels: tuple[float, ...]
     by_density: bool
+    narrow: int
 
 
-POSITIONS = Demands(least=FLOOR, further=20.0, levels=NONE, by_density=False)
-STEPS = Demands(least=5.0, further=8.0, levels=LEVELS, by_density=True)
+POSITIONS = Demands(least=FLOOR, further=20.0, levels=NONE, by_density=False, narrow=24)
+STEPS = Demands(least=5.0, further=8.0, levels=LEVELS, by_density=True, narrow=48)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class Comparisons:
         self.judged = field.judged
         self.place = {index: k for k, index in enumerate(self.judged)}
         several = [len(one.columns) - len(one.chance) for one in (field.offered.hypotheses[i] for i in self.judged)]
-        self.narrow = np.flatnonzero(np.array(several, dtype=np.int64) <= NARROW)
+        self.narrow = np.flatnonzero(np.array(several, dtype=np.int64) <= demands.narrow)
         self.alone = np.array([len(field.offered.hypotheses[index].members) == 1 for index in self.judged], dtype=bool)
         self._narrow = frozenset(map(int, self.narrow))
         self.fits: dict[Accepted, tuple[LevelFit, ...]] = {}
