@@ -34,7 +34,7 @@ class Demands:
         levels: Of the small effects that are part of the noise.
         by_density: Whether blocks left out are judged by the density of their readings (Sundararajan and Keerthi 2001),
             not by their squares: where blocks are few, some show an effect far better than others.
-        narrow: Columns of a hypothesis that is tried in another's stead; wider ones, as families, come in by themselves.
+        narrow: Columns of a hypothesis that is tried in another's stead; wider ones come in by themselves.
     """
 
     least: float

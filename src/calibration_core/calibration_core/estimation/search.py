@@ -308,16 +308,20 @@ class Search(Comparisons):
         return not why
 
     def _hidden(self, accepted: Accepted, trial: Trial) -> str:
-        """Say why a hypothesis is none by itself: it is one of many small effects, or a matter of chance.
+        """Say why a hypothesis is none by itself: one of many small effects, far too large, or a matter of chance.
 
         What it leaves to chance in each configuration explains much of anything: that is no evidence by itself.
         """
         chance = trial.hypothesis.chance
         if len(chance) and trial.gain - float(self.gains(accepted, [chance]).nats[0]) <= PART:
             return "what it leaves to chance in each configuration explains as much"
-        if len(self.small.levels) == 1:
+        if not self.demands.by_density:
             return ""
-        level, seen = visible(self.fitted(accepted), self.field.blocks((trial.index,))[0])
+        fits, block = self.fitted(accepted), self.field.blocks((trial.index,))[0]
+        large = trial.sizes.size[-1] > WIDE
+        if large and gain_at(fits, block, WIDE) - self.sizes(accepted).value <= self._asked(accepted, trial.index):
+            return "it would have to be far larger than it usually is"
+        level, seen = visible(fits, block)
         return "" if seen >= STANDS_OUT * level else "it does not stand out from many small effects"
 
     def _one_does(self, accepted: Accepted, trial: Trial) -> bool:
