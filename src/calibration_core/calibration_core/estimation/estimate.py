@@ -183,6 +183,7 @@ def _search(model: NullModel) -> Estimate:
         )
         helped = {c.location["joint"] for c in more}
         physical = [field.offered.hypotheses[i] for i in selection.accepted if i not in steps]
+        del search, field  # hundreds of megabytes beside the next ones
         field, _ = _field(model, offer((*more, *catalogue, *shifts(readings, fine))), whitening)
         begin = [_find(field.offered, one) for one in physical if one.location.get("joint") not in helped]
         search = Search(field, control)
@@ -259,7 +260,10 @@ def _field(model: NullModel, offered: Offered, whitening: Whitening | None) -> t
     if whitening is None:
         whitening = fit_whitening(strata_of(model, rows), residual, flat, columns, offered)
     usual = weighted(model.problem.select(rows), model.parameters, usual_errors(model.state)[rows])
-    wide = whitening(np.column_stack([residual, flat, usual, columns]))
+    everything = np.column_stack([residual, flat, usual, columns])
+    del columns  # there may be thousands
+    wide = whitening(everything)
+    del everything
     f, u = flat.shape[1], flat.shape[1] + usual.shape[1]
     partitions = partitions_of(model, rows, SEARCH_BLOCKS)
     field = Field.of(wide[:, 0], wide[:, 1 : 1 + f], wide[:, 1 + f : 1 + u], wide[:, 1 + u :], offered, partitions)

@@ -63,18 +63,21 @@ class Field:
             offered: What they are.
             partitions: Of the readings, into blocks; the rows of priors are in none.
         """
+        r, f = flat.shape
         u = usual.shape[1]
         residual = np.concatenate([residual, np.zeros(u)])
-        flat = np.block([[flat, usual], [np.zeros((u, flat.shape[1])), np.eye(u)]])
-        columns = np.concatenate([columns, np.zeros((u, columns.shape[1]))])
-        length = np.linalg.norm(flat, axis=0)
+        wide = np.zeros((r + u, f + u + columns.shape[1]))
+        wide[:r, :f], wide[:r, f : f + u], wide[r:, f : f + u] = flat, usual, np.eye(u)
+        length = np.linalg.norm(wide[:, : f + u], axis=0)
         scale = np.where(length > 0, length, 1.0)
-        flat = flat / scale
-        u, s, _ = np.linalg.svd(flat, full_matrices=False)
-        basis = u[:, s > 1e-7 * s[0]]
+        wide[:, : f + u] /= scale
+        wide[:r, f + u :] = columns
+        left, s, _ = np.linalg.svd(wide[:, : f + u], full_matrices=False)
+        basis, columns = left[:, s > 1e-7 * s[0]], wide[:, f + u :]
         in_flat = basis.T @ columns
         whole = np.einsum("ij,ij->j", columns, columns)
-        matrix = columns.T @ columns - in_flat.T @ in_flat
+        matrix = columns.T @ columns
+        matrix -= in_flat.T @ in_flat
         seen = basis.T @ residual
         gram = Gram(
             matrix, columns.T @ residual - in_flat.T @ seen, float(residual @ residual - seen @ seen),
@@ -82,7 +85,7 @@ class Field:
         )  # fmt: skip
         clear = (whole > LEAST_MOVED) & (np.diag(matrix) > LEAST_REST**2 * whole)
         matrix[~clear] = matrix[:, ~clear] = gram.vector[~clear] = 0.0
-        return Field(residual, np.concatenate([flat, columns], axis=1), scale, offered, partitions, gram, clear)
+        return Field(residual, wide, scale, offered, partitions, gram, clear)
 
     @property
     def flat_count(self) -> int:

@@ -145,6 +145,14 @@ def test_nothing_is_selected_of_noise() -> None:
     assert sum(bool(select(design(1000 + seed)).accepted) for seed in range(100)) <= 4  # 1 % expected
 
 
+def test_what_would_have_to_be_far_larger_than_usual_is_not_selected() -> None:
+    d = design(13, {4: 0.3})
+    assert select(d).accepted == (2,)
+    tiny = d.columns.copy()
+    tiny[:, 4:6] /= 60.0  # the same movement of the points would be sixty times as large an effect
+    assert select(dataclasses.replace(d, columns=tiny)).accepted == ()
+
+
 def test_forms_of_one_cause_are_one_choice() -> None:
     """Two laws of one joint without memory are one cause; a law with memory beside them is another."""
     d = design(12, {0: 3.0, 2: 2.0, 4: 2.5})
