@@ -37,6 +37,7 @@ MOST = 16  # hypotheses
 ROUNDS = 3  # of refinement
 FEW = 6  # members of a family that are tried in its stead
 STANDS_OUT = 2.5  # times the signal-to-noise ratio of small effects
+OVERWHELMING = 50.0  # nats beside small effects, more than the best of any crowd gains by chance
 CROWD_GONE = 1.0  # signal-to-noise ratio of the small effects that may be left beside several strong ones
 WIDE = 3.0  # typical sizes: what is found is seldom larger
 Control = Callable[[Trial], str]
@@ -151,10 +152,10 @@ class Search(Comparisons):
             order = self._to_try([int(k) for k in np.argsort(-gain, kind="stable") if gain[k] > least[k]])
             found = next((k for k in order if self._passes(accepted, self.judged[k])), None)
             if found is None:
-                several = self._together(accepted) if len(self.small.levels) > 1 else ()
-                if not several:
+                together = self._together(accepted) if len(self.small.levels) > 1 else ()
+                if not together:
                     break
-                accepted = (*accepted, *several)
+                accepted = together
                 continue
             close = [k for k in order[order.index(found) :] if gain[k] > gain[found] - EQUIVALENT]
             instead = self._instead(accepted, float(gain[found]), narrow=narrow)
@@ -162,20 +163,30 @@ class Search(Comparisons):
         return accepted
 
     def _together(self, accepted: Accepted) -> Accepted:
-        """Return single hypotheses that pass beside each other, though none does alone; nothing if there are none."""
+        """Return the accepted ones and others that pass beside each other, though none does alone; else nothing."""
         trial = accepted
         while len(trial) < FEW:
             gain = np.where(self.alone, self.scores(trial, narrow=True).nats, -np.inf)
             best = int(np.argmax(gain))
             if gain[best] <= self._least(trial)[best]:
                 break
-            trial = (*trial, self.judged[best])
-            more = trial[len(accepted) :]
+            trial = self._best_forms((*trial, self.judged[best]))
+            more = tuple(i for i in trial if i not in accepted)
             others = {i: tuple(k for k in trial if k != i) for i in more}
             gone = len(more) > 1 and self.level(trial) <= CROWD_GONE
             if gone and all(self._gains_enough(rest, i) and self._passes(rest, i) for i, rest in others.items()):
-                return more
+                return trial
         return ()
+
+    def _best_forms(self, accepted: Accepted) -> Accepted:
+        """Return hypotheses, each as the form of its effect, at its place, that gains most beside the others."""
+        hypotheses = self.field.offered.hypotheses
+        for index in accepted:
+            others = tuple(i for i in accepted if i != index)
+            forms = [i for i in self.judged if hypotheses[i].place == hypotheses[index].place and i not in others]
+            best = max(forms, key=lambda i: self.score(others, i)[0])
+            accepted = tuple(best if i == index else i for i in accepted)
+        return accepted
 
     def _gains_enough(self, others: Accepted, index: int) -> bool:
         """Say whether a hypothesis gains beside others what it must."""
@@ -322,7 +333,8 @@ class Search(Comparisons):
         if large and gain_at(fits, block, WIDE) - self.sizes(accepted).value <= self._asked(accepted, trial.index):
             return "it would have to be far larger than it usually is"
         level, seen = visible(fits, block)
-        return "" if seen >= STANDS_OUT * level else "it does not stand out from many small effects"
+        out = seen >= STANDS_OUT * level or trial.gain > OVERWHELMING
+        return "" if out else "it does not stand out from many small effects"
 
     def _one_does(self, accepted: Accepted, trial: Trial) -> bool:
         """Say whether one joint explains so much of what all joints explain that the rest is no further cause.
