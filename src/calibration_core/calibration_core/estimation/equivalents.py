@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.estimation.likelihood.small_effects import most_probable
+from calibration_core.estimation.likelihood.gains import beside
+from calibration_core.estimation.likelihood.restricted import Sizes
 from calibration_core.estimation.search import WIDE, Search, Selection
 from calibration_core.estimation.shifts import FAMILY
 
@@ -67,10 +68,12 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
     """
     hypotheses = search.field.offered.hypotheses
     others = tuple(i for i in selection.accepted if i != index)
-    fit, block = most_probable(search.fitted(others)), search.field.blocks((index,))[0]
-    taken, vector = fit.seen.of(np.arange(len(fit.gram.vector)))
-    seen = (fit.gram.matrix[:, block] - taken.T @ taken[:, block]) / fit.sizes.variance
-    mean = np.linalg.solve(np.eye(len(block)) / search.score(others, index)[1] ** 2 + seen[block], vector[block])
+    size = dict(zip(selection.accepted, selection.sizes.size, strict=True))
+    known = Sizes(selection.sizes.variance, np.array([size[i] for i in others]), float("nan"))
+    gram, block = search.small.at(selection.level)[0], search.field.blocks((index,))[0]
+    taken, vector = beside(gram, search.field.blocks(others), known).of(np.arange(len(gram.vector)))
+    seen = (gram.matrix[:, block] - taken.T @ taken[:, block]) / known.variance
+    mean = np.linalg.solve(np.eye(len(block)) / size[index] ** 2 + seen[block], vector[block])
     image = seen @ mean
     power = float(mean @ image[block])
     scores = search.scores(others)
@@ -81,7 +84,7 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
         if same or scores.nats[k] <= 0 or scores.size[k] > PLAUSIBLE:
             continue
         own = taken[:, other.columns]
-        matrix = (fit.gram.matrix[np.ix_(other.columns, other.columns)] - own.T @ own) / fit.sizes.variance
+        matrix = (gram.matrix[np.ix_(other.columns, other.columns)] - own.T @ own) / known.variance
         matrix += np.eye(len(matrix)) / WIDE**2
         lost = 0.5 * (power - float(image[other.columns] @ np.linalg.solve(matrix, image[other.columns])))
         if lost < EQUIVALENT and not search.objection(search.trial(others, i)):

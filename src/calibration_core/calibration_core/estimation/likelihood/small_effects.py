@@ -71,14 +71,14 @@ class SmallEffects:
         """Return hypotheses beside small effects of the levels up to one above the most probable."""
         found: list[LevelFit] = []
         for level in self.levels:
-            gram, value = self._at(level)
+            gram, value = self.at(level)
             sizes = fit_sizes(gram, blocks, start)
             found.append(LevelFit(level, gram, tuple(blocks), dataclasses.replace(sizes, value=sizes.value + value)))
             if most_probable(found).level < level:
                 break
         return tuple(found)
 
-    def _at(self, level: float) -> tuple[Gram, float]:
+    def at(self, level: float) -> tuple[Gram, float]:
         """Return the rows beside small effects of a level, and what these add to the log likelihood."""
         if level not in self._known:
             weight = np.minimum(level * self._unit, MOST)
