@@ -32,7 +32,7 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
     others = tuple(i for i in selection.accepted if i not in members)
     scores = search.scores(others)
     gain, size = scores.nats, scores.size * np.sqrt(scores.left)
-    whole = search.sizes((*others, *members)).value
+    whole = search.sizes((*others, *members)).value  # beside small effects of the level that is left
     stated = sum(selection.gain[selection.accepted.index(i)] for i in members)
     together = stated if len(members) == 1 else whole - search.sizes(others).value
     places = {hypotheses[i].place for i in members}
@@ -46,7 +46,8 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
         if other.family == FAMILY or other.place in places | set(best) or size[k] > PLAUSIBLE:
             continue
         asked += 1
-        behind = whole - search.sizes((*others, i)).value
+        instead = min(search.fitted((*others, i)), key=lambda fit: abs(fit.level - selection.level))
+        behind = whole - instead.sizes.value
         if behind <= EQUIVALENT and not search.objection(search.trial(others, i)):
             best[other.place] = i, float(stated - behind)
     nearest = sorted(best.values(), key=lambda pair: -pair[1])
