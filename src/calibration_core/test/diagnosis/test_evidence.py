@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from calibration_core.diagnosis.evidence.confounding import are_confounded
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.evidence.estimates import estimates
+from calibration_core.diagnosis.evidence.residual import weighted_rest
 from calibration_core.diagnosis.evidence.selection import field_of, select
 from calibration_core.estimation.likelihood.small_effects import shared_power
 from calibration_core.model.effects.candidate import Candidate, Parameter
@@ -81,6 +83,17 @@ def test_what_an_accepted_effect_leaves_to_chance_is_part_of_the_covariance() ->
     inverse = np.linalg.inv(columns.T @ columns + np.diag([0.0] * 3 + [1.0] * (columns.shape[1] - 3)))
     np.testing.assert_allclose(value, (inverse @ columns.T @ d.residual)[:5], rtol=1e-6)
     np.testing.assert_allclose(covariance, inverse[:5, :5], rtol=1e-5, atol=1e-10)
+
+
+def test_forms_that_share_what_they_leave_to_chance_leave_a_residual() -> None:
+    """Columns that stand twice, but for rounding, are one: the decomposition of them must not fail."""
+    d = design(11, {4: 1.0, 6: 1.0}, chance=CONFIGURATIONS)
+    d = dataclasses.replace(d, chances=tuple(d.chances[2] if k in (2, 3) else one for k, one in enumerate(d.chances)))
+    extended = SimpleNamespace(design=d, accepted=(2, 3))
+    rest, ratio, freedom = weighted_rest(extended)  # type: ignore[arg-type]
+    assert freedom == ROWS - (3 + 4 + CONFIGURATIONS + 2)
+    assert ratio == pytest.approx(float(rest @ rest) / freedom)
+    assert np.abs(d.columns[:, 4:8].T @ rest).max() < 1e-8
 
 
 def test_what_an_effect_leaves_to_chance_is_no_evidence_for_it() -> None:

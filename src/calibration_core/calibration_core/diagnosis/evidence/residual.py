@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import svd
 
 from calibration_core.diagnosis.data_checks.noise import Scatter
 from calibration_core.diagnosis.evidence.design import Design
@@ -80,11 +81,11 @@ def odd_configurations(rest: Float1D, design: Design, seen: Scatter) -> list[int
 def weighted_rest(extended: ExtendedLoadedModel) -> tuple[Float1D, float, int]:
     """Return what null model, discrepancy and findings leave, (r,), its mean square and degrees of freedom."""
     design = extended.design
-    parts = [design.null, *(design.columns[:, design.own(i)] for i in extended.accepted)]
-    columns = np.column_stack([*parts, design.columns[:, design.discrepancy]])
+    own = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(design.own(i) for i in extended.accepted)]))
+    columns = np.column_stack([design.null, design.columns[:, own], design.columns[:, design.discrepancy]])
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 0] / norms[norms > 0]
-    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    u, s, _ = svd(columns, full_matrices=False, lapack_driver="gesvd")  # gesdd can fail where columns nearly repeat
     basis = u[:, s > 1e-8 * s[0]]
     rest = design.residual - basis @ (basis.T @ design.residual)
     freedom = max(len(rest) - basis.shape[1], 1)
