@@ -194,23 +194,16 @@ class _Search:
         """Return the offer that separates a finding from what does as well; None if none does."""
         others = tuple(i for i in self.selection.accepted if i != choice.candidate)
         hypotheses = [(*others, choice.candidate), *((*others, index) for index, _ in choice.equivalents)]
-        scores = np.array([choice.log_bayes_factor, *(score for _, score in choice.equivalents)])
-        weights = np.exp(scores - scores.max())
         known = [self._knowledge(h, hypotheses[0]) for h in hypotheses]
 
         def judge(table: _Table) -> _Judged:
             predicted = [k.predict(table.of(h)) for k, h in zip(known, hypotheses, strict=True)]
-            total = np.zeros(len(table.offers))
             nearest = np.full(len(table.offers), np.inf)
-            for a, first in enumerate(predicted):
-                for b, second in enumerate(predicted):
-                    if a == b:
-                        continue
-                    apart = expected_log_bayes_factor(first, second)
-                    total += weights[a] * weights[b] * apart
-                    if a == 0 and float(apart.max()) > SEPARABLE:
-                        nearest = np.minimum(nearest, apart)
-            return _Judged(total, nearest, bool(np.isfinite(nearest).any()))
+            for other in predicted[1:]:
+                apart = expected_log_bayes_factor(predicted[0], other)
+                if float(apart.max()) > SEPARABLE:
+                    nearest = np.minimum(nearest, apart)
+            return _Judged(nearest, nearest, bool(np.isfinite(nearest).any()))
 
         found = self._best(judge)
         if found is None:
