@@ -177,7 +177,14 @@ def test_forms_of_one_cause_are_one_choice() -> None:
     chosen = select(dataclasses.replace(d, candidates=(*laws, *d.candidates[3:])))
     assert set(chosen.accepted) == {0, 1, 2}
     assert {(c.candidate, c.refinements) for c in chosen.choices} == {(0, (1,)), (2, ())}
-    assert chosen.without([c for c in chosen.choices if c.candidate == 0]).accepted == (2,)
+    alone = chosen.without([c for c in chosen.choices if c.candidate == 0])
+    assert alone.accepted == (2,)
+    share, left = chosen.share, alone.share
+    assert share is not None
+    assert left is not None
+    assert np.all(share[:4] > 1.0)  # the laws of the first two, known to a share, may be one another's
+    assert np.all(left[:4] < 1.0)
+    assert np.all(left[4:6] > 1.0)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | None =
     Args:
         design: The whitened model.
         accepted: Candidates in the model.
-        share: (p,) signal-to-noise ratio of every candidate's place in the covariance; None: none.
+        share: (p,) signal-to-noise ratio of every candidate's place in the covariance, or one of all; None: none.
     """
     n, gram = design.n, design.gram()
     weights = np.zeros(len(design.prior))

@@ -57,22 +57,30 @@ class LoadedSelection:
         accepted: All accepted candidates, refinements included.
         level: Signal-to-noise ratio of the small effects that remain, each.
         limit: Threshold, nats.
-        share: (p,) signal-to-noise ratio of every column's place in the covariance of the estimate: of the small
-            effects, or more where it is confounded with an accepted effect whose law is known to a share only.
+        unsure: For each accepted candidate the (p,) signal-to-noise ratios that it lends to every column's place: its
+            law is known to a share only, and the places that are confounded with it may hold the rest.
     """
 
     choices: tuple[Choice, ...]
     accepted: tuple[int, ...]
     level: float
     limit: float
-    share: Float1D
+    unsure: tuple[Float1D, ...]
+
+    @property
+    def share(self) -> Float1D | None:
+        """(p,) signal-to-noise ratio of every column's place in the covariance of the estimate; None: of none."""
+        if not self.unsure:
+            return None if self.level == 0 else np.asarray(self.level)
+        return np.maximum(np.max(self.unsure, axis=0), self.level)
 
     def without(self, left_out: Sequence[Choice]) -> LoadedSelection:
         """Return the selection without some of its choices."""
         gone = {index for choice in left_out for index in (choice.candidate, *choice.refinements)}
         choices = tuple(choice for choice in self.choices if choice.candidate not in gone)
-        accepted = tuple(index for index in self.accepted if index not in gone)
-        return dataclasses.replace(self, choices=choices, accepted=accepted)
+        kept = [k for k, index in enumerate(self.accepted) if index not in gone]
+        accepted, unsure = tuple(self.accepted[k] for k in kept), tuple(self.unsure[k] for k in kept)
+        return dataclasses.replace(self, choices=choices, accepted=accepted, unsure=unsure)
 
 
 def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
@@ -98,8 +106,8 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
         else:
             choices.append(Choice(candidate, gain, _other_places(search, found, index)))
     chosen = tuple(hypotheses[index].members[0] for index in found.accepted)
-    share = _shares(design, search, found.accepted, found.level)
-    return LoadedSelection(tuple(choices), chosen, found.level, found.limit, share)
+    unsure = tuple(_lent(design, search, found.accepted, index) for index in found.accepted)
+    return LoadedSelection(tuple(choices), chosen, found.level, found.limit, unsure)
 
 
 def field_of(design: Design) -> Field:
@@ -167,14 +175,13 @@ def _is_refinement(design: Design, choice: Choice, candidate: int, gain: float) 
     return (alike or weaker or first.place == second.place) and are_confounded(first, second, design.joints)
 
 
-def _shares(design: Design, search: Search, accepted: Accepted, level: float) -> Float1D:
-    share = np.full(design.discrepancy.start, level)
-    hypotheses = search.field.offered.hypotheses
-    for index in accepted:
-        others = tuple(i for i in accepted if i != index)
-        seen = visible(search.fitted(others)[:1], search.field.blocks((index,))[0])[1]
-        own = design.candidates[hypotheses[index].members[0]]
-        for candidate, block in zip(design.candidates, design.blocks, strict=True):
-            if are_confounded(own, candidate, design.joints):
-                share[block] = np.maximum(share[block], KNOWN * seen)
-    return share
+def _lent(design: Design, search: Search, accepted: Accepted, index: int) -> Float1D:
+    """Return the signal-to-noise ratios, (p,), that an accepted hypothesis lends to what is confounded with it."""
+    others = tuple(i for i in accepted if i != index)
+    seen = visible(search.fitted(others)[:1], search.field.blocks((index,))[0])[1]
+    own = design.candidates[search.field.offered.hypotheses[index].members[0]]
+    lent = np.zeros(design.discrepancy.start)
+    for candidate, block in zip(design.candidates, design.blocks, strict=True):
+        if are_confounded(own, candidate, design.joints):
+            lent[block] = KNOWN * seen
+    return lent
