@@ -32,8 +32,9 @@ class Demands:
         least: Nats that any must gain, and
         further: a further cause: what is accepted is seldom of quite the right form.
         levels: Of the small effects that are part of the noise.
-        by_density: Whether blocks left out are judged by the density of their readings (Sundararajan and Keerthi 2001),
-            not by their squares: where blocks are few, some show an effect far better than others.
+        by_density: Whether blocks are few, so that some show an effect far better than others: those left out are then
+            judged by the density of their readings (Sundararajan and Keerthi 2001), not by their squares, and sizes
+            beyond the usual are no evidence.
         narrow: Columns of a hypothesis that is tried in another's stead; wider ones come in by themselves.
     """
 
