@@ -28,6 +28,7 @@ def test_the_joint_only_model_is_rejected_and_the_structure_named(fanuc: Diagnos
     assert fanuc.verdict in {"missing_physics", "partly_explained"}
     finding, *others = fanuc.findings
     assert all(other.log_bayes_factor < 0.5 * finding.log_bayes_factor for other in others)
+    assert all(other.magnitude < 0.2 * finding.magnitude for other in others)
     assert finding.family == "structure"
     said = {(finding.effect, *finding.location.values())}
     said |= {(other.effect, *other.location.values()) for other in finding.cannot_be_told_from}
@@ -52,3 +53,15 @@ def test_no_compliance_is_negative_and_no_hinge_twists_without_bending(fanuc: Di
             [[value["compliance_x"], value["compliance_xy"]], [value["compliance_xy"], value["compliance_y"]]]
         )
         assert np.linalg.eigvalsh(matrix)[0] >= -1e-9 * np.abs(matrix).max()
+
+
+def test_joints_that_are_coupled_give_way_together_as_springs_do(fanuc: Diagnosis) -> None:
+    """The compliance of two joints, with the coupling between them, is a positive matrix."""
+    joints = list(fanuc.stiffness)
+    assert fanuc.compliance is not None
+    for finding in fanuc.findings:
+        if finding.effect == "joint_coupling":
+            first, second = (joints.index(name) for name in finding.location["joints"])
+            (between,) = (p.value for p in finding.parameters)
+            assert between**2 < fanuc.compliance[first] * fanuc.compliance[second]
+    assert {finding.effect for finding in fanuc.findings} == {"off_axis_compliance", "joint_coupling"}

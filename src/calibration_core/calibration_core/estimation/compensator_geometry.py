@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import WAVE
@@ -75,8 +76,6 @@ def _shape(field: Field, others: Accepted, state: State, joint: int, weigh: Call
         _turned(shape, weigh(pull(state, joint, shape)), basis, residual) for shape in offered if shape is not None
     ]
     starts = [start for start, _ in sorted(turned, key=lambda one: one[1])]
-    from scipy.optimize import least_squares  # slow to load, and loaded recordings do not need it
-
     fits = [least_squares(left, x, bounds=_around(x), x_scale=SCALE, max_nfev=STEPS) for x in starts[:STARTS]]
     return spring(state, joint, Triangle(*map(float, min(fits, key=lambda fit: float(fit.cost)).x)))
 

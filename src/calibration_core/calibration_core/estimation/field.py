@@ -131,7 +131,7 @@ class Trial:
         index: The hypothesis.
         sizes: Of all of them, its own last.
         gain: Of the hypothesis beside the others, nats.
-        before, after: Squares of blocks left out, per partition, (b,).
+        before, after: Squares of blocks left out, or -2 v times their log densities, per partition, (b,).
     """
 
     field: Field

@@ -185,7 +185,7 @@ class Proof:
     Attributes:
         nats: Squares saved over twice the variance.
         without_best: The same without the block that saves most.
-        share: Of the squares, that is saved.
+        share: Of the squares, that is saved; of densities it means nothing.
     """
 
     nats: float

@@ -23,10 +23,7 @@ from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.leave_out import LEAST_NATS, Proof
 from calibration_core.estimation.likelihood.gains import chance_gain
 from calibration_core.estimation.likelihood.restricted import Sizes
-from calibration_core.estimation.likelihood.small_effects import (
-    gain_at,
-    visible,
-)
+from calibration_core.estimation.likelihood.small_effects import likelihood_at, visible
 from calibration_core.timeseries import Float1D
 
 TRIED = 6  # proposals per round that may try
@@ -52,7 +49,6 @@ class Selection:
         sizes: Of all of them together.
         gain: (k,) nats, of each beside the others.
         proofs: Of each beside the others, per partition.
-        limit: Threshold, nats.
         refused: Sentences on strong hypotheses that failed.
         level: Signal-to-noise ratio of the small effects beside them, each.
     """
@@ -61,7 +57,6 @@ class Selection:
     sizes: Sizes
     gain: tuple[float, ...]
     proofs: tuple[tuple[Proof, ...], ...]
-    limit: float
     refused: tuple[str, ...]
     level: float
 
@@ -282,8 +277,7 @@ class Search(Comparisons):
         gain = tuple(self._beside(accepted, index) for index in accepted)
         proofs = tuple(trial.proofs for trial in trials)
         return Selection(
-            accepted, self.sizes(accepted), gain, proofs, self.limit, tuple(self.refused),
-            self.level(accepted),
+            accepted, self.sizes(accepted), gain, proofs, tuple(self.refused), self.level(accepted)
         )  # fmt: skip
 
     def _beside(self, accepted: Accepted, index: int) -> float:
@@ -297,7 +291,7 @@ class Search(Comparisons):
         """
         if self.demands.by_density:
             fits = self.fitted(accepted)
-            worth = {i: gain_at(fits, self.field.blocks((i,))[0], WIDE) for i in close if len(close) > 1}
+            worth = {i: likelihood_at(fits, self.field.blocks((i,))[0], WIDE) for i in close if len(close) > 1}
         else:
             worth = {i: min(one.share for one in self.trial(accepted, i).proofs) for i in close if len(close) > 1}
         for index in sorted(worth, key=lambda i: -worth[i]):
@@ -329,9 +323,10 @@ class Search(Comparisons):
         if not self.demands.by_density:
             return ""
         fits, block = self.fitted(accepted), self.field.blocks((trial.index,))[0]
-        large = trial.sizes.size[-1] > WIDE
-        if large and gain_at(fits, block, WIDE) - self.sizes(accepted).value <= self._asked(accepted, trial.index):
-            return "it would have to be far larger than it usually is"
+        if trial.sizes.size[-1] > WIDE:
+            gain = likelihood_at(fits, block, WIDE) - self.sizes(accepted).value
+            if gain <= self._asked(accepted, trial.index):
+                return "it would have to be far larger than it usually is"
         level, seen = visible(fits, block)
         out = seen >= STANDS_OUT * level or trial.gain > OVERWHELMING
         return "" if out else "it does not stand out from many small effects"

@@ -45,7 +45,7 @@ def design(
         residual=residual, null=null, columns=columns,
         configuration=configuration, candidates=candidates,
         blocks=tuple(slice(2 * k, 2 * k + 2) for k in range(places)), prior=np.ones(own + 2 + chance),
-        positive=np.array([positive] * own + [False] * (2 + chance)), discrepancy=slice(own, own + 2),
+        discrepancy=slice(own, own + 2),
         chances=tuple(last if k == 2 else slice(last.stop, last.stop) for k in range(places)),
         joints=tuple(f"joint_{k + 1}" for k in range(3 * places)),
     )  # fmt: skip
@@ -148,10 +148,17 @@ def test_a_crowd_of_small_effects_is_no_finding() -> None:
     for seed in range(20):
         d = design(50 + seed)
         field = field_of(d)
-        unit = shared_power(np.diag(field.gram.matrix), field.offered) / PRIOR_WIDTH
+        unit = shared_power(np.diag(field.gram.matrix), d.candidates, field.offered.blocks) / PRIOR_WIDTH
         crowd = d.columns[:, :16] @ (3 * unit[:16] * rng.standard_normal(16))
         named += bool(select(dataclasses.replace(d, residual=d.residual + crowd)).accepted)
     assert named <= 3
+
+
+def test_an_effect_that_cannot_be_negative_is_not_selected_where_it_would_be() -> None:
+    for sign, accepted in ((1.0, (2,)), (-1.0, ())):
+        truth = {4: sign * 0.8, 5: sign * 0.8}
+        assert select(design(3, truth, positive=True)).accepted == accepted
+        assert select(design(3, truth)).accepted == (2,)
 
 
 def test_nothing_is_selected_of_noise() -> None:

@@ -14,7 +14,7 @@ from calibration_core.estimation.likelihood.small_effects import (
     LEVELS,
     SmallEffects,
     best_gains,
-    gain_at,
+    likelihood_at,
     most_probable,
     shared_power,
     visible,
@@ -42,7 +42,7 @@ def field(seed: int, truth: dict[int, float], crowd: float = 0.0, places: int = 
     offered = offer([candidate(k, form, n) for k in range(places) for form, n in (("short", 1), ("long", 2))])
     flat, columns = rng.standard_normal((3 * READINGS, FLAT)), rng.standard_normal((3 * READINGS, offered.count))
     residual = rng.standard_normal(3 * READINGS)
-    unit = shared_power(np.einsum("ij,ij->j", columns, columns), offered)
+    unit = shared_power(np.einsum("ij,ij->j", columns, columns), offered.candidates, offered.blocks)
     residual = residual + columns @ (crowd * unit * rng.standard_normal(offered.count))
     for column, value in truth.items():
         residual = residual + value * columns[:, column]
@@ -69,7 +69,7 @@ def test_levels_are_compared_by_the_dense_likelihood(crowd: float) -> None:
     blocks = rows.blocks((1,))
     fits = SmallEffects(rows.gram, rows.offered, LEVELS).fits(blocks, None)
     assert [fit.level for fit in fits] == list(LEVELS[: len(fits)])
-    unit = shared_power(np.diag(rows.gram.matrix), rows.offered)
+    unit = shared_power(np.diag(rows.gram.matrix), rows.offered.candidates, rows.offered.blocks)
     for fit in fits:
         weight = np.minimum(fit.level * unit, 1.0)
         assert fit.sizes.value == pytest.approx(dense(rows, fit.sizes, blocks, weight), abs=1e-4)
@@ -82,7 +82,7 @@ def test_a_gain_is_by_how_much_the_best_level_with_it_is_above_the_best_without(
     rows = field(2, {2: 0.8, 7: 0.3}, 2.0)
     fits = SmallEffects(rows.gram, rows.offered, LEVELS).fits(rows.blocks((0,)), None)
     found = best_gains(fits, rows.blocks((1, 5)))
-    unit = shared_power(np.diag(rows.gram.matrix), rows.offered)
+    unit = shared_power(np.diag(rows.gram.matrix), rows.offered.candidates, rows.offered.blocks)
     known = most_probable(fits).sizes
     for k, index in enumerate((1, 5)):
         size = found.size[k] * np.sqrt(found.left[k])
@@ -115,7 +115,7 @@ def test_of_equal_explanations_the_usual_size_is_the_more_probable() -> None:
         rows.residual, wide[:, :FLAT], np.zeros((len(wide), 0)), wide[:, FLAT:], rows.offered, rows.partitions
     )
     fits = SmallEffects(other.gram, other.offered, LEVELS).fits([], None)
-    assert gain_at(fits, np.array([2]), 3.0) > gain_at(fits, np.array([5]), 3.0) + 2.0
+    assert likelihood_at(fits, np.array([2]), 3.0) > likelihood_at(fits, np.array([5]), 3.0) + 2.0
 
 
 def test_one_large_effect_stands_out_and_a_crowd_does_not() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from calibration_core.identification.statistics.offsets import Rows, whitened
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 PRIOR_WIDTH = 3.0  # standard deviations of the prior per typical size
 HELD = 1e30  # weight, 1/(rad/(N*m))^2, of a compliance that is zero by declaration
@@ -34,7 +34,6 @@ class Design:
         candidates: The hypotheses.
         blocks: Their columns.
         prior: (p,) standard deviation of every parameter, in its unit.
-        positive: (p,) whether physics allows no negative value.
         discrepancy: Columns of the structured discrepancy.
         chances: Of every candidate, the columns of what it leaves to chance.
         joints: Names of the robot's joints, from the base on.
@@ -47,7 +46,6 @@ class Design:
     candidates: tuple[Candidate, ...]
     blocks: tuple[slice, ...]
     prior: Float1D
-    positive: Bool1D
     discrepancy: slice
     chances: tuple[slice, ...]
     joints: tuple[str, ...]
@@ -94,13 +92,12 @@ def build_design(
         used: Indices of the readings used; None: all.
         chance: Whether to evaluate what candidates leave to chance; offers, of which there are thousands, do without.
     """
-    blocks, prior, positive, columns, start = [], [], [], [], 0
+    blocks, prior, columns, start = [], [], [], 0
     for candidate in candidates:
         k = len(candidate.parameters)
         scale = PRIOR_WIDTH * np.array([parameter.typical for parameter in candidate.parameters])
         columns.append(candidate.columns(state) * scale)
         prior.append(scale)
-        positive.append(np.array([parameter.positive for parameter in candidate.parameters]))
         blocks.append(slice(start, start + k))
         start += k
     extra = np.zeros((len(residual), 3, 0)) if discrepancy is None else discrepancy
@@ -109,7 +106,6 @@ def build_design(
     columns += [extra, *random]
     more = sum(part.shape[2] for part in (extra, *random))
     prior.append(np.ones(more))
-    positive.append(np.zeros(more, dtype=bool))
     data = np.concatenate([null, *columns, residual[:, :, None]], axis=2)
     white, configuration = whitened(rows, data if used is None else data[used])
     n = null.shape[2]
@@ -121,7 +117,6 @@ def build_design(
         candidates=candidates,
         blocks=tuple(blocks),
         prior=np.concatenate(prior),
-        positive=np.concatenate(positive).astype(bool),
         discrepancy=slice(start, start + extra.shape[2]),
         chances=places,
         joints=state.chain.joints,

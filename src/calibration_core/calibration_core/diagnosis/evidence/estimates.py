@@ -10,13 +10,13 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
-from calibration_core.estimation.likelihood.small_effects import MOST, sized
+from calibration_core.estimation.likelihood.small_effects import MOST, shared_power
 from calibration_core.timeseries import Float1D, Float2D
 
 RANK = 1e-10  # of the largest eigenvalue: directions below it are rounding errors
 
 
-def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | None = None) -> tuple[Float1D, Float2D]:
+def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | float = 0.0) -> tuple[Float1D, Float2D]:
     """Return values and covariance of null corrections and accepted parameters, in their units.
 
     Accepted parameters keep their (wide) priors.
@@ -24,11 +24,11 @@ def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | None =
     Args:
         design: The whitened model.
         accepted: Candidates in the model.
-        share: (p,) signal-to-noise ratio of every candidate's place in the covariance, or one of all; None: none.
+        share: (p,) signal-to-noise ratio of every candidate's place in the covariance, or one of all.
     """
     n, gram = design.n, design.gram()
     weights = np.zeros(len(design.prior))
-    if share is not None:
+    if np.any(share):
         weights[: design.discrepancy.start] = np.minimum(share * _unit(design, gram), MOST / PRIOR_WIDTH)
     own = [c for i in accepted for c in range(design.blocks[i].start, design.blocks[i].stop)]
     for i in accepted:
@@ -57,7 +57,4 @@ def _unit(design: Design, gram: Float2D) -> Float1D:
     kept = values > RANK * values[-1]
     taken = (vectors[:, kept] / np.sqrt(values[kept])).T @ (cross / scale[:, None])
     power = np.maximum(np.diag(gram)[n : n + own] - (taken**2).sum(axis=0), 0.0)
-    places: dict[object, list[slice]] = {}
-    for candidate, block in zip(design.candidates, design.blocks, strict=True):
-        places.setdefault(candidate.place, []).append(block)
-    return sized(power, places)
+    return shared_power(power, design.candidates, design.blocks)

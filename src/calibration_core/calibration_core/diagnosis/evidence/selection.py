@@ -56,7 +56,6 @@ class LoadedSelection:
         choices: In the order of evidence.
         accepted: All accepted candidates, refinements included.
         level: Signal-to-noise ratio of the small effects that remain, each.
-        limit: Threshold, nats.
         unsure: For each accepted candidate the (p,) signal-to-noise ratios that it lends to every column's place: its
             law is known to a share only, and the places that are confounded with it may hold the rest.
     """
@@ -64,15 +63,12 @@ class LoadedSelection:
     choices: tuple[Choice, ...]
     accepted: tuple[int, ...]
     level: float
-    limit: float
     unsure: tuple[Float1D, ...]
 
     @property
-    def share(self) -> Float1D | None:
-        """(p,) signal-to-noise ratio of every column's place in the covariance of the estimate; None: of none."""
-        if not self.unsure:
-            return None if self.level == 0 else np.asarray(self.level)
-        return np.maximum(np.max(self.unsure, axis=0), self.level)
+    def share(self) -> Float1D:
+        """(p,) signal-to-noise ratio of every column's place in the covariance of the estimate, or one of all."""
+        return np.maximum(self.level, np.max(np.array(self.unsure), axis=0, initial=0.0))
 
     def without(self, left_out: Sequence[Choice]) -> LoadedSelection:
         """Return the selection without some of its choices."""
@@ -107,7 +103,7 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
             choices.append(Choice(candidate, gain, _other_places(search, found, index)))
     chosen = tuple(hypotheses[index].members[0] for index in found.accepted)
     unsure = tuple(_lent(design, search, found.accepted, index) for index in found.accepted)
-    return LoadedSelection(tuple(choices), chosen, found.level, found.limit, unsure)
+    return LoadedSelection(tuple(choices), chosen, found.level, unsure)
 
 
 def field_of(design: Design) -> Field:
@@ -178,7 +174,8 @@ def _is_refinement(design: Design, choice: Choice, candidate: int, gain: float) 
 def _lent(design: Design, search: Search, accepted: Accepted, index: int) -> Float1D:
     """Return the signal-to-noise ratios, (p,), that an accepted hypothesis lends to what is confounded with it."""
     others = tuple(i for i in accepted if i != index)
-    seen = visible(search.fitted(others)[:1], search.field.blocks((index,))[0])[1]
+    without_small_effects = search.fitted(others)[:1]
+    seen = visible(without_small_effects, search.field.blocks((index,))[0])[1]
     own = design.candidates[search.field.offered.hypotheses[index].members[0]]
     lent = np.zeros(design.discrepancy.start)
     for candidate, block in zip(design.candidates, design.blocks, strict=True):

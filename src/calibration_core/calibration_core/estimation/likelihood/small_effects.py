@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -24,7 +24,8 @@ from calibration_core.estimation.hypotheses import Offered
 from calibration_core.estimation.likelihood.gains import LEAST_LEFT, Gains, Seen, beside, gains
 from calibration_core.estimation.likelihood.restricted import Gram, Sizes, fit_sizes
 from calibration_core.estimation.shifts import FAMILY
-from calibration_core.timeseries import Float1D, Int1D
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 NONE = (0.0,)
 LEVELS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5)  # signal-to-noise ratios of every place
@@ -64,7 +65,7 @@ class SmallEffects:
 
     def __init__(self, gram: Gram, offered: Offered, levels: tuple[float, ...] = NONE) -> None:
         self.levels, self.gram = levels, gram
-        self._unit = shared_power(np.diag(gram.matrix), offered) if len(levels) > 1 else np.zeros(0)
+        self._unit = shared_power(np.diag(gram.matrix), offered.candidates, offered.blocks)
         self._known: dict[float, tuple[Gram, float]] = {0.0: (gram, 0.0)}
 
     def fits(self, blocks: Sequence[Int1D], start: Sizes | None) -> tuple[LevelFit, ...]:
@@ -127,7 +128,7 @@ def visible(fits: Sequence[LevelFit], block: Int1D) -> tuple[float, float]:
     return fits[best].level, float(np.sqrt(max(float(mean @ matrix @ mean), 0.0) / left))
 
 
-def gain_at(fits: Sequence[LevelFit], block: Int1D, size: float) -> float:
+def likelihood_at(fits: Sequence[LevelFit], block: Int1D, size: float) -> float:
     """Return the log likelihood of a block of some size, typical ones, at the level that suits it best, nats."""
     several = []
     for fit in fits:
@@ -141,31 +142,27 @@ def gain_at(fits: Sequence[LevelFit], block: Int1D, size: float) -> float:
     return float(max(several))
 
 
-def _own(fit: LevelFit, block: Int1D) -> tuple[Float1D, Float1D]:
+def _own(fit: LevelFit, block: Int1D) -> tuple[Float2D, Float1D]:
     """Return A' V^-1 A (k, k) and A' V^-1 y (k,) of a block beside what was accepted."""
     taken, vector = fit.seen.of(block)
     return (fit.gram.matrix[np.ix_(block, block)] - taken.T @ taken) / fit.sizes.variance, vector
 
 
-def shared_power(power: Float1D, offered: Offered) -> Float1D:
+def shared_power(power: Float1D, candidates: Sequence[Candidate], blocks: Sequence[slice]) -> Float1D:
     """Return the sizes at which every place moves the points by as much as the noise, its forms together, (p,).
 
     Args:
         power: (p,) squares of the columns, in units of the noise.
-        offered: The hypotheses.
+        candidates: The effects; readings that moved are none.
+        blocks: Their columns.
     """
     places: dict[object, list[slice]] = {}
-    for candidate, block in zip(offered.candidates, offered.blocks, strict=True):
+    for candidate, block in zip(candidates, blocks, strict=True):
         if candidate.family != FAMILY:
             places.setdefault(candidate.place, []).append(block)
-    return sized(power, places)
-
-
-def sized(power: Float1D, places: Mapping[object, Sequence[slice]]) -> Float1D:
-    """Return the sizes at which the columns of every place add up to a square of one, (p,); zero where none counts."""
     size = np.zeros(len(power))
-    for blocks in places.values():
-        for block in blocks:
-            whole = float(power[block].sum()) * len(blocks)
+    for forms in places.values():
+        for block in forms:
+            whole = float(power[block].sum()) * len(forms)
             size[block] = whole**-0.5 if whole > 0 else 0.0
     return size

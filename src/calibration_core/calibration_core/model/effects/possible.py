@@ -83,17 +83,6 @@ def forbidden(nats: float, gain: float) -> bool:
     return nats > max(MOST_SHARE * gain, SCATTER)
 
 
-def impossibility(parameters: Sequence[Parameter], mean: Float1D, covariance: Float2D) -> float:
-    """Return by how many nats the nearest values that physics allows are less probable than an estimate.
-
-    Args:
-        parameters: k of them, one candidate's.
-        mean: (k,) their estimate.
-        covariance: (k, k) of it.
-    """
-    return nearest([parameters], mean, covariance).nats
-
-
 def out_of_bounds(parameters: Sequence[Parameter], mean: Float1D, covariance: Float2D) -> str:
     """Return why an estimate cannot be, whatever its scatter; empty if it can.
 

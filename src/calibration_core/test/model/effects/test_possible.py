@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration_core.model.effects.candidate import Parameter
-from calibration_core.model.effects.possible import forbidden, impossibility, nearest, out_of_bounds
+from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
 
 COMPLIANCE, BETWEEN = Parameter("x", "rad/(N*m)", 1e-7, positive=True), Parameter("xy", "rad/(N*m)", 1e-7)
 HINGE = (COMPLIANCE, COMPLIANCE, BETWEEN)
@@ -14,13 +14,13 @@ STD = 1e-7
 
 
 def test_what_physics_allows_costs_nothing() -> None:
-    assert impossibility(HINGE, np.array([3e-7, 3e-7, 2e-7]), STD**2 * np.eye(3)) == 0.0
-    assert impossibility((BETWEEN,), np.array([-9e-7]), np.array([[STD**2]])) == 0.0
+    assert nearest([HINGE], np.array([3e-7, 3e-7, 2e-7]), STD**2 * np.eye(3)).nats == 0.0
+    assert nearest([(BETWEEN,)], np.array([-9e-7]), np.array([[STD**2]])).nats == 0.0
 
 
 @pytest.mark.parametrize("deviations", [0.5, 2.0, 4.0])
 def test_a_negative_compliance_costs_its_distance_from_zero(deviations: float) -> None:
-    assert impossibility((COMPLIANCE,), np.array([-deviations * STD]), np.array([[STD**2]])) == pytest.approx(
+    assert nearest([(COMPLIANCE,)], np.array([-deviations * STD]), np.array([[STD**2]])).nats == pytest.approx(
         deviations**2 / 2, rel=1e-6
     )
 
@@ -28,21 +28,21 @@ def test_a_negative_compliance_costs_its_distance_from_zero(deviations: float) -
 def test_a_correlated_neighbour_gives_way() -> None:
     """With both compliances known only in their sum, a negative one is paid by the other and costs little."""
     covariance = STD**2 * np.array([[1.0, -0.99], [-0.99, 1.0]])
-    alone = impossibility((COMPLIANCE,), np.array([-2e-7]), np.array([[STD**2]]))
-    together = impossibility((COMPLIANCE, COMPLIANCE), np.array([-2e-7, 6e-7]), covariance)
+    alone = nearest([(COMPLIANCE,)], np.array([-2e-7]), np.array([[STD**2]])).nats
+    together = nearest([(COMPLIANCE, COMPLIANCE)], np.array([-2e-7, 6e-7]), covariance).nats
     assert together == pytest.approx(alone, rel=1e-3)  # the other follows by its correlation
-    apart = impossibility((COMPLIANCE, COMPLIANCE), np.array([-2e-7, 1e-7]), covariance)
+    apart = nearest([(COMPLIANCE, COMPLIANCE)], np.array([-2e-7, 1e-7]), covariance).nats
     assert apart > 10 * alone  # both cannot be raised at once
 
 
 def test_a_hinge_that_twists_without_bending_costs() -> None:
     """On a fine grid of positive matrices none is nearer."""
     mean = np.array([0.5e-7, 0.2e-7, 4e-7])
-    cost = impossibility(HINGE, mean, STD**2 * np.eye(3))
+    cost = nearest([HINGE], mean, STD**2 * np.eye(3)).nats
     side = np.linspace(0.0, 6e-7, 241)
     x, y = np.meshgrid(side, side)
-    nearest = np.minimum(mean[2], np.sqrt(x * y))
-    grid = ((x - mean[0]) ** 2 + (y - mean[1]) ** 2 + (nearest - mean[2]) ** 2).min() / (2 * STD**2)
+    between = np.minimum(mean[2], np.sqrt(x * y))
+    grid = ((x - mean[0]) ** 2 + (y - mean[1]) ** 2 + (between - mean[2]) ** 2).min() / (2 * STD**2)
     assert cost == pytest.approx(grid, rel=0.01)
     assert cost > 1.0
 
