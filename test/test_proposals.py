@@ -92,7 +92,7 @@ def case_of(scenario: Scenario, folder: Path) -> Case | None:
     right = [k for k, place in enumerate(places) if is_truth(place, truth)]
     if proposal.gain_unit != "nats" or not right:
         return None
-    measured = [Offer(0, np.array(proposal.q), np.array(proposal.steps))] * REPEATS + by_lot(offers, scenario.seed)
+    measured = [Offer(0, np.array(proposal.q), np.array(proposal.steps))] * REPEATS + by_lot(offers.each, scenario.seed)
     further = more(scenario, measured, cell, folder)
     asked = FIRST + np.arange(len(measured))
     judged = [margins(readings, cell, found, places, right[0])]

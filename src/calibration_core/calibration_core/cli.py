@@ -238,7 +238,13 @@ def _diagnose(parser: argparse.ArgumentParser) -> None:
     _recordings(parser)
     _given(parser)
     parser.add_argument(
-        "--simulation", type=Path, metavar="SIM", help="what a simulation says of the same measurement, to compare with"
+        "--simulation",
+        dest="simulations",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="SIM",
+        help="what a simulation says of the same measurement, to compare with; repeatable, for each recording",
     )
     parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
     parser.add_argument("--no-robust", action="store_true", help="use every reading, gross errors too")

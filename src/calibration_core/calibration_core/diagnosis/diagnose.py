@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.bias import with_bias
 from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.location import locate
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.geometry.named_estimate import with_known_effects
@@ -19,6 +20,7 @@ from calibration_core.identification.identify import is_loaded, with_given
 from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import without_effects
 from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.timeseries import Readings
 
@@ -39,7 +41,7 @@ def diagnose(
     options: Options | None = None,
     test: Readings | None = None,
     simulation: Readings | None = None,
-    offers: Sequence[Offer] | None = None,
+    offers: Offers | None = None,
     given: GivenModel | None = None,
 ) -> Diagnosis:
     """Say what the model of a recording leaves out.
@@ -66,16 +68,9 @@ def diagnose(
         return _judged(_with_location(readings, cell, options, test, offers, given))
     from calibration_core.diagnosis.comparison.recordings import compare  # slow to load, and seldom needed
 
-    compared = compare(readings, simulation, cell)
-    try:
+    compared = [compare(readings, simulation, cell)]
+    with mixed_up(compared):
         found = _with_location(readings, cell, options, test, offers, given)
-    except EquilibriumError as error:
-        if not compared.recording_spoiled:
-            raise
-        named = next(d for d in compared.differences if d.spoils and d.side != "simulation")
-        raise IdentificationError(
-            readings.provenance.path, named.kind, f"{named.text} There is {error}", "a recording as the cell file says"
-        ) from None
     return beside(_judged(found), compared)
 
 
@@ -111,7 +106,7 @@ def _with_location(
     cell: Cell,
     options: Options,
     test: Readings | None,
-    offers: Sequence[Offer] | None,
+    offers: Offers | None,
     given: GivenModel | None,
 ) -> Diagnosis:
     """Diagnose the recording less what is known, and say where the rest lies."""
@@ -147,11 +142,38 @@ def with_location(found: Diagnosis, cell: Cell) -> Diagnosis:
     return dataclasses.replace(found, where=where, located=(*where.sentences, *found.located))
 
 
-def beside(found: Diagnosis, compared: Comparison) -> Diagnosis:
-    """Add the comparison with a simulation; a recording that is mixed up itself lets no physics be claimed."""
-    named = tuple(difference.as_anomaly() for difference in compared.differences)
-    found = dataclasses.replace(found, comparison=compared, anomalies=(*named, *found.anomalies))
-    if not compared.recording_spoiled:
+@contextlib.contextmanager
+def mixed_up(compared: Sequence[Comparison]) -> Iterator[None]:
+    """Say of loads beyond what the joints can carry that their recording is mixed up, where a simulation shows it.
+
+    Args:
+        compared: Recordings beside their simulations.
+
+    Raises:
+        IdentificationError: There were such loads.
+    """
+    try:
+        yield
+    except EquilibriumError as error:
+        spoiled = [(one, d) for one in compared if one.recording_spoiled for d in one.differences if d.spoils]
+        named = next(((one, d) for one, d in spoiled if d.side != "simulation"), None)
+        if named is None:
+            raise
+        one, difference = named
+        found, expected = f"{difference.text} There is {error}", "a recording as the cell file says"
+        raise IdentificationError(one.recording, difference.kind, found, expected) from None
+
+
+def beside(found: Diagnosis, compared: Sequence[Comparison]) -> Diagnosis:
+    """Add comparisons with simulations; a recording that is mixed up lets no physics be claimed."""
+    together = found.identification.together is not None
+    named = [
+        dataclasses.replace(anomaly, location={**anomaly.location, RECORDING: one.recording}) if together else anomaly
+        for one in compared
+        for anomaly in (difference.as_anomaly() for difference in one.differences)
+    ]
+    found = dataclasses.replace(found, comparisons=tuple(compared), anomalies=(*named, *found.anomalies))
+    if not found.recording_spoiled:
         return found
     return dataclasses.replace(found, verdict="consistent", findings=(), rest=NO_PHYSICS, model=None)
 
@@ -161,7 +183,7 @@ def _diagnose(
     cell: Cell,
     options: Options,
     test: Readings | None,
-    offers: Sequence[Offer] | None,
+    offers: Offers | None,
 ) -> Diagnosis:
     # a recording needs one of the two, and each is slow to load
     if is_loaded(readings) and not (cell.measurements.points == "absolute" and holds_single_steps(readings)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -39,7 +38,7 @@ from calibration_core.diagnosis.findings.rejected_candidates import (
     rejection_sentence,
 )
 from calibration_core.diagnosis.model_estimate import loaded_estimate
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.measurements import NONE_ASKED, propose
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest, Verdict
 from calibration_core.diagnosis.tested import tested_on
@@ -89,7 +88,7 @@ def diagnose_loaded(
     cell: Cell,
     options: Options | None = None,
     test: Readings | None = None,
-    offers: Sequence[Offer] | None = None,
+    offers: Offers | None = None,
 ) -> Diagnosis:
     """Say what the model of a loaded recording leaves out.
 

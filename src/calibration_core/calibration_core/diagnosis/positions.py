@@ -22,7 +22,7 @@ from calibration_core.diagnosis.findings.geometry import geometry_findings
 from calibration_core.diagnosis.findings.positions import position_findings
 from calibration_core.diagnosis.loaded import ALIASES
 from calibration_core.diagnosis.model_estimate import positions_compliance, positions_estimate
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.measurements import NONE_ASKED, Proposals
 from calibration_core.diagnosis.proposals.postures import Known, propose_postures
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, Verdict, by_size
@@ -64,7 +64,7 @@ def diagnose_still(
     *,
     test: Readings | None = None,
     believed: ModelParameters | None = None,
-    offers: Sequence[Offer] | None = None,
+    offers: Offers | None = None,
 ) -> Diagnosis:
     """Say what the model of a recording at rest leaves out.
 
@@ -104,7 +104,7 @@ def diagnosis_of(
     cell: Cell,
     *,
     test: Readings | None = None,
-    offers: Sequence[Offer] | None = None,
+    offers: Offers | None = None,
     anomalies: tuple[Anomaly, ...] = (),
 ) -> Diagnosis:
     """Say in values and words what an estimate holds.
@@ -123,7 +123,7 @@ def diagnosis_of(
     findings = position_findings(found)
     rest = what_remains(found, readings, noise)
     findings = by_size((*findings, *_geometry(found, evaluated, rest)))
-    proposals = NONE_ASKED if offers is None else _proposals(found, readings, cell, offers)
+    proposals = NONE_ASKED if offers is None else _proposals(found, cell, offers)
     kinds = {
         "time": time_blocks(readings.configuration, REPORTED["time"]),
         "posture": posture_blocks(readings.q, readings.configuration, REPORTED["posture"]),
@@ -193,7 +193,7 @@ def _geometry(found: Estimate, evaluated: Evaluated, rest: Rest) -> tuple[Findin
     return tuple(one for one in geometry_findings(found.extended, evaluated.nominal, gain) if one.magnitude > least)
 
 
-def _proposals(found: Estimate, readings: Readings, cell: Cell, offers: Sequence[Offer]) -> Proposals:
+def _proposals(found: Estimate, cell: Cell, offers: Offers) -> Proposals:
     hypotheses, accepted = found.offered.hypotheses, found.selection.accepted
     physics = [i for i in accepted if hypotheses[i].family != FAMILY]
     places = [hypotheses[i].place for i in physics]
@@ -205,7 +205,7 @@ def _proposals(found: Estimate, readings: Readings, cell: Cell, offers: Sequence
         size = scores.size * np.sqrt(scores.left)
         sizes |= {rival: float(size[found.search.place[rival]]) for rival, _ in rivals if rival not in sizes}
     noise = max(float(np.sqrt(found.selection.sizes.variance)), 1.0)
-    return propose_postures(Known(found.field, sizes, accepted, equal, found.null.model, noise), readings, cell, offers)
+    return propose_postures(Known(found.field, sizes, accepted, equal, found.null.model, noise), cell, offers)
 
 
 def _tested(
@@ -260,7 +260,7 @@ def diagnose_mixed(
     cell: Cell,
     options: Options,
     test: Readings | None = None,
-    offers: Sequence[Offer] | None = None,
+    offers: Offers | None = None,
 ) -> Diagnosis:
     """Say what the model of a recording leaves out that holds postures at rest and loaded ones, any number of either.
 

@@ -85,7 +85,7 @@ def diagnose(
     recording: Recording | Sequence[Recording],
     *,
     test: Recording | None = None,
-    simulation: Recording | None = None,
+    simulation: Recording | Sequence[Recording] | None = None,
     model: str | Path | HoldsModel | None = None,
     robust: bool = True,
 ) -> DiagnosisResult:
@@ -95,7 +95,8 @@ def diagnose(
         recording: What was measured: angles in rad, points in m (tracker frame), wrenches in N and N*m; or several
             recordings of one robot, each with the cell of its own set-up.
         test: A further recording, in the set-up of the first, in its units and frames, predicted and not fitted.
-        simulation: What a simulation says of the same measurement; it is compared before any physics.
+        simulation: What a simulation says of the same measurement, compared before any physics; of several recordings
+            one for each, in their order, or fewer for the first ones.
         model: A model file or result to start from; its effects are known and are taken off the readings.
         robust: Set gross errors aside, by name.
 
@@ -109,7 +110,8 @@ def diagnose(
     """
     recordings, cells = recordings_of(recording)
     cell = cells[0]
-    tested, simulated = (None if one is None else one.readings for one in (test, simulation))
+    tested = None if test is None else test.readings
+    simulated = () if simulation is None else recordings_of(simulation)[0]
     given = None if model is None else given_model(model, cell)
     options = Options(robust=robust)
     return DiagnosisResult(cell, evaluate_all(recordings, cells, options, tested, simulated, given))

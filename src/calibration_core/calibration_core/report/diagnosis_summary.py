@@ -18,7 +18,7 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in words; nothing is called complete above anomalies, or a claim of noise that is too low."""
     if diagnosis.verdict != "consistent" or not diagnosis.anomalies:
         return VERDICTS[diagnosis.verdict]
-    if diagnosis.comparison is not None and diagnosis.comparison.recording_spoiled:
+    if diagnosis.recording_spoiled:
         return "no physics is claimed before recording and simulation are put right"
     if any(anomaly.kind == "noise_understated" for anomaly in diagnosis.anomalies):
         return "no missing physics is seen, but the recording is noisier than the cell file claims"
@@ -30,8 +30,9 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
     lines = [f"verdict: {diagnosis.verdict}: {headline(diagnosis)}"]
     if diagnosis.identification.together is not None:
         lines += together_lines(diagnosis.identification.together)
-    if diagnosis.comparison is not None:
-        lines += [f"simulation: {sentence}" for sentence in diagnosis.comparison.sentences]
+    for compared in diagnosis.comparisons:
+        whose = "simulation" if diagnosis.identification.together is None else f"simulation of {compared.recording}"
+        lines += [f"{whose}: {sentence}" for sentence in compared.sentences]
     lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in diagnosis.anomalies]
     for number, finding in enumerate(diagnosis.findings, start=1):
         lines.append(f"{number}. {finding.explanation}")

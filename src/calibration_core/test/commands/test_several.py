@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from program import CELL, names, result_of, run
 
 import calibration_core as cal
 from calibration_core.files.yaml_file import read_yaml, yaml_text
+from calibration_core.library.recordings import Recording
 
 
 @pytest.fixture(scope="module")
@@ -129,13 +131,58 @@ def test_one_diagnosis_of_two_recordings(
     assert fit["rms_after"] < 1.3 * fit["noise"]
 
 
-def test_a_simulation_is_compared_with_one_recording(
+def test_every_recording_is_compared_with_its_own_simulation(
+    simulated: Path, later: Path, moved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recordings = (simulated / "measurements.csv", later / "measurements.csv")
+    cells = ("--cell", CELL, "--cell", moved)
+    sims = tuple(argument for path in recordings for argument in ("--simulation", path))
+    out = tmp_path / "out"
+    assert run("diagnose", *recordings, *cells, *sims, "--out", out) == 0
+    result = result_of(out)
+    assert result["comparison"] == result["comparisons"][0]
+    assert [one["recording"] for one in result["comparisons"]] == [str(path) for path in recordings]
+    assert max(one["step_by_step"]["rms"] for one in result["comparisons"]) < 1e-12
+    assert (result["verdict"], result["anomalies"]) == ("consistent", [])
+    files = [one["file"] for one in result["input"]["sha256"] if one["role"] == "simulation"]
+    assert len(files) == 2
+    shown, text = (out / "report.html").read_text(encoding="utf-8"), capsys.readouterr().out
+    for path in recordings:
+        assert f"{path} and its simulation" in shown
+        assert f"simulation of {path}: The core's model reproduces" in text
+    first, second = (
+        cal.load_recording(path, cal.load_cell(cell)) for path, cell in zip(recordings, cells[1::2], strict=True)
+    )
+    alone = cal.diagnose([first, second], simulation=first)
+    assert [one.recording for one in alone.diagnosis.comparisons] == [str(recordings[0])]
+
+
+def test_what_a_simulation_says_of_one_recording_names_it(
+    simulated: Path, later: Path, moved: Path, tmp_path: Path
+) -> None:
+    recordings = (simulated / "measurements.csv", later / "measurements.csv")
+    first, second = (
+        cal.load_recording(path, cal.load_cell(cell)) for path, cell in zip(recordings, (CELL, moved), strict=True)
+    )
+    turned = dataclasses.replace(second.readings, wrench=-np.array(second.readings.wrench))
+    other = Recording(turned, second.cell)
+    found = cal.diagnose([first, second], simulation=[first, other]).diagnosis
+    (anomaly,) = [one for one in found.anomalies if one.kind == "wrench_sign"]
+    assert anomaly.location == {"sensor": "force_torque", "recording": str(recordings[1])}
+    assert found.comparisons[1].differences[0].side == "simulation"
+    assert found.verdict == "consistent"
+
+
+def test_more_simulations_than_recordings_are_refused(
     simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = simulated / "measurements.csv"
-    recordings = (table, later / "measurements.csv")
-    assert run("diagnose", *recordings, "--cell", CELL, "--simulation", table, "--out", tmp_path / "out") == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    sims = ("--simulation", table) * 3
+    arguments = (table, later / "measurements.csv", "--cell", CELL, *sims, "--out", tmp_path / "out")
+    assert run("diagnose", *arguments) == 2
+    error = capsys.readouterr().err
+    assert "--simulation: found 3 simulations, expected 2 at most" in error
+    assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

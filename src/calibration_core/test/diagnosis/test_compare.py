@@ -212,4 +212,5 @@ def test_no_physics_is_claimed_of_a_recording_that_is_mixed_up(
     good = diagnose(recorded, cell, simulation=dataclasses.replace(simulated, wrench=-np.array(simulated.wrench)))
     assert good.verdict == "consistent"
     assert good.held_out_after == pytest.approx(good.noise, rel=0.2)
-    assert Path(good.comparison.simulation if good.comparison else "").name == "simulated.csv"
+    (compared,) = good.comparisons
+    assert Path(compared.simulation).name == "simulated.csv"

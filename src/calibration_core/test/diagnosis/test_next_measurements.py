@@ -95,7 +95,7 @@ def test_offers_keep_the_limits(cell: Cell) -> None:
     assert offers
     assert levels_of(readings) == (0.0, 0.5, 1.0, 0.5, 0.0)
     largest = np.linalg.norm(np.array(readings.wrench)[:, :3], axis=1).max()
-    for offer in offers:
+    for offer in offers.each:
         assert np.abs(offer.q).max() < 3.0
         force = np.linalg.norm(offer.steps[:, :3], axis=1)
         assert force[0] == 0.0

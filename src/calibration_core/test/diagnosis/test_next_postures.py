@@ -13,6 +13,7 @@ from absolute_cases import SIGMA, make_cell, make_readings, random_angles, truth
 from calibration_core.cell import Cell
 from calibration_core.commands.evaluation.candidate_measurements import offers_for, proposed_plan
 from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.postures import NO_POSTURE, NOTHING_FOUND, Known, propose_postures
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.estimation.estimate import estimate
@@ -85,7 +86,7 @@ def test_what_cannot_be_told_apart_gets_a_posture_that_parts_it(cell: Cell) -> N
     known = known_of(cell, readings, ("transmission_error", "joint_2", "order 4"))
     offers = offers_for(readings, cell)
     assert offers
-    found = propose_postures(known, readings, cell, offers)
+    found = propose_postures(known, cell, offers)
     first, second = found.measurements[:2]
     assert first.gain_unit == "nats"
     assert "order 3" in first.why
@@ -102,7 +103,9 @@ def test_what_no_posture_parts_is_said(cell: Cell) -> None:
     known = known_of(
         cell, readings, ("transmission_error", "joint_2", "order 2")
     )  # itself: as exact as an alias can be
-    found = propose_postures(known, readings, cell, offers_for(readings, cell) or ())
+    offers = offers_for(readings, cell)
+    assert offers
+    found = propose_postures(known, cell, offers)
     assert "transmission error (order 2) at joint_2" in found.text
     assert [m.gain_unit for m in found.measurements] == ["%"] * 3
 
@@ -161,5 +164,5 @@ def test_where_nothing_is_found_nothing_is_proposed(cell: Cell) -> None:
 
 def test_without_a_posture_to_measure_it_says_so(cell: Cell) -> None:
     readings = recorded(cell, random_angles(SEED, CONFIGURATIONS, 6), 2)
-    found = diagnose(readings, cell, offers=())
+    found = diagnose(readings, cell, offers=Offers.of((), readings, cell))
     assert (found.next_measurements, found.next_text) == ((), NO_POSTURE)

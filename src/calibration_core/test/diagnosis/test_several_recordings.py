@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,17 @@ import pytest
 from robots import STIFFNESS
 from several_cases import measured, setup, together
 
+from calibration_core.commands.evaluation.candidate_measurements import offers_for
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.evidence.extended import loaded_state
+from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.identification.stiffness.loaded import prepare_loaded
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.words import effect_sentence
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.outcomes.together.agreement import agreement
 from calibration_core.outcomes.together.diagnose import diagnose_together
+from calibration_core.timeseries import Readings
 
 SIZES = {"compliance_x": 6e-8, "compliance_y": 5e-8, "compliance_xy": 1e-8}  # rad/(N*m)
 TILT = AppliedEffect("off_axis_compliance", {"joint": "joint_2"}, "before", SIZES)
@@ -123,6 +127,52 @@ def test_what_is_left_out_at_rest_is_shared_too(tmp_path: Path) -> None:
     assert found.model.effects[0].parameters["cosine"] == pytest.approx(4e-4, abs=4e-5)
     assert found.identification.together is not None
     assert found.identification.together.disagreements == ()
+
+
+def test_what_is_proposed_for_the_first_set_up_is_worth_what_it_says(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    recordings = [measured(cell, k, 70 + k) for k, cell in enumerate(cells)]
+    offers = offers_for(recordings[0], cells[0])
+    assert offers
+    found = diagnose_together(together(recordings, cells), offers)
+    proposal = found.next_measurements[0]
+    assert "the stiffness of joint_6" in proposal.why
+    assert proposal.gain_at_random < proposal.gain
+    assert found.next_text == "To be measured in the set-up of A.csv."
+    offer = Offer(0, np.array(proposal.q), np.array(proposal.steps))
+    further = offers.expected([offer], found.identification.model)
+    longer = added(recordings[0], further)
+    again = diagnose_together(together([longer, recordings[1]], cells))
+    before, after = found.stiffness["joint_6"], again.stiffness["joint_6"]
+    quieter = again.noise / found.noise  # readings without noise lower the noise that is seen
+    gained = 100 * (before[1] / before[0] - after[1] / after[0] / quieter)
+    assert gained == pytest.approx(proposal.gain, rel=0.2)
+
+
+@pytest.mark.parametrize("loaded", [0, 10])
+def test_postures_are_proposed_for_what_recordings_at_rest_show(loaded: int, tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    wave = AppliedEffect("transmission_error", {"joint": "joint_3"}, "order 2", {"cosine": 4e-4, "sine": -2e-4})
+    recordings = [
+        measured(cells[0], 0, 30, configurations=0, rest=60, effects=(wave,)),
+        measured(cells[1], 1, 31, configurations=loaded, rest=60, effects=(wave,)),
+    ]
+    found = diagnose_together(together(recordings, cells), offers_for(recordings[0], cells[0]))
+    assert "transmission_error" in {one.effect for one in found.physics}
+    assert len(found.next_measurements) == 3
+    assert all(proposal.gain > proposal.gain_at_random > 0 for proposal in found.next_measurements)
+
+
+def added(readings: Readings, further: Readings) -> Readings:
+    """Return a recording with further readings at its end."""
+    last = int(readings.configuration.max())
+    more = dataclasses.replace(further, configuration=further.configuration + last)
+    arrays = {
+        field.name: np.concatenate([getattr(readings, field.name), getattr(more, field.name)])
+        for field in dataclasses.fields(Readings)
+        if isinstance(getattr(readings, field.name), np.ndarray)
+    }
+    return dataclasses.replace(readings, **arrays)
 
 
 def test_what_the_standard_leaves_out_is_no_difference_between_recordings(tmp_path: Path) -> None:

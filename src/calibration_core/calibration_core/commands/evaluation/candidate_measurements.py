@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.candidates import Offer, Offers
 from calibration_core.diagnosis.result.finding import ProposedMeasurement
 from calibration_core.identification.identify import is_loaded
 from calibration_core.model.nominal import nominal_parameters
@@ -25,7 +25,7 @@ DIRECTIONS = 3  # of the load in each of these
 BATCH, BATCHES = 4000, 30
 
 
-def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ...] | None:
+def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> Offers | None:
     """Draw what could be measured next.
 
     No joint goes beyond its limits, no force beyond the rated load or the largest of the recording (the sensor has
@@ -54,12 +54,13 @@ def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> tuple[Offer, ..
         if len(found) == count:
             break
     if not loaded:
-        return tuple(Offer(k, q, np.zeros((1, 6))) for k, q in enumerate(found, start=1))
+        return Offers.of([Offer(k, q, np.zeros((1, 6))) for k, q in enumerate(found, start=1)], readings, cell)
     rules = LoadRules(directions=DIRECTIONS, largest_force=largest_force(readings))
     pulls = full_pulls(cell, parameters, rules, len(found), rng)
     levels = levels_of(readings)
     pairs = [(q, pull) for q, several in zip(found, pulls, strict=True) for pull in several]
-    return tuple(Offer(k, q, wrench_steps(pull, levels)) for k, (q, pull) in enumerate(pairs, start=1))
+    each = [Offer(k, q, wrench_steps(pull, levels)) for k, (q, pull) in enumerate(pairs, start=1)]
+    return Offers.of(each, readings, cell)
 
 
 def proposed_plan(measurements: Sequence[ProposedMeasurement], cell: Cell) -> Plan:

@@ -14,7 +14,7 @@ from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.commands.shared.population_arguments import asked_population
 from calibration_core.commands.shared.several import look_at_all, prepared_from, read_recordings
-from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.diagnose import beside, diagnose, mixed_up
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.errors import InputError
 from calibration_core.fleet.next_robot.population_file import TypePopulation
@@ -130,15 +130,19 @@ def run(arguments: argparse.Namespace) -> str:
     Raises:
         InputError: The input cannot be used, or the output cannot be written.
     """
+    asked, most = len(arguments.simulations), len(arguments.recordings)
+    if asked > most:
+        expected = f"{most} at most: one for each recording, in their order"
+        raise InputError("diagnose", "--simulation", f"{asked} simulations", expected)
     report_progress(arguments, 0.0, "reading the recording")
     cells, recordings = read_recordings(arguments)
     cell = cells[0]
     test = None if arguments.test is None else observe(arguments.test, cell)
-    simulation = None if arguments.simulation is None else observe(arguments.simulation, cell)
+    simulations = [observe(path, own) for path, own in zip(arguments.simulations, cells, strict=False)]
     given = None if arguments.model is None else read_given(arguments.model, cell)
     report_progress(arguments, 1 / 3, "looking for missing physics")
     population = asked_population(arguments, cell)
-    answer = evaluate_all(recordings, cells, Options(robust=not arguments.no_robust), test, simulation, given)
+    answer = evaluate_all(recordings, cells, Options(robust=not arguments.no_robust), test, simulations, given)
     if isinstance(answer, Diagnosed):
         answer = dataclasses.replace(answer, population=population)
     report_progress(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
@@ -151,7 +155,7 @@ def evaluate_all(
     cells: Sequence[Cell],
     options: Options,
     test: Readings | None = None,
-    simulation: Readings | None = None,
+    simulations: Sequence[Readings] = (),
     given: GivenModel | None = None,
 ) -> Diagnosed | Refusal:
     """Do what `evaluate` does with one recording, or with several of one robot together.
@@ -161,27 +165,30 @@ def evaluate_all(
         cells: One for each.
         options: How to evaluate.
         test: A recording of the first one's set-up that is predicted, not fitted.
-        simulation: Of a single recording.
+        simulations: Of the recordings, in their order; of the first ones where there are fewer.
         given: A model to start from.
 
     Raises:
         InputError: The input cannot be used.
     """
     if len(recordings) == 1:
+        simulation = next(iter(simulations), None)
         return evaluate(recordings[0], cells[0], options, test, simulation, given)
-    if simulation is not None:
-        found = f"beside {len(recordings)} recordings"
-        raise InputError("--simulation", "", found, "one recording: a simulation is compared with one measurement")
     noted = look_at_all("diagnose", recordings, cells, test, given)
     if isinstance(noted, Refusal):
         return noted
     # what evaluates several recordings is slow to load, and most commands are given one
+    from calibration_core.diagnosis.comparison.recordings import compare
     from calibration_core.outcomes.together.diagnose import diagnose_together
     from calibration_core.outcomes.together.evaluate import covered
 
-    prepared = prepared_from(recordings, cells, options, test, given)
-    result = diagnose_together(prepared)
-    result = dataclasses.replace(result, anomalies=(*result.anomalies, *noted))
+    own = zip(recordings, simulations, cells, strict=False)
+    compared = [compare(recording, simulation, cell) for recording, simulation, cell in own]
+    offers = offers_for(recordings[0], cells[0])
+    with mixed_up(compared):
+        prepared = prepared_from(recordings, cells, options, test, given)
+        found = diagnose_together(prepared, offers)
+    result = beside(dataclasses.replace(found, anomalies=(*found.anomalies, *noted)), compared)
     covers = covered(prepared, result.identification.model)
     return Diagnosed(prepared.merged.cell, prepared.merged.readings, result, covers=covers)
 

@@ -58,6 +58,7 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell) -> Comparison:
         found.append(Difference("configurations", {"robot": "robot"}, "either", 0.0, "1", text, False))
     numbers = np.unique(recorded.configuration[pairing.recorded])
     return Comparison(
+        recording=recorded.provenance.path,
         simulation=simulated.provenance.path,
         sha256=simulated.provenance.sha256,
         readings=len(pairing.recorded),

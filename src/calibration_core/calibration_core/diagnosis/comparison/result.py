@@ -105,6 +105,7 @@ class Comparison:
     """Two recordings of one measurement, one of them simulated.
 
     Attributes:
+        recording: The recording's file.
         simulation: The simulation's file.
         sha256: Of its files, by name.
         readings: How many readings correspond.
@@ -115,6 +116,7 @@ class Comparison:
         sentences: The whole in words.
     """
 
+    recording: str
     simulation: str
     sha256: Mapping[str, str]
     readings: int

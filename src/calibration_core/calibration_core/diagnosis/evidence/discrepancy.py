@@ -42,13 +42,14 @@ def _frames(state: State, frames: FrameFit) -> Float3D:
     """What the refitted frames leave open; readings of one configuration share its geometric error."""
     steps = len(state.configuration) / max(len(np.unique(state.configuration)), 1) / len(frames.points)
     std = np.sqrt(np.clip(np.diag(frames.covariance), 0.0, None) * max(steps, 1.0))
-    recordings = 1 if state.setups is None else len(state.setups.numbers)
+    recordings = 1 if state.setups is None else state.setups.count
     turned, columns = np.tile(std[3:6], recordings), []
+    points = np.zeros((len(state.configuration), 3, 3 * len(frames.points)))  # of those that no reading shows, nothing
     for effect in catalogue():
         if effect.name == "tracker_frame_misalignment":
             columns += [each_recording(one.columns, state) * turned for one in effect.candidates(state)]
         if effect.name == "measurement_point_offset":
             for candidate in effect.candidates(state):
-                point = int(str(candidate.location["point"])[1:])
-                columns.append(candidate.columns(state) * std[6 + 3 * point : 9 + 3 * point])
-    return np.concatenate(columns, axis=2)
+                own = slice(3 * (point := int(str(candidate.location["point"])[1:])), 3 * point + 3)
+                points[:, :, own] = candidate.columns(state) * std[6:][own]
+    return np.concatenate([*columns, points], axis=2)

@@ -1,12 +1,16 @@
-"""What could be measured next: configurations with loads, as a cell can apply them."""
+"""What could be measured next: configurations with loads, as a cell can apply them, and the readings expected of it."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from calibration_core.timeseries import Float1D, Float2D, read_only
+from calibration_core.cell import Cell
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.timeseries import Float1D, Float2D, Readings, read_only
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -32,6 +36,50 @@ class Offer:
     def full(self) -> Float1D:
         """(6,) N and N*m, the largest load."""
         return np.asarray(self.steps[int(np.argmax(np.linalg.norm(self.steps[:, :3], axis=1)))])
+
+
+Expected = Callable[[Sequence[Offer], ModelParameters], Readings]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Offers:
+    """What could be measured next in one set-up.
+
+    Attributes:
+        each: The offers; none where no posture is fit to be measured.
+        expected: (offers, model) -> the readings of these offers that the model expects, without noise, with points and
+            frames as those of the recording that they would be added to; configurations counted from 1.
+    """
+
+    each: tuple[Offer, ...]
+    expected: Expected
+
+    @staticmethod
+    def of(each: Sequence[Offer], readings: Readings, cell: Cell) -> Offers:
+        """Return offers that would be added to a recording.
+
+        Args:
+            each: The offers.
+            readings: The recording; its points are measured at every step.
+            cell: The cell file.
+        """
+
+        def expected(several: Sequence[Offer], parameters: ModelParameters) -> Readings:
+            numbered = [dataclasses.replace(offer, number=k) for k, offer in enumerate(several, start=1)]
+            loaded = any(np.any(offer.steps) for offer in several)
+            model = parameters if loaded else parameters.replace(wrench_point=None)
+            return _of_points(simulate_plan(numbered, cell, model), readings)
+
+        return Offers(tuple(each), expected)
+
+
+def _of_points(readings: Readings, recorded: Readings) -> Readings:
+    """Return the rows of the points that the recording holds, numbered as there."""
+    present = [recorded.points[k] for k in np.unique(recorded.point)]
+    kept = np.array([readings.points[k] in present for k in readings.point])
+    some = readings.select(kept)
+    index = np.array([recorded.points.index(readings.points[k]) for k in some.point])
+    return dataclasses.replace(some, points=recorded.points, point=index)
 
 
 def alternating(offer: Offer) -> Offer:

@@ -17,7 +17,7 @@ from calibration_core.diagnosis.evidence.design import Design, build_design
 from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel, loaded_state
 from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
-from calibration_core.diagnosis.proposals.candidates import Offer, alternating
+from calibration_core.diagnosis.proposals.candidates import Expected, Offer, Offers, alternating
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
 from calibration_core.diagnosis.result.evidence_words import odds_words
 from calibration_core.diagnosis.result.finding import ProposedMeasurement
@@ -25,8 +25,7 @@ from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.words import effect_sentence
-from calibration_core.model.simulation.simulate import simulate_plan
-from calibration_core.timeseries import Float1D, Float3D, Readings
+from calibration_core.timeseries import Float1D, Float3D
 
 PROPOSED = 3
 ROUGH = 5  # steps by which all offers are judged
@@ -51,7 +50,7 @@ class Proposals:
 def propose(
     extended: ExtendedLoadedModel,
     selection: LoadedSelection,
-    offers: Sequence[Offer],
+    offers: Offers,
     cell: Cell,
     seen: Scatter,
     frames: FrameFit | None,
@@ -66,9 +65,9 @@ def propose(
         seen: The noise.
         frames: Refitted frames; None for displacement recordings.
     """
-    if not offers:
+    if not offers.each:
         return Proposals((), "No configuration that the cell file allows could be drawn; nothing is proposed.")
-    return _Search(extended, selection, tuple(offers), cell, seen, frames).run()
+    return _Search(extended, selection, offers, cell, seen, frames).run()
 
 
 NONE_ASKED = Proposals((), "")
@@ -117,17 +116,17 @@ class _Search:
         self,
         extended: ExtendedLoadedModel,
         selection: LoadedSelection,
-        offers: tuple[Offer, ...],
+        offers: Offers,
         cell: Cell,
         seen: Scatter,
         frames: FrameFit | None,
     ) -> None:
-        self.extended, self.selection, self.offers = extended, selection, offers
+        self.extended, self.selection, self.offers, self.expected = extended, selection, offers.each, offers.expected
         self.cell, self.seen, self.frames = cell, seen, frames
         equal = (index for choice in selection.choices for index, _ in choice.equivalents)
         self.members = tuple(dict.fromkeys([*selection.accepted, *equal]))
         self.recorded = extended.design
-        self.coarse = self._table(tuple(_coarse(offer) for offer in offers))
+        self.coarse = self._table(tuple(_coarse(offer) for offer in self.offers))
         self.taken: list[_Table] = []
 
     def run(self) -> Proposals:
@@ -155,7 +154,7 @@ class _Search:
 
     def _table(self, offers: tuple[Offer, ...]) -> _Table:
         chosen = tuple(self.recorded.candidates[i] for i in self.members)
-        design, columns = _offered(self.extended, chosen, offers, self.cell, self.seen, self.frames)
+        design, columns = _offered(self.extended, chosen, offers, self.expected, self.cell, self.seen, self.frames)
         return _Table(offers, design, columns, self.members)
 
     def _best(self, judge: Judge) -> tuple[Offer, float, float] | None:
@@ -273,6 +272,7 @@ def _offered(
     extended: ExtendedLoadedModel,
     chosen: tuple[Candidate, ...],
     offers: tuple[Offer, ...],
+    expected: Expected,
     cell: Cell,
     seen: Scatter,
     frames: FrameFit | None,
@@ -280,8 +280,7 @@ def _offered(
     """Evaluate the linear model on offers; return it, and its columns (k, d, n + p) offer by offer."""
     problem = extended.problem
     parameters = problem.parameters.replace(compliance=extended.base_compliance)
-    numbered = [dataclasses.replace(offer, number=k) for k, offer in enumerate(offers, start=1)]
-    readings = _of_points(simulate_plan(numbered, cell, parameters), problem.readings)
+    readings = expected(offers, parameters)
     would = build_problem(readings, cell, problem.chain, parameters)
     linear = would.linearise(extended.base_compliance)
     rows = dataclasses.replace(linear.rows, noise=linear.rows.noise * seen.total**2)
@@ -291,15 +290,6 @@ def _offered(
     design = build_design(state, rows, linear.residual, linear.columns, chosen, extra, chance=False)
     table = np.column_stack([design.null, design.columns])
     return design, table.reshape(len(offers), -1, table.shape[1])
-
-
-def _of_points(readings: Readings, recorded: Readings) -> Readings:
-    """Return the rows of the points that the recording holds, numbered as there."""
-    present = [recorded.points[k] for k in np.unique(recorded.point)]
-    kept = np.array([readings.points[k] in present for k in readings.point])
-    some = readings.select(kept)
-    index = np.array([recorded.points.index(readings.points[k]) for k in some.point])
-    return dataclasses.replace(some, points=recorded.points, point=index)
 
 
 def measurement_of(offer: Offer, why: str, gain: float, usual: float, unit: str) -> ProposedMeasurement:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
 from calibration_core.diagnosis.proposals.measurements import PROPOSED, SEPARABLE, Proposals, measurement_of
 from calibration_core.diagnosis.result.evidence_words import odds_words
@@ -22,11 +22,10 @@ from calibration_core.estimation.hypotheses import Hypothesis, typical_sizes
 from calibration_core.estimation.rows import NullModel, state_at
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.geometry.problem import absolute_problem
-from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 HISTORY = frozenset({"approach_direction", "thermal_growth", "tracker_drift", "clock_offset"})
 NOTHING_FOUND = "Nothing was found in the positions that further postures would make more certain."
@@ -62,30 +61,29 @@ class Known:
         return self.of(index).effect not in HISTORY and self.of(index).family != FAMILY
 
 
-def propose_postures(known: Known, readings: Readings, cell: Cell, offers: Sequence[Offer]) -> Proposals:
+def propose_postures(known: Known, cell: Cell, offers: Offers) -> Proposals:
     """Choose among postures.
 
     Args:
         known: What the recording tells.
-        readings: The recording; its points are measured in every posture.
         cell: The cell file.
         offers: Postures that could be measured; their loads are not looked at.
     """
     if not any(known.by_posture(index) for index in known.accepted):
         return Proposals((), NOTHING_FOUND)
-    if not offers:
+    if not offers.each:
         return Proposals((), NO_POSTURE)
-    return _Search(known, readings, cell, offers).run()
+    return _Search(known, cell, offers).run()
 
 
 class _Search:
     """The columns of recording and offers; hypotheses are tuples of indices of candidates."""
 
-    def __init__(self, known: Known, readings: Readings, cell: Cell, offers: Sequence[Offer]) -> None:
-        self.known, self.offers = known, tuple(offers)
+    def __init__(self, known: Known, cell: Cell, offers: Offers) -> None:
+        self.known, self.offers = known, offers.each
         equal = (index for several in known.equivalents.values() for index, _ in several)
         self.members = tuple(dict.fromkeys([*known.accepted, *equal]))
-        self.null, self.columns = _offered(known, self.members, readings, cell, self.offers)
+        self.null, self.columns = _offered(known, self.members, cell, offers)
         self.taken: list[int] = []
 
     def run(self) -> Proposals:
@@ -186,27 +184,15 @@ class _Search:
         return best, float(np.median(gain))
 
 
-def _offered(
-    known: Known, members: Sequence[int], readings: Readings, cell: Cell, offers: Sequence[Offer]
-) -> tuple[Float3D, dict[int, Float3D]]:
+def _offered(known: Known, members: Sequence[int], cell: Cell, offers: Offers) -> tuple[Float3D, dict[int, Float3D]]:
     """Return the columns of the null model, (k, d, n), and of every member, (k, d, p), in units of what remains."""
-    present = np.unique(readings.point)
-    k, points = len(offers), len(present)
-    blank = Readings(
-        points=readings.points,
-        configuration=np.repeat(np.arange(1, k + 1), points),
-        step=np.zeros(k * points, dtype=np.int64),
-        point=np.tile(present, k),
-        q=np.repeat(np.stack([offer.q for offer in offers]), points, axis=0),
-        position=np.zeros((k * points, 3)),
-        wrench=None,
-        time=np.full(k * points, np.nan),
-        temperature=np.full(k * points, np.nan),
-        provenance=readings.provenance,
-    )
     model, parameters = known.model, known.model.parameters
-    seen = dataclasses.replace(blank, position=predict_readings(blank, cell, parameters))
+    unloaded = [dataclasses.replace(offer, steps=np.zeros((1, 6))) for offer in offers.each]
+    seen = offers.expected(unloaded, parameters)
     problem = absolute_problem(seen, cell, chain_of(cell), parameters, position_covariance(seen, cell))
+    names, k = model.problem.names, len(unloaded)
+    point = np.array([names.index(seen.points[p]) for p in seen.point]) if len(names) > 1 else None
+    problem = dataclasses.replace(problem, names=names, point=point)
     there = dataclasses.replace(
         model,
         readings=seen,
@@ -217,7 +203,7 @@ def _offered(
     every = np.arange(len(seen))
 
     def per_offer(columns: Float2D) -> Float3D:
-        return np.asarray(columns / known.noise).reshape(k, 3 * points, columns.shape[1])
+        return np.asarray(columns / known.noise).reshape(k, -1, columns.shape[1])
 
     null, _ = there.flat(every)
     found = {}

@@ -155,7 +155,7 @@ class Diagnosis:
         estimate: Everything accepted in `model`, with its joint covariance.
         aliases: What this kind of recording can never tell apart, in sentences.
         further_figures: More figures of the fit for result.json, by name.
-        comparison: With a simulation of the same measurement, if one was given.
+        comparisons: Of a recording with a simulation of the same measurement, as far as simulations were given.
         residual_before: (m, 3) m, what the null model leaves, without offsets where these are free.
         where: The location without a hypothesis, in numbers.
         next_text: What no further measurement of this kind can decide, or why none is proposed.
@@ -184,12 +184,17 @@ class Diagnosis:
     model: ModelParameters | None = None
     aliases: tuple[str, ...] = ()
     further_figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    comparison: Comparison | None = None
+    comparisons: tuple[Comparison, ...] = ()
     residual_before: Float2D | None = None
     where: Located | None = None
     next_text: str = ""
     compliance_covariance: Float2D | None = None
     estimate: GaussianEstimate = dataclasses.field(default_factory=GaussianEstimate.nothing)
+
+    @property
+    def recording_spoiled(self) -> bool:
+        """Whether a recording is, or may be, mixed up against its simulation."""
+        return any(one.recording_spoiled for one in self.comparisons)
 
     @property
     def physics(self) -> tuple[Finding, ...]:

@@ -49,5 +49,5 @@ def recorded_state(
         tracker=parameters.tracker,
         rated_load=cell.robot.rated_load,
         rest=rest,
-        setups=setups_of(readings),
+        setups=setups_of(readings, parameters),
     )

@@ -51,7 +51,7 @@ def each_recording(columns: Callable[[State], Float3D], state: State) -> Float3D
     return np.concatenate([_within(state, columns, number) for number in state.setups.numbers], axis=2)
 
 
-def _numbers(candidate: Candidate, state: State) -> list[int]:
+def _numbers(candidate: Candidate, state: State) -> Sequence[int]:
     """Return the recordings that an effect can be in; a measurement point is of one alone."""
     assert state.setups is not None  # noqa: S101 - asked for several recordings
     point = candidate.location.get("point")

@@ -11,6 +11,7 @@ import numpy as np
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import Posture, cross, linear_jacobian, turned
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import Load, gravity_torque, load_torque
 from calibration_core.model.virtual_joints import ExternalWrench, VirtualJoints
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
@@ -23,19 +24,21 @@ class SetUps:
     """Which of several recordings every reading comes from, and how the instruments of each stood.
 
     Attributes:
+        count: How many recordings there are, some of which may have none of the readings.
         recording: (m,) number of the recording, from 0.
         viewpoint: (m, 3) m, where the tracker stood, base axes.
         wrench_change: (m, 6, 6) what takes a wrench from axes and origin of its own sensor to those of the state.
     """
 
+    count: int
     recording: Int1D
     viewpoint: Float2D
     wrench_change: Float3D
 
     @property
-    def numbers(self) -> list[int]:
+    def numbers(self) -> range:
         """Numbers of the recordings."""
-        return [int(number) for number in np.unique(self.recording)]
+        return range(self.count)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -202,11 +205,12 @@ class State:
         return result
 
 
-def setups_of(readings: Readings) -> SetUps | None:
+def setups_of(readings: Readings, parameters: ModelParameters) -> SetUps | None:
     """Return how the instruments of several recordings stood; None: one recording alone."""
     if readings.recording is None or readings.viewpoint is None or readings.wrench_change is None:
         return None
-    return SetUps(readings.recording, readings.viewpoint, readings.wrench_change)
+    assert parameters.setups is not None  # noqa: S101 - several recordings begin with the frames of each
+    return SetUps(len(parameters.setups), readings.recording, readings.viewpoint, readings.wrench_change)
 
 
 def state_of(

@@ -9,6 +9,7 @@ from calibration_core.diagnosis.diagnose import diagnose, holds_single_steps, wi
 from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.diagnosis.findings.registration import registration_findings
 from calibration_core.diagnosis.loaded import FRAMES_SPOILED
+from calibration_core.diagnosis.proposals.candidates import Offer, Offers
 from calibration_core.diagnosis.result.finding import Alternative, Diagnosis, Finding, Location, Verdict, by_size
 from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.result.estimate import Anomaly
@@ -25,6 +26,7 @@ from calibration_core.outcomes.together.evaluate import (
     with_recording,
 )
 from calibration_core.outcomes.together.prepare import Prepared
+from calibration_core.timeseries import Readings
 
 EFFECTS = "effects."
 SET_UP = {RECORDING, "point"}  # what the place of an effect names that does not belong to the robot
@@ -36,17 +38,21 @@ BESIDE_FINDINGS: dict[Verdict, Verdict] = {
 }
 
 
-def diagnose_together(prepared: Prepared) -> Diagnosis:
+def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagnosis:
     """Say what the model of all recordings together leaves out.
 
-    A finding of the robot is shared by all of them; one of a set-up names its recording.  No measurement is proposed:
-    a proposal belongs to one set-up.
+    A finding of the robot is shared by all of them; one of a set-up names its recording.
+
+    Args:
+        prepared: The recordings.
+        offers: What could be measured next in the first recording's set-up; None: nothing is proposed.
 
     Raises:
         InputError: They cannot be evaluated together.
     """
     merged = prepared.merged
-    found = diagnose(merged.readings, merged.cell, prepared.options, prepared.test)
+    next_ones = None if offers is None else _beside_all(offers, prepared)
+    found = diagnose(merged.readings, merged.cell, prepared.options, prepared.test, offers=next_ones)
     shared = [] if found.model is None else [one for one in found.model.effects if not SET_UP & set(one.location)]
     if prepared.given is not None:
         found = with_given_effects(found, prepared.given)
@@ -58,6 +64,7 @@ def diagnose_together(prepared: Prepared) -> Diagnosis:
     if model is not None:
         model, estimate = _of_first(model, estimate, prepared)
     anomalies = located_anomalies(found.anomalies, prepared)
+    where = f"To be measured in the set-up of {prepared.members[prepared.first].file}."
     registered = _registered(prepared, anomalies)
     return dataclasses.replace(
         found,
@@ -65,9 +72,19 @@ def diagnose_together(prepared: Prepared) -> Diagnosis:
         identification=identification,
         findings=by_size((*(_located(one, prepared) for one in found.findings), *registered)),
         anomalies=(*anomalies, *as_anomalies(together.disagreements)),
+        next_text=" ".join(filter(None, (where if found.next_measurements else "", found.next_text))),
         model=model,
         estimate=estimate,
     )
+
+
+def _beside_all(offers: Offers, prepared: Prepared) -> Offers:
+    """Return offers for the first recording's set-up, whose readings are expected as they would stand beside all."""
+
+    def expected(several: Sequence[Offer], parameters: ModelParameters) -> Readings:
+        return prepared.placed(offers.expected(several, of_first(parameters, prepared)))
+
+    return Offers(offers.each, expected)
 
 
 def _registered(prepared: Prepared, anomalies: Sequence[Anomaly]) -> list[Finding]:

@@ -48,6 +48,10 @@ class Prepared:
         """Index of the recording that was named first: model file and test belong to its set-up."""
         return self.named[0]
 
+    def placed(self, readings: Readings) -> Readings:
+        """Return further readings of the first recording's set-up, as they stand beside those of all."""
+        return _placed(readings, self.members, self.alone, self.first, self.merged)
+
 
 def prepare(
     members: Sequence[Member],
@@ -84,12 +88,18 @@ def prepare(
     if test is not None:
         own, member = known[first], freed[first]
         bare = test if own is None else without_effects(test, member.cell, own)
-        reference = wrench_reference(freed, first)
-        like = dataclasses.replace(member, readings=bare)
-        test = placed(like, alone[first], (freed[reference], alone[reference]), merged.readings.points)
+        test = _placed(bare, freed, alone, first, merged)
     together = dataclasses.replace(options, start=start_of(believed, merged))
     starts = tuple(None if own is None else own.start for own in known)
     return Prepared(tuple(freed), tuple(alone), tuple(named), merged, together, known[first], test, starts)
+
+
+def _placed(
+    readings: Readings, members: Sequence[Member], alone: Sequence[Identification], first: int, merged: Merged
+) -> Readings:
+    reference = wrench_reference(members, first)
+    like = dataclasses.replace(members[first], readings=readings)
+    return placed(like, alone[first], (members[reference], alone[reference]), merged.readings.points)
 
 
 def _own(given: GivenModel | None, member: Member) -> GivenModel | None:

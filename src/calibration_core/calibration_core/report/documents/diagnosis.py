@@ -64,8 +64,9 @@ def diagnosis_document(
     sections = []
     if null.together is not None:
         sections.append(Section("Recordings evaluated together", "", together_blocks(null.together, null.stiffness)))
-    if found.comparison is not None:
-        sections.append(Section("Recording and simulation", "", comparison_blocks(found.comparison)))
+    for compared in found.comparisons:
+        title = "Recording and simulation" if null.together is None else f"{compared.recording} and its simulation"
+        sections.append(Section(title, "", comparison_blocks(compared)))
     sections.append(Section("Where recording and model differ", "", where_blocks(found)))
     sections += [
         Section(f"Finding {number}: {_title(finding)}", "", finding_blocks(finding))

@@ -50,7 +50,10 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
     content["blocks"] = {kind: {"before": b, "after": a} for kind, (b, a) in diagnosis.blocks.items()}
     content["test"] = None if diagnosis.test is None else vars(diagnosis.test)
     content["aliases"] = list(diagnosis.aliases)
-    content["comparison"] = None if diagnosis.comparison is None else comparison_dict(diagnosis.comparison)
+    compared = [comparison_dict(one) for one in diagnosis.comparisons]
+    content["comparison"] = compared[0] if compared else None
+    if diagnosis.identification.together is not None:
+        content["comparisons"] = compared
     return with_light({key: plain(value) for key, value in content.items()})
 
 
@@ -108,14 +111,20 @@ def _extended(joint: JointStiffness, diagnosis: Diagnosis) -> JointStiffness:
 
 def further_files(diagnosis: Diagnosis) -> dict[str, Mapping[str, str]]:
     """Return role -> file -> SHA-256 of second recording, given model and simulation, where there are any."""
-    files = tested(diagnosis.identification)
-    return files if diagnosis.comparison is None else {**files, "simulation": diagnosis.comparison.sha256}
+    files, compared = tested(diagnosis.identification), diagnosis.comparisons
+    if not compared:
+        return files
+    if len(compared) == 1:
+        return {**files, "simulation": compared[0].sha256}
+    each = {f"{one.simulation}: {name}": digest for one in compared for name, digest in one.sha256.items()}
+    return {**files, "simulation": each}
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
     """Return the comparison with a simulation as plain values."""
     steps = comparison.steps
     return {
+        "recording": comparison.recording,
         "simulation": comparison.simulation,
         "readings": comparison.readings,
         "configurations": comparison.configurations,
