@@ -16,7 +16,7 @@ from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.geometry.named_estimate import with_known_effects
-from calibration_core.identification.identify import is_loaded, with_given
+from calibration_core.identification.identify import holds_single_steps, is_loaded, with_given
 from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import without_effects
 from calibration_core.identification.stiffness.loaded import Options
@@ -195,9 +195,3 @@ def _diagnose(
     if not is_loaded(readings):
         return diagnose_still(readings, cell, test=test, believed=options.start, offers=offers)
     return diagnose_mixed(readings, cell, options, test, offers)
-
-
-def holds_single_steps(readings: Readings) -> bool:
-    """Say whether any configuration has one step alone."""
-    pairs = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
-    return bool(np.any(np.unique(pairs[:, 0], return_counts=True)[1] == 1))

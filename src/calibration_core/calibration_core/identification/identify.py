@@ -26,6 +26,12 @@ def is_loaded(readings: Readings) -> bool:
     return readings.wrench is not None and len(keys) > len(np.unique(readings.configuration))
 
 
+def holds_single_steps(readings: Readings) -> bool:
+    """Say whether any configuration has one step alone."""
+    pairs = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
+    return bool(np.any(np.unique(pairs[:, 0], return_counts=True)[1] == 1))
+
+
 def identify(
     readings: Readings,
     cell: Cell,

@@ -40,6 +40,21 @@ def test_a_cause_at_the_robot_is_shared(tmp_path: Path) -> None:
     assert found.identification.together is not None
 
 
+def test_a_cause_at_the_robot_is_shared_by_displacements_and_positions(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, points, sigma=2e-5) for k, points in enumerate(("displacement", "absolute"))]
+    recordings = [measured(cell, k, 40 + k, effects=(TILT,)) for k, cell in enumerate(cells)]
+    offers = offers_for(recordings[0], cells[0])
+    found = diagnose_together(together(recordings, cells, test=recordings[0]), offers)
+    (finding,) = [one for one in found.findings if one.family == "structure"]
+    assert (finding.effect, dict(finding.location)) == ("off_axis_compliance", {"joint": "joint_2"})
+    for parameter in finding.parameters:
+        assert parameter.value == pytest.approx(TILT.parameters[parameter.name], abs=4 * parameter.std)
+    assert not found.rest.significant
+    assert found.test is not None
+    assert found.test.rms < 1.2 * found.noise
+    assert len(found.next_measurements) == 3
+
+
 def test_a_cause_in_a_set_up_names_its_recording(tmp_path: Path) -> None:
     cells = [setup(tmp_path, k, sigma=2e-5) for k in range(3)]
     gain = AppliedEffect("wrench_gain", {"sensor": "force_torque"}, "fx", {"gain_fx": 0.05})

@@ -52,6 +52,32 @@ def test_what_is_shared_is_recovered_and_known_better(points: str, tmp_path: Pat
     assert [one.noise for one in found.together.contributions] == pytest.approx([2e-5, 4e-5, 6e-5])
 
 
+def test_displacements_and_positions_are_put_together(tmp_path: Path) -> None:
+    kinds = ("absolute", "displacement", "absolute")
+    cells = [setup(tmp_path, k, points) for k, points in enumerate(kinds)]
+    recordings = loaded(cells, 10)
+    prepared = together(recordings, cells)
+    found = identify_together(prepared)
+    assert np.abs((values(found) - TRUE) / deviations(found)).max() < 3.5
+    as_positions = [setup(tmp_path, k) for k in range(3)]
+    expected = identify_together(together(loaded(as_positions, 10), as_positions))
+    np.testing.assert_allclose(values(found), values(expected), rtol=2e-3)  # frames are fitted alone here
+    np.testing.assert_allclose(deviations(found), deviations(expected), rtol=0.05)
+    assert found.together is not None
+    assert found.together.disagreements == ()
+    assert [one.tracker is None for one in found.together.contributions] == [False, True, False]
+    assert set(found.model.points) == set(cells[0].points)
+    assert {"tracker.x", "measurement_points.mp1.x"} <= set(found.estimate.names)
+
+
+@pytest.mark.parametrize("configurations", [0, 8])
+def test_postures_at_rest_beside_displacements_are_refused(configurations: int, tmp_path: Path) -> None:
+    cells = [setup(tmp_path, 0, "displacement"), setup(tmp_path, 1)]
+    recordings = [measured(cells[0], 0, 1), measured(cells[1], 1, 2, configurations=configurations, rest=20)]
+    with pytest.raises(InputError, match=r"^B.csv: step: found postures with one step, expected several steps"):
+        together(recordings, cells)
+
+
 def test_equal_recordings_narrow_the_intervals_by_the_root_of_their_number(tmp_path: Path) -> None:
     cells = cells_in(tmp_path, sigma=2e-5)
     same = [measured(cell, k, 4) for k, cell in enumerate(cells)]  # the same postures and loads, another set-up
@@ -200,9 +226,6 @@ def test_what_does_not_fit_together_is_refused(tmp_path: Path) -> None:
     readings = measured(cells[0], 0, 1)
     with pytest.raises(InputError, match=r"the same content as in A\.csv, expected every recording once"):
         members_of([readings, dataclasses.replace(readings)], [cells[0], cells[0]])
-    displaced = setup(tmp_path, 1, "displacement")
-    with pytest.raises(InputError, match=r"measurements\.points: found displacement beside absolute"):
-        members_of([readings, measured(displaced, 1, 2)], [cells[0], displaced])
 
 
 @pytest.mark.slow

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from calibration_core.diagnosis.diagnose import diagnose, holds_single_steps, with_given_effects
+from calibration_core.diagnosis.diagnose import diagnose, with_given_effects
 from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.diagnosis.findings.registration import registration_findings
 from calibration_core.diagnosis.loaded import FRAMES_SPOILED
 from calibration_core.diagnosis.proposals.candidates import Offer, Offers
 from calibration_core.diagnosis.result.finding import Alternative, Diagnosis, Finding, Location, Verdict, by_size
-from calibration_core.identification.identify import is_loaded
+from calibration_core.identification.identify import holds_single_steps, is_loaded
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
 from calibration_core.model.effects.recordings import RECORDING

@@ -95,7 +95,7 @@ def of_first(model: ModelParameters, prepared: Prepared) -> ModelParameters:
 def estimate_of_first(estimate: GaussianEstimate, prepared: Prepared) -> GaussianEstimate:
     """Return what is known of the numbers of `of_first`: what is shared, and the first recording's points and tracker.
 
-    The tracker pose is known as the first recording shows it by itself.
+    The tracker pose, and points that displacements do not show, are known as the first recording shows them by itself.
     """
     member = prepared.members[prepared.first]
     mark = f"@{member.number}."
@@ -104,8 +104,8 @@ def estimate_of_first(estimate: GaussianEstimate, prepared: Prepared) -> Gaussia
     shared = estimate.chosen(kept)
     shared = shared.renamed([name.replace(mark, ".") for name in shared.names])
     alone = prepared.alone[prepared.first].estimate
-    pose = [k for k, name in enumerate(alone.names) if name.startswith(TRACKER)]
-    return GaussianEstimate.independent((shared, alone.chosen(pose)))
+    own = [k for k, name in enumerate(alone.names) if name.startswith(others) and name not in shared.names]
+    return GaussianEstimate.independent((shared, alone.chosen(own)))
 
 
 def covered(prepared: Prepared, model: ModelParameters) -> ValidRange:

@@ -12,6 +12,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.cell.identity import robot_sha256
 from calibration_core.errors import InputError, RecordingError, quoted
+from calibration_core.identification.identify import holds_single_steps
 from calibration_core.timeseries import Readings
 
 
@@ -101,12 +102,12 @@ def _same_robot(cells: Sequence[Cell]) -> None:
 
 
 def _same_convention(recordings: Sequence[Readings], cells: Sequence[Cell]) -> None:
-    first = cells[0].measurements
     loaded = [cell for readings, cell in zip(recordings, cells, strict=True) if readings.wrench is not None]
-    for cell in cells[1:]:
-        if cell.measurements.points != first.points:
-            found = f"{cell.measurements.points} beside {first.points} in {cells[0].path}"
-            raise InputError(cell.path, "measurements.points", found, "the same kind of positions in all recordings")
+    if displacements(cells):
+        for readings, cell in zip(recordings, cells, strict=True):
+            if cell.measurements.points == "absolute" and holds_single_steps(readings):
+                expected = "several steps in every configuration, for they stand beside displacements"
+                raise RecordingError(readings.provenance.path, "step", "postures with one step", expected)
     for cell in loaded[1:]:
         if cell.measurements.wrench_axes != loaded[0].measurements.wrench_axes:
             found = f"{cell.measurements.wrench_axes} beside {loaded[0].measurements.wrench_axes} in {loaded[0].path}"
@@ -115,6 +116,11 @@ def _same_convention(recordings: Sequence[Readings], cells: Sequence[Cell]) -> N
         unknown = [name for name in readings.points if "@" in name]
         if unknown:
             raise InputError(cell.path, "frames.measurement_points", quoted(unknown[0]), "names of points without @")
+
+
+def displacements(cells: Sequence[Cell]) -> bool:
+    """Say whether recordings are evaluated as displacements from their first steps: all are, as soon as one is."""
+    return any(cell.measurements.points == "displacement" for cell in cells)
 
 
 def numbered(member: Member) -> tuple[int, int]:

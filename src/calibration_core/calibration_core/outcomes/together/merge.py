@@ -2,7 +2,8 @@
 
 The positions of every recording are brought into the base frame by the tracker pose that it shows by itself; what that
 pose leaves open is fitted again beside everything that the recordings share (`identification.setups`).  Covariances
-are formed in the tracker's own frame first: what a tracker claims depends on where it stands.
+are formed in the tracker's own frame first: what a tracker claims depends on where it stands.  Beside a recording of
+displacements the others become displacements too: one offset per configuration and point is free in either.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import numpy as np
 
 from calibration_core.cell import Cell, Pose
 from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.stiffness.predict import from_step_zero
 from calibration_core.model.chain import rpy_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
-from calibration_core.outcomes.together.members import Member
+from calibration_core.outcomes.together.members import Member, displacements
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Provenance, Readings
 
 
@@ -48,7 +50,8 @@ def merge(members: Sequence[Member], alone: Sequence[Identification], first: int
     names = tuple(one.point(name) for one in members for name in one.readings.points)
     reference = wrench_reference(members, first)
     stated = members[reference], alone[reference]
-    parts = [placed(one, found, stated, names) for one, found in zip(members, alone, strict=True)]
+    moved = displacements([one.cell for one in members])
+    parts = [placed(one, found, stated, names, moved=moved) for one, found in zip(members, alone, strict=True)]
     return Merged(_stacked(_same_warmth(parts)), _cell(members, alone, first, reference))
 
 
@@ -59,7 +62,12 @@ def wrench_reference(members: Sequence[Member], first: int) -> int:
 
 
 def placed(
-    member: Member, found: Identification, reference: tuple[Member, Identification], names: tuple[str, ...]
+    member: Member,
+    found: Identification,
+    reference: tuple[Member, Identification],
+    names: tuple[str, ...],
+    *,
+    moved: bool,
 ) -> Readings:
     """Return a recording in the base frame, named and numbered beside the others.
 
@@ -68,10 +76,13 @@ def placed(
         found: What it, or another recording of its set-up, shows by itself.
         reference: The recording in whose axes wrenches are stated, and what it shows.
         names: Points of all recordings.
+        moved: Whether positions become displacements from the first step of their configuration and point, as they are
+            where one of the recordings holds no others.
     """
     readings, cell, model = member.readings, member.cell, found.model
     rotation, scale = model.tracker[:3, :3], found.noise.scale
-    shift = np.zeros(3) if cell.measurements.points == "displacement" else model.tracker[:3, 3]
+    position = readings.position @ rotation.T
+    position = from_step_zero(readings, position) if moved else position + model.tracker[:3, 3]
     m = len(readings)
     wrench, claim, change = np.zeros((m, 6)), np.zeros((m, 6, 6)), np.tile(np.eye(6), (m, 1, 1))
     if readings.wrench is not None:
@@ -85,7 +96,7 @@ def placed(
         points=names,
         point=np.array([names.index(member.point(name)) for name in readings.points])[readings.point],
         configuration=readings.configuration + member.first_number,
-        position=readings.position @ rotation.T + shift,
+        position=position,
         wrench=wrench,
         time=readings.time - (np.nanmin(readings.time) if np.isfinite(readings.time).any() else 0.0),
         position_covariance=None if seen is None else rotation @ seen @ rotation.T,
@@ -187,6 +198,8 @@ def _cell(members: Sequence[Member], alone: Sequence[Identification], first: int
         }
     )
     measurements = members[reference].cell.measurements
+    if displacements([one.cell for one in members]):
+        measurements = measurements.model_copy(update={"points": "displacement"})
     return cell.model_copy(update={"frames": frames, "measurements": measurements, "end_effector": None})
 
 
