@@ -24,6 +24,7 @@ class InputAnomaly:
         points: The measurement points concerned.
         axes: What to read the wrench in, where it is a frame.
         place: Where it is; empty: what the kind says.
+        recording: Of several recordings, the file of the one that it concerns; empty: one alone.
     """
 
     kind: str
@@ -36,19 +37,30 @@ class InputAnomaly:
     points: tuple[str, ...] = ()
     axes: str = ""
     place: str = ""
+    recording: str = ""
 
     @property
     def blocks(self) -> bool:
         """Whether nothing may be claimed before it is put right."""
         return self.kind != "noise_overstated"
 
-    def record(self) -> dict[str, Any]:
-        """Return it as result.json has it; keys that do not apply are left out."""
+    def of_recording(self, file: str) -> InputAnomaly:
+        """Return the same of one of several recordings, which its sentences name."""
+        text, remedy = (f"in {file}, {said}" for said in (self.text, self.remedy))
+        return dataclasses.replace(self, recording=file, text=text, remedy=remedy)
+
+    @property
+    def location(self) -> dict[str, str]:
+        """Where it is, as in a finding."""
         usual = "sensor" if self.kind.startswith("wrench") else ROBOT if self.kind in OF_ROBOT else "tracker"
         where = self.place or usual
+        return {where: where} | ({"recording": self.recording} if self.recording else {})
+
+    def record(self) -> dict[str, Any]:
+        """Return it as result.json has it; keys that do not apply are left out."""
         content: dict[str, Any] = {
             "kind": self.kind,
-            "location": {where: where},
+            "location": self.location,
             "configurations": None,
             "magnitude": self.magnitude,
             "unit": self.unit,

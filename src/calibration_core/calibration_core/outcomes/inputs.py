@@ -51,7 +51,7 @@ def blocked(found: Sequence[InputAnomaly]) -> bool:
 def as_anomalies(found: Sequence[InputAnomaly]) -> tuple[Anomaly, ...]:
     """Return what does not block as anomalies of the answer."""
     return tuple(
-        Anomaly(one.kind, {"tracker": "tracker"}, None, one.magnitude, one.unit, one.text, one.remedy)
+        Anomaly(one.kind, one.location, None, one.magnitude, one.unit, one.text, one.remedy)
         for one in found
         if not one.blocks
     )

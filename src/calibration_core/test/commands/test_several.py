@@ -173,6 +173,24 @@ def test_what_a_simulation_says_of_one_recording_names_it(
     assert found.verdict == "consistent"
 
 
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+def test_a_recording_that_is_mixed_up_is_named(
+    command: str, simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    head, *rows = (later / "measurements.csv").read_text().splitlines()
+    force = [head.split(",").index(name) for name in ("fx", "fy", "fz", "tx", "ty", "tz")]
+    turned = [[str(-float(v)) if k in force else v for k, v in enumerate(row.split(","))] for row in rows]
+    other, out = tmp_path / "turned.csv", tmp_path / "out"
+    other.write_text("\n".join([head, *map(",".join, turned)]) + "\n")
+    arguments = (simulated / "measurements.csv", other, "--cell", CELL, "--no-report", "--out", out)
+    assert run(command, *arguments) == 0
+    result = result_of(out)
+    assert result["usable"] == "no"
+    (anomaly,) = result["anomalies"]
+    assert anomaly["location"] == {"sensor": "sensor", "recording": str(other)}
+    assert f"not usable: in {other}, turn the sign of all forces" in capsys.readouterr().out
+
+
 def test_more_simulations_than_recordings_are_refused(
     simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

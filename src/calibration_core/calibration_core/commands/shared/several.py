@@ -49,7 +49,8 @@ def look_at_all(
     """
     noted: tuple[Anomaly, ...] = ()
     for k, (readings, cell) in enumerate(zip(recordings, cells, strict=True)):
-        wrong = look(readings, test if k == 0 else None, cell)
+        seen = look(readings, test if k == 0 else None, cell)
+        wrong = [one.of_recording(readings.provenance.path) for one in seen]
         if blocked(wrong):
             return Refusal.of(command, cell, readings, wrong, given)
         noted += as_anomalies(wrong)
