@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.field import Field
@@ -105,3 +106,13 @@ def test_neither_a_family_nor_what_stands_in_its_stead_holds_a_negative_member()
     assert searched(residual, flat, columns, [candidate("bending", f"joint_{k}", "one", 1) for k in range(3)]) == [
         "one"
     ]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_of_forms_that_do_exactly_as_well_the_simplest_is_named(seed: int) -> None:
+    """The turn of a base about the first joint's axis, which that joint's compliance takes up, says nothing."""
+    rng, flat, columns = drawn(seed, 2)
+    every = np.column_stack([columns, flat[:, 0], columns])
+    candidates = [candidate("rocking", "joint_1", "three", 3), candidate("rocking", "joint_1", "two", 2)]
+    residual = columns @ np.array([0.8, -0.6]) + rng.standard_normal(3 * READINGS)
+    assert searched(residual, flat, every, candidates) == ["two"]

@@ -44,12 +44,13 @@ def _frames(state: State, frames: FrameFit) -> Float3D:
     std = np.sqrt(np.clip(np.diag(frames.covariance), 0.0, None) * max(steps, 1.0))
     recordings = 1 if state.setups is None else state.setups.count
     turned, columns = np.tile(std[3:6], recordings), []
-    points = np.zeros((len(state.configuration), 3, 3 * len(frames.points)))  # of those that no reading shows, nothing
     for effect in catalogue():
         if effect.name == "tracker_frame_misalignment":
             columns += [each_recording(one.columns, state) * turned for one in effect.candidates(state)]
         if effect.name == "measurement_point_offset":
+            points = np.zeros((len(state.configuration), 3, 3 * len(frames.points)))  # none where no reading shows one
             for candidate in effect.candidates(state):
-                own = slice(3 * (point := int(str(candidate.location["point"])[1:])), 3 * point + 3)
-                points[:, :, own] = candidate.columns(state) * std[6:][own]
-    return np.concatenate([*columns, points], axis=2)
+                first = 3 * int(str(candidate.location["point"])[1:])
+                points[:, :, first : first + 3] = candidate.columns(state) * std[6 + first : 9 + first]
+            columns.append(points)
+    return np.concatenate(columns, axis=2)
