@@ -32,7 +32,7 @@ PART = 3.0  # nats that a member must gain to stand, with a few others, in an ac
 SWAP = 5.0  # nats by which a swap must be better
 MOST = 16  # hypotheses
 ROUNDS = 3  # of refinement
-ROUNDING = 1e-6  # nats, or share of the squares: forms that are closer together do as well
+DIGITS = 6  # behind the point, of nats or of a share of the squares: forms that are equal in these do as well
 FEW = 6  # members of a family that are tried in its stead
 STANDS_OUT = 2.5  # times the signal-to-noise ratio of small effects
 OVERWHELMING = 50.0  # nats beside small effects, more than the best of any crowd gains by chance
@@ -296,8 +296,7 @@ class Search(Comparisons):
             worth = {i: likelihood_at(fits, self.field.blocks((i,))[0], WIDE) for i in close if len(close) > 1}
         else:
             worth = {i: min(one.share for one in self.trial(accepted, i).proofs) for i in close if len(close) > 1}
-        simple = {i: value - ROUNDING * len(self.field.blocks((i,))[0]) for i, value in worth.items()}
-        for index in sorted(simple, key=lambda i: -simple[i]):
+        for index in sorted(worth, key=lambda i: (-round(worth[i], DIGITS), len(self.field.blocks((i,))[0]))):
             if index == close[0] or self._passes(accepted, index):
                 return index
         return close[0]
