@@ -46,7 +46,7 @@ class InputAnomaly:
 
     def of_recording(self, file: str) -> InputAnomaly:
         """Return the same of one of several recordings, which its sentences name."""
-        text, remedy = (f"in {file}, {said}" for said in (self.text, self.remedy))
+        text, remedy = (f"in {file}, {sentence}" for sentence in (self.text, self.remedy))
         return dataclasses.replace(self, recording=file, text=text, remedy=remedy)
 
     @property
