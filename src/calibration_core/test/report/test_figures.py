@@ -185,6 +185,7 @@ def test_names_are_drawn_with_the_glyphs_there_are() -> None:
     legend=st.booleans(),
 )
 @example(size=(2.5, 2.0), span=727272728.0, name="00", legend=False)  # in another style its ticks are others
+@example(size=(2.0, 2.0), span=0.029296875, name="00000", legend=False)  # where it comes to lie its ticks are others
 def test_all_labels_of_a_diagram_lie_inside_its_figure(
     size: tuple[float, float], span: float, name: str, legend: bool
 ) -> None:

@@ -45,7 +45,6 @@ MOST_MARKS = 2500
 
 _POINTS = 72.0  # per inch
 _PAD = 0.04  # inches between what is drawn and the edge
-_NEAR = 0.1  # inches: so much more or less of an axis does not change its ticks
 _PANEL = b"<!-- diagram -->\n"
 _SIZE = re.compile(rb'<svg [^>]*?\bwidth="([0-9.]+)')
 _FONTS = ["STIXGeneral", "DejaVu Sans"]
@@ -170,23 +169,29 @@ def _composed(sizes: Sequence[tuple[float, Sequence[float]]], drawn: Sequence[by
 def fit(figure: Figure) -> None:
     """Place the only diagram of a figure so that its labels end `_PAD` inside the figure's edges.
 
-    It is measured where it usually comes to lie, and again if it comes to lie elsewhere, for the length of an axis
-    decides about its ticks.  Constrained layout measures everything twice at least.
+    It is measured where it usually comes to lie, and again where it then has other ticks, for the length of an axis
+    decides about them; where two places change the ticks to and fro, there is room for either.  Constrained layout
+    measures everything twice at least.
     """
     (axes,) = figure.axes
     renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
-    margins = MARGINS
+    margins = before = MARGINS
+    _place(axes, margins / figure.get_size_inches())
     for _ in range(3):
-        before = margins
-        _place(axes, before / figure.get_size_inches())
+        ticks, before = _ticks(axes), margins
         outer = axes.get_tightbbox(renderer, for_layout_only=True)
         if outer is None:  # nothing is drawn
             return
         inner = axes.get_window_extent(renderer)
         margins = _PAD + np.abs(inner.get_points() - outer.get_points()) / figure.dpi
-        if np.max(np.abs(margins - before)) < _NEAR:
-            break
-    _place(axes, margins / figure.get_size_inches())
+        _place(axes, margins / figure.get_size_inches())
+        if _ticks(axes) == ticks:
+            return
+    _place(axes, np.maximum(margins, before) / figure.get_size_inches())
+
+
+def _ticks(axes: Axes) -> tuple[list[float], list[float]]:
+    return list(axes.get_xticks()), list(axes.get_yticks())
 
 
 def place(axes: Axes, margins: Float2D = MARGINS) -> None:
