@@ -32,7 +32,7 @@ PART = 3.0  # nats that a member must gain to stand, with a few others, in an ac
 SWAP = 5.0  # nats by which a swap must be better
 MOST = 16  # hypotheses
 ROUNDS = 3  # of refinement
-DIGITS = 6  # behind the point, of nats or of a share of the squares: forms that are equal in these do as well
+DIGITS = 6  # after the decimal point, of nats or of a share of squares, in which hypotheses are compared
 FEW = 6  # members of a family that are tried in its stead
 STANDS_OUT = 2.5  # times the signal-to-noise ratio of small effects
 OVERWHELMING = 50.0  # nats beside small effects, more than the best of any crowd gains by chance
@@ -289,7 +289,8 @@ class Search(Comparisons):
         """Return which of hypotheses that are as probable predicts blocks left out best; the first passes.
 
         Where blocks are few they do not distinguish: it is the one that is most probable were its size a usual one.
-        Of forms that do exactly as well, one with a parameter that the recording says nothing of, it is the simplest.
+        Of hypotheses that are equal in this the one with the fewest parameters comes first: a further parameter, of
+        which the recording shows nothing, leaves the likelihood as it was.
         """
         if self.demands.by_density:
             fits = self.fitted(accepted)

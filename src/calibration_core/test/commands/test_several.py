@@ -155,6 +155,8 @@ def test_every_recording_is_compared_with_its_own_simulation(
     )
     alone = cal.diagnose([first, second], simulation=first)
     assert [one.recording for one in alone.diagnosis.comparisons] == [str(recordings[0])]
+    with pytest.raises(cal.InputError, match="2 simulations, expected 1 at most"):
+        cal.diagnose(first, simulation=[first, second])
 
 
 def test_what_a_simulation_says_of_one_recording_names_it(
@@ -199,7 +201,7 @@ def test_more_simulations_than_recordings_are_refused(
     arguments = (table, later / "measurements.csv", "--cell", CELL, *sims, "--out", tmp_path / "out")
     assert run("diagnose", *arguments) == 2
     error = capsys.readouterr().err
-    assert "--simulation: found 3 simulations, expected 2 at most" in error
+    assert "simulation: found 3 simulations, expected 2 at most" in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
 

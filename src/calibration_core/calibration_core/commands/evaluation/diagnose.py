@@ -130,10 +130,7 @@ def run(arguments: argparse.Namespace) -> str:
     Raises:
         InputError: The input cannot be used, or the output cannot be written.
     """
-    asked, most = len(arguments.simulations), len(arguments.recordings)
-    if asked > most:
-        expected = f"{most} at most: one for each recording, in their order"
-        raise InputError("diagnose", "--simulation", f"{asked} simulations", expected)
+    _at_most(len(arguments.recordings), len(arguments.simulations))
     report_progress(arguments, 0.0, "reading the recording")
     cells, recordings = read_recordings(arguments)
     cell = cells[0]
@@ -171,6 +168,7 @@ def evaluate_all(
     Raises:
         InputError: The input cannot be used.
     """
+    _at_most(len(recordings), len(simulations))
     if len(recordings) == 1:
         simulation = next(iter(simulations), None)
         return evaluate(recordings[0], cells[0], options, test, simulation, given)
@@ -191,6 +189,13 @@ def evaluate_all(
     result = beside(dataclasses.replace(found, anomalies=(*found.anomalies, *noted)), compared)
     covers = covered(prepared, result.identification.model)
     return Diagnosed(prepared.merged.cell, prepared.merged.readings, result, covers=covers)
+
+
+def _at_most(recordings: int, simulations: int) -> None:
+    """Refuse more simulations than recordings."""
+    if simulations > recordings:
+        expected = f"{recordings} at most: one for each recording, in their order"
+        raise InputError("diagnose", "simulation", f"{simulations} simulations", expected)
 
 
 def evaluate(

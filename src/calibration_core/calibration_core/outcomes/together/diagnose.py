@@ -51,8 +51,8 @@ def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagn
         InputError: They cannot be evaluated together.
     """
     merged = prepared.merged
-    next_ones = None if offers is None else _beside_all(offers, prepared)
-    found = diagnose(merged.readings, merged.cell, prepared.options, prepared.test, offers=next_ones)
+    offered = None if offers is None else _beside_all(offers, prepared)
+    found = diagnose(merged.readings, merged.cell, prepared.options, prepared.test, offers=offered)
     shared = [] if found.model is None else [one for one in found.model.effects if not SET_UP & set(one.location)]
     if prepared.given is not None:
         found = with_given_effects(found, prepared.given)
@@ -64,7 +64,7 @@ def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagn
     if model is not None:
         model, estimate = _of_first(model, estimate, prepared)
     anomalies = located_anomalies(found.anomalies, prepared)
-    where = f"To be measured in the set-up of {prepared.members[prepared.first].file}."
+    set_up = f"To be measured in the set-up of {prepared.members[prepared.first].file}."
     registered = _registered(prepared, anomalies)
     return dataclasses.replace(
         found,
@@ -72,7 +72,7 @@ def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagn
         identification=identification,
         findings=by_size((*(_located(one, prepared) for one in found.findings), *registered)),
         anomalies=(*anomalies, *as_anomalies(together.disagreements)),
-        next_text=" ".join(filter(None, (where if found.next_measurements else "", found.next_text))),
+        next_text=" ".join(filter(None, (set_up if found.next_measurements else "", found.next_text))),
         model=model,
         estimate=estimate,
     )

@@ -50,9 +50,11 @@ def merge(members: Sequence[Member], alone: Sequence[Identification], first: int
     names = tuple(one.point(name) for one in members for name in one.readings.points)
     reference = wrench_reference(members, first)
     stated = members[reference], alone[reference]
-    moved = displacements([one.cell for one in members])
-    parts = [placed(one, found, stated, names, moved=moved) for one, found in zip(members, alone, strict=True)]
-    return Merged(_stacked(_same_warmth(parts)), _cell(members, alone, first, reference))
+    cell = _cell(members, alone, first, reference)
+    differences = cell.measurements.points == "displacement"
+    each = zip(members, alone, strict=True)
+    parts = [placed(one, found, stated, names, differences=differences) for one, found in each]
+    return Merged(_stacked(_same_warmth(parts)), cell)
 
 
 def wrench_reference(members: Sequence[Member], first: int) -> int:
@@ -67,7 +69,7 @@ def placed(
     reference: tuple[Member, Identification],
     names: tuple[str, ...],
     *,
-    moved: bool,
+    differences: bool,
 ) -> Readings:
     """Return a recording in the base frame, named and numbered beside the others.
 
@@ -76,13 +78,13 @@ def placed(
         found: What it, or another recording of its set-up, shows by itself.
         reference: The recording in whose axes wrenches are stated, and what it shows.
         names: Points of all recordings.
-        moved: Whether positions become displacements from the first step of their configuration and point, as they are
-            where one of the recordings holds no others.
+        differences: Whether positions become displacements from the first step of their configuration and point, as
+            they do where one of the recordings holds displacements alone.
     """
     readings, cell, model = member.readings, member.cell, found.model
     rotation, scale = model.tracker[:3, :3], found.noise.scale
     position = readings.position @ rotation.T
-    position = from_step_zero(readings, position) if moved else position + model.tracker[:3, 3]
+    position = from_step_zero(readings, position) if differences else position + model.tracker[:3, 3]
     m = len(readings)
     wrench, claim, change = np.zeros((m, 6)), np.zeros((m, 6, 6)), np.tile(np.eye(6), (m, 1, 1))
     if readings.wrench is not None:

@@ -99,8 +99,8 @@ def _placed(
 ) -> Readings:
     reference = wrench_reference(members, first)
     like = dataclasses.replace(members[first], readings=readings)
-    stated, moved = (members[reference], alone[reference]), merged.cell.measurements.points == "displacement"
-    return placed(like, alone[first], stated, merged.readings.points, moved=moved)
+    stated, differences = (members[reference], alone[reference]), merged.cell.measurements.points == "displacement"
+    return placed(like, alone[first], stated, merged.readings.points, differences=differences)
 
 
 def _own(given: GivenModel | None, member: Member) -> GivenModel | None:
