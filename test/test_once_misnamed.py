@@ -92,6 +92,16 @@ def test_friction_of_another_law_is_one_cause_with_an_open_law(tmp_path: Path) -
     assert "the form of its law is not" in finding.explanation
 
 
+def test_what_friction_of_another_law_leaves_at_its_joint_is_no_cause_of_its_own(tmp_path: Path) -> None:
+    """The rest of its loops looks like a stiffness that follows the load, and one that follows the angle."""
+    answer = answered(354, tmp_path)
+    (finding,) = answer.found.findings
+    assert (finding.effect, dict(finding.location)) == ("hysteresis", {"joint": "joint_2"})
+    assert not finding.law_settled
+    beside = {words.split()[0] for words in finding.refinements}
+    assert beside & {"nonlinear_stiffness", "pose_dependent_stiffness"}
+
+
 def test_friction_that_scatters_is_not_taken_for_noise(tmp_path: Path) -> None:
     """Uneven friction jumps from step to step as correlated noise of the tracker does, but along its joint alone."""
     found = answered(328, tmp_path).found

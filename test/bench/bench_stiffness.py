@@ -45,13 +45,13 @@ def _problem() -> tuple:
 
 def _blocks(chain, q, load, point) -> Iterator[tuple[slice, np.ndarray]]:
     """Yield the rows of a block and their observation matrix, (3, n, rows) m per rad/(N*m)."""
-    from calibration_core.model.kinematics import linear_jacobian, posture
+    from calibration_core.model.kinematics import by_axis, linear_jacobian, posture
     from calibration_core.model.statics import load_torque
 
     for start in range(0, M, BLOCK):
         rows = slice(start, start + BLOCK)
         at = posture(chain, q[rows])
-        yield rows, np.stack(linear_jacobian(at, at.point(point)), axis=1) * load_torque(at, load.rows(rows))
+        yield rows, by_axis(linear_jacobian(at, at.point(point))) * load_torque(at, load.rows(rows))
 
 
 def _deflection(chain, q, load, point, stiffness, rng) -> np.ndarray:

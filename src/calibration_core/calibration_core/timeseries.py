@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 Float1D = NDArray[np.float64]  # (n,)
 Float2D = NDArray[np.float64]  # (m, n)
 Float3D = NDArray[np.float64]  # (k, m, n)
+Float4D = NDArray[np.float64]  # (l, k, m, n)
 Int1D = NDArray[np.int64]  # (n,)
 Int2D = NDArray[np.int64]  # (m, n)
 Bool1D = NDArray[np.bool_]  # (n,)

@@ -45,8 +45,8 @@ class Reached:
 
 def jacobian(at: Posture, point: Float2D) -> Float3D:
     """Return the (k, 6, n) Jacobian of a point (3, k) m at the flange: velocity and angular velocity, base axes."""
-    linear = np.stack(linear_jacobian(at, point))
-    angular = np.stack([at.spin(i) for i in range(len(at.origin))])
+    linear = linear_jacobian(at, point)
+    angular = at.spins
     return np.moveaxis(np.concatenate([linear, angular], axis=1), (0, 1, 2), (2, 1, 0))
 
 

@@ -11,7 +11,7 @@ from calibration_core.identification.geometry.terms import CORRECTIONS, correcti
 from calibration_core.model.equilibrium import Equilibrium
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import AXES, POSE
-from calibration_core.model.kinematics import cross, turn, velocity
+from calibration_core.model.kinematics import cross, linear_jacobian, turn
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 COVERAGE = 0.95
@@ -49,8 +49,8 @@ def tool_columns(
     """
     at = rest.at
     origin = at.point(robot.tool[:3, 3] if point is None else point)
-    m, n = origin.shape[1], robot.chain.n
-    joints = np.stack([np.concatenate([velocity(at, i, origin), at.spin(i)]) for i in range(n)])  # (n, 6, m)
+    m = origin.shape[1]
+    joints = np.concatenate([linear_jacobian(at, origin), at.spins], axis=1)  # (n, 6, m)
     answer = np.einsum("iam,ijm->jam", joints, rest.amplification)
     columns = np.zeros((m, 6, len(estimate.names)))
     placed = {

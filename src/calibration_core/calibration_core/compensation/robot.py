@@ -247,10 +247,10 @@ def rows_of(rest: Equilibrium, rows: Int1D) -> Equilibrium:
     at = rest.at
     posture = dataclasses.replace(
         at,
-        before=tuple(one[..., rows] for one in at.before),
-        origin=tuple(one[..., rows] for one in at.origin),
-        body=tuple(one[..., rows] for one in at.body),
-        body_origin=tuple(one[..., rows] for one in at.body_origin),
+        before=at.before[..., rows],
+        origin=at.origin[..., rows],
+        body=at.body[..., rows],
+        body_origin=at.body_origin[..., rows],
         flange=at.flange[..., rows],
         flange_origin=at.flange_origin[..., rows],
     )

@@ -17,7 +17,7 @@ from calibration_core.errors import InputError
 from calibration_core.formats.calibrated import SEED, Deviation, Exported, ExportedRobot, flange_poses
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
-from calibration_core.model.kinematics import posture
+from calibration_core.model.kinematics import by_axis, posture
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 FILE = "corrections.csv"
@@ -148,7 +148,7 @@ def _newton(robot: ExportedRobot, q: Float2D) -> Float2D:
         vector = np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]])
         error = np.hstack([target[:, :3, 3] - here[:, :3, 3], scale * vector.T / 2])
         linear = rest.point_jacobian(np.zeros(3))
-        angular = np.stack([rest.at.spin(i) for i in range(robot.chain.n)], axis=1)
+        angular = by_axis(rest.at.spins)
         jacobian = np.concatenate([linear, scale * angular])
         jacobian = np.einsum("anm,njm->maj", jacobian, rest.amplification)
         transposed = np.swapaxes(jacobian, 1, 2)

@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.model.chain import Chain
-from calibration_core.model.kinematics import Posture, cross, dot, linear_jacobian, turn, turned
+from calibration_core.model.kinematics import Posture, by_axis, cross, dot, linear_jacobian, turn, turned
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 
@@ -50,8 +50,7 @@ def load_torque(at: Posture, load: Load) -> Float2D:
     Where a joint slides it is the force along it, N, here and below.
     """
     force, torque, point = load.in_base(at)
-    columns = linear_jacobian(at, point)
-    return np.stack([dot(column, force) + dot(at.spin(i), torque) for i, column in enumerate(columns)])
+    return dot(by_axis(linear_jacobian(at, point)), force[:, None]) + dot(by_axis(at.spins), torque[:, None])
 
 
 def gravity_torque(chain: Chain, at: Posture) -> Float2D:
@@ -59,16 +58,12 @@ def gravity_torque(chain: Chain, at: Posture) -> Float2D:
 
     Source: tau_i = a_i . sum_{k >= i} (c_k - o_i) x m_k g.
     """
-    m = at.flange_origin.shape[1]
-    torque = np.zeros((chain.n, m))
     if chain.mass is None:
-        return torque
-    gravity = np.broadcast_to(chain.gravity[:, None], (3, m))
+        return np.zeros((chain.n, at.flange_origin.shape[1]))
+    gravity = chain.gravity[:, None, None]
     mass, moment = masses_beyond(chain, at)
-    for i in range(chain.n):
-        angular, linear = at.screw(i)
-        torque[i] = dot(angular, cross(moment[i], gravity)) + mass[i] * dot(linear, gravity)
-    return torque
+    turning = dot(by_axis(at.spins), cross(by_axis(moment[:-1]), gravity))
+    return turning + mass[:-1, None] * dot(by_axis(at.shifts), gravity)
 
 
 def masses_beyond(chain: Chain, at: Posture) -> tuple[Float1D, Float3D]:
@@ -78,9 +73,9 @@ def masses_beyond(chain: Chain, at: Posture) -> tuple[Float1D, Float3D]:
     """
     mass, moment = np.zeros(chain.n + 1), np.zeros((chain.n + 1, 3, at.flange_origin.shape[1]))
     if chain.mass is not None and chain.com is not None:
-        for i in reversed(range(chain.n)):
-            mass[i] = mass[i + 1] + chain.mass[i]
-            moment[i] = moment[i + 1] + chain.mass[i] * centre_of_mass(chain, at, i)
+        turned_com = np.einsum("ik,ikam->iam", chain.com, at.body)
+        first = chain.mass[:, None, None] * (at.body_origin + turned_com)
+        mass[:-1], moment[:-1] = np.cumsum(chain.mass[::-1])[::-1], np.cumsum(first[::-1], axis=0)[::-1]
     return mass, moment
 
 
@@ -97,44 +92,30 @@ def load_torque_derivative(at: Posture, load: Load) -> Float3D:
     Source: product rule on tau_i = w_i . M + v_i . f, with (w_i, v_i) the joint's twist and (M, f) the wrench about the
     base origin; both change with a twist (w, v) by (w x w_i, w x v_i + v x w_i) and by (w x M + v x f, w x f).
     """
-    force, torque, point = load.in_base(at)
-    n, m = len(at.origin), point.shape[1]
+    force, torque, point = (vector[:, None] for vector in load.in_base(at))
     moment = torque + cross(point, force)
-    derivative = np.zeros((n, n, m))
-    screws = [at.screw(i) for i in range(n)]
-    for j, (angular, linear) in enumerate(screws):
-        if load.rotation is None:  # the force stays, and its point of action moves
-            moved, turned_force = cross(linear + cross(angular, point), force), None
-        else:
-            moved, turned_force = cross(angular, moment) + cross(linear, force), cross(angular, force)
-        for i in range(j + 1):
-            derivative[i, j] = dot(screws[i][0], moved)
-            if turned_force is not None:
-                derivative[i, j] += dot(screws[i][1], turned_force)
-        if turned_force is not None:
-            continue  # joints beyond j turn together with the wrench: their torques stay
-        for i in range(j + 1, n):
-            spin, shift = screws[i]
-            derivative[i, j] = (
-                dot(spin, moved)
-                + dot(cross(angular, spin), moment)
-                + dot(cross(angular, shift) + cross(linear, spin), force)
-            )
-    return derivative
+    spin, shift = by_axis(at.spins), by_axis(at.shifts)
+    beyond = np.tri(len(at.origin), k=-1)[:, :, None]  # joint i beyond joint j
+    if load.rotation is not None:  # joints beyond j turn together with the wrench: their torques stay
+        moved, turned_force = cross(spin, moment) + cross(shift, force), cross(spin, force)
+        return (1.0 - beyond) * (_pairs(spin, moved) + _pairs(shift, turned_force))
+    moved = cross(shift + cross(spin, point), force)  # the force stays, and its point of action moves
+    by_spin, by_shift = cross(spin, moment) + cross(shift, force), cross(spin, force)
+    return _pairs(spin, moved) + beyond * (_pairs(by_spin, spin) + _pairs(by_shift, shift))
 
 
 def gravity_torque_derivative(chain: Chain, at: Posture) -> Float3D:
     """Return the (n, n, m) derivatives d tau_i / d q_j of the gravity torques, N*m/rad (symmetric)."""
-    m = at.flange_origin.shape[1]
-    derivative = np.zeros((chain.n, chain.n, m))
+    n, m = chain.n, at.flange_origin.shape[1]
     if chain.mass is None:
-        return derivative
-    gravity = np.broadcast_to(chain.gravity[:, None], (3, m))
+        return np.zeros((n, n, m))
     mass, moment = masses_beyond(chain, at)
-    for j in range(chain.n):
-        angular, linear = at.screw(j)
-        shift = mass[j] * linear + cross(angular, moment[j])  # how the first moment of what is beyond joint j moves
-        pull = cross(shift, gravity)
-        for i in range(j + 1):
-            derivative[i, j] = derivative[j, i] = dot(at.spin(i), pull)
-    return derivative
+    spin, shift = by_axis(at.spins), by_axis(at.shifts)
+    moved = mass[:-1, None] * shift + cross(spin, by_axis(moment[:-1]))  # of the first moment beyond joint j
+    slope = _pairs(spin, cross(moved, chain.gravity[:, None, None]))
+    return np.where(np.tri(n, dtype=bool).T[:, :, None], slope, slope.transpose(1, 0, 2))
+
+
+def _pairs(first: Float3D, second: Float3D) -> Float3D:
+    """Return the (n, n, m) scalar products of all vectors i of the first, (3, n, m), with all j of the second."""
+    return np.asarray(dot(first[:, :, None], second[:, None]))

@@ -14,7 +14,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.model.chain import Chain
-from calibration_core.model.kinematics import Posture, cross, dot
+from calibration_core.model.kinematics import Posture, by_axis, by_joint, cross, dot
 from calibration_core.model.statics import masses_beyond
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -80,9 +80,8 @@ class VirtualJoints:
             by_torque: (3, n, m) m/(N*m), how the points move with a torque on each joint, K_CSM included.
         """
         self._at, self._point, self._load, self._by_torque = at, point, load, by_torque
-        self._screws = [at.screw(i) for i in range(chain.n)]
         self._external = np.concatenate([load.moment + cross(load.where, load.force), load.force])
-        self._gravity = np.broadcast_to(chain.gravity[:, None], point.shape)
+        self._gravity = chain.gravity[:, None, None]
         self._mass, self._first_moment = masses_beyond(chain, at)
         self._wrenches: dict[int, Float2D] = {}
         self._answers: dict[Cut, Float3D] = {}
@@ -121,35 +120,27 @@ class VirtualJoints:
         A joint before the cut sees the wrench beyond it move; a joint beyond moves itself, too.  Source: product rule
         on tau_i = screw_i . wrench_i.
         """
-        rows = []
-        for i, (angular, linear) in enumerate(self._screws):
-            beyond = i >= cut.joint
-            weight = max(i, cut.weight)
-            mass, first = self._mass[weight], self._first_moment[weight]
-            pulled = cross(self._gravity, angular)
-            by_turn, by_shift = cross(first, pulled), mass * pulled
-            if beyond:
-                moment, force = cross(first, self._gravity), mass * self._gravity
-                by_turn = by_turn + cross(angular, moment) + cross(linear, force)
-                by_shift = np.zeros_like(by_shift)
-            rows.append(np.concatenate([by_turn, by_shift]) + self._external_slope(angular, linear, beyond=beyond))
-        return np.stack(rows)
-
-    def _external_slope(self, angular: Float2D, linear: Float2D, *, beyond: bool) -> Float2D:
-        """Return the (6, m) share of the external load in a joint's torque per unit twist."""
-        moment, force = self._external[:3], self._external[3:]
-        if self._load.follows:
-            if beyond:  # joint and wrench move together
-                return np.zeros((6, self._point.shape[1]))
-            return np.concatenate([cross(moment, angular) + cross(force, linear), cross(force, angular)])
-        pulled = cross(force, angular)
-        by_turn = cross(self._load.where, pulled)
-        if beyond:
-            return np.concatenate([by_turn + cross(angular, moment) + cross(linear, force), np.zeros_like(pulled)])
-        return np.concatenate([by_turn, pulled])
+        n = len(self._mass) - 1
+        weight = np.maximum(np.arange(n), cut.weight)
+        mass, first = self._mass[weight, None], by_axis(self._first_moment[weight])
+        spin, shift, gravity = by_axis(self._at.spins), by_axis(self._at.shifts), self._gravity
+        moment, force = self._external[:3, None], self._external[3:, None]
+        before, beyond = slice(0, cut.joint), slice(cut.joint, n)
+        by_weight, by_force = cross(gravity, spin), cross(force, spin)
+        by_turn, by_shift = cross(first, by_weight), mass * by_weight + by_force
+        by_shift[:, beyond] = 0.0
+        by_turn[:, beyond] += (cross(spin, cross(first, gravity)) + cross(shift, mass * gravity))[:, beyond]
+        turned = cross(spin, moment) + cross(shift, force)
+        if self._load.follows:  # joints beyond and wrench move together
+            by_turn[:, before] -= turned[:, before]
+        else:
+            by_turn += cross(self._load.where[:, None], by_force)
+            by_turn[:, beyond] += turned[:, beyond]
+        return by_joint(np.concatenate([by_turn, by_shift]))
 
     def _weight(self, link: int) -> Float2D:
-        return np.concatenate([cross(self._first_moment[link], self._gravity), self._mass[link] * self._gravity])
+        first, gravity = self._first_moment[link], self._gravity[:, 0]
+        return np.concatenate([cross(first, gravity), np.broadcast_to(self._mass[link] * gravity, first.shape)])
 
 
 def rotation_twist(axis: Float2D, origin: Float2D) -> Float2D:

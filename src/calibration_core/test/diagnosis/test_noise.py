@@ -86,7 +86,7 @@ def _answer(prepared: PreparedLoaded) -> Float3D:
     problem = prepared.problem
     at = posture(problem.chain, problem.readings.q)
     points = np.array([problem.parameters.points[name] for name in problem.readings.points])[problem.readings.point].T
-    return np.stack(linear_jacobian(at, at.point(points)), axis=-1).transpose(1, 0, 2)
+    return linear_jacobian(at, at.point(points)).transpose(2, 1, 0)
 
 
 def _noise(rng: np.random.Generator) -> Float2D:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from calibration_core.errors import EquilibriumError
 from calibration_core.model.chain import Chain, rotation_rpy
+from calibration_core.model.effects.state import wrench_response
 from calibration_core.model.equilibrium import joint_torque, solve_equilibrium
 from calibration_core.model.kinematics import posture
 from calibration_core.model.statics import (
@@ -71,6 +74,20 @@ def test_equilibrium_and_its_derivative_by_compliance(chain: Chain, sensor: bool
         numeric = (moved(compliance + h) - moved(compliance - h)) / 2e-9
         np.testing.assert_allclose(exact[:, j], numeric, rtol=2e-5, atol=1e-3 * np.abs(exact).max())
         np.testing.assert_allclose(exact[:, j], numeric, atol=2e-6 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("sensor", [True, False], ids=["sensor axes", "base axes"])
+def test_the_derivative_by_the_wrench(chain: Chain, sensor: bool) -> None:
+    q, load = _angles(chain), _load(sensor)
+    compliance = np.random.default_rng(9).uniform(2e-7, 3e-6, chain.n)
+    rest = solve_equilibrium(chain, q, compliance, load)
+    exact = wrench_response(rest.loaded_point_jacobian(POINT) * compliance[:, None], rest.at, load)
+    for k in range(6):
+        name, step = ("force", "torque")[k // 3], np.eye(3)[k % 3][:, None]
+        more, less = (dataclasses.replace(load, **{name: getattr(load, name) + sign * step}) for sign in (1, -1))
+        ends = (solve_equilibrium(chain, q, compliance, one).at.point(POINT) for one in (more, less))
+        numeric = (next(ends) - next(ends)) / 2
+        np.testing.assert_allclose(exact[:, :, k].T, numeric, atol=1e-6 * np.abs(exact).max())
 
 
 def test_small_loads_give_the_linear_law_of_the_standard(chain: Chain) -> None:

@@ -31,7 +31,7 @@ def test_jacobian_and_torque_equal_pinocchio(chain: Chain) -> None:
     q = rng.uniform(-3, 3, (10, chain.n))
     force, torque = rng.normal(size=(3, 10)), rng.normal(size=(3, 10))
     at = posture(chain, q)
-    columns = np.stack(linear_jacobian(at, at.point(POINT)))
+    columns = linear_jacobian(at, at.point(POINT))
     ours = load_torque(at, Load(force, torque, POINT, None))
     gravity = gravity_torque(chain, at)
     model = pinocchio_model(chain)

@@ -11,7 +11,7 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.errors import TrajectoryError
 from calibration_core.model.chain import Chain, rotation_rpy
-from calibration_core.model.kinematics import linear_jacobian, posture
+from calibration_core.model.kinematics import by_axis, linear_jacobian, posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored, hermite_bound
@@ -51,7 +51,7 @@ def test_speeds_are_jacobians_times_rates(monitored: Monitored) -> None:
     q, rate = rng.uniform(-2, 2, (5, 6)), rng.uniform(-1, 1, (5, 6))
     speeds, at = monitored.speeds(q, rate), posture(monitored.chain, q)
     for k, point in enumerate(monitored.points, start=6):
-        columns = np.stack(linear_jacobian(at, at.point(point)), axis=1)
+        columns = by_axis(linear_jacobian(at, at.point(point)))
         expected = np.linalg.norm(np.einsum("anm,mn->am", columns, rate), axis=0)
         np.testing.assert_allclose(speeds[:, k], expected, rtol=1e-12)
     step = 1e-6

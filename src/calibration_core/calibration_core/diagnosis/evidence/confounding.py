@@ -8,6 +8,7 @@ from calibration_core.model.effects.candidate import Candidate, link_name
 
 TOOL = 1 << 20  # beyond the last joint
 MEMORY = frozenset({"hysteresis", "creep"})
+LAW = "joint law"
 DRIFTS = frozenset({"tracker_drift", "wrench_drift"})
 
 
@@ -29,10 +30,19 @@ def are_confounded(first: Candidate, second: Candidate, joints: Sequence[str]) -
         return False
     if first.family in {"load chain", "point chain"}:
         return True
-    if first.family == "joint law" and (first.effect in MEMORY) != (second.effect in MEMORY):
+    if first.family == LAW and (first.effect in MEMORY) != (second.effect in MEMORY):
         return False
-    reach = 0 if first.family == "joint law" else 1
+    reach = 0 if first.family == LAW else 1
     return any(abs(i - j) <= reach for i in parts(first.location, joints) for j in parts(second.location, joints))
+
+
+def same_deflection(first: Candidate, second: Candidate) -> bool:
+    """Say whether two candidates describe how one joint deflects about its own axis.
+
+    Where the true law has another shape than the catalogue's, such a candidate takes up what that of the joint leaves.
+    """
+    own = all(one.family == LAW or one.effect == "pose_dependent_stiffness" for one in (first, second))
+    return own and first.location == second.location
 
 
 def parts(location: Mapping[str, str | tuple[str, ...]], joints: Sequence[str]) -> tuple[int, ...]:

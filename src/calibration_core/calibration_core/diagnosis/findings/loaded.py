@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.selection import LAW, Choice, LoadedSelection
+from calibration_core.diagnosis.evidence.confounding import LAW
+from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, Location
 from calibration_core.identification.result.estimate import Identification

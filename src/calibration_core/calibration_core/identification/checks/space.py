@@ -7,7 +7,7 @@ import numpy as np
 from calibration_core.identification.result.estimate import OperatingSpace
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
-from calibration_core.model.kinematics import Posture, linear_jacobian, posture
+from calibration_core.model.kinematics import Posture, by_axis, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import Load, load_torque
 from calibration_core.timeseries import Float1D, Float2D, Readings
@@ -59,7 +59,7 @@ def _loaded(
     rest = solve_equilibrium(chain, q, parameters.compliance, load)
     own = solve_equilibrium(chain, q, parameters.compliance, None)
     deflection = (rest.at.point(point) - own.at.point(point)).T
-    jacobian = np.stack(linear_jacobian(at, at.point(point)), axis=1)
+    jacobian = by_axis(linear_jacobian(at, at.point(point)))
     linear = np.einsum("anm,nm->ma", jacobian, parameters.compliance[:, None] * load_torque(at, load))
     bent = (rest.deflection - own.deflection).T
     return deflection, bent, np.linalg.norm(deflection - linear, axis=1), load.in_base(at)[0].T
@@ -71,6 +71,6 @@ def singularity_distance(chain: Chain, at: Posture) -> Float1D:
     Taken at the origin of the last joint, translations in units of the robot's reach; (m,), dimensionless.
     Source: clause 5.4 of CWA 17384 asks for the condition of the Jacobians.
     """
-    linear = np.stack(linear_jacobian(at, at.origin[-1]), axis=-1).transpose(1, 0, 2) / max(chain.reach, 1e-9)
-    angular = np.stack([at.spin(i).T for i in range(chain.n)], axis=-1)
+    linear = linear_jacobian(at, at.origin[-1]).transpose(2, 1, 0) / max(chain.reach, 1e-9)
+    angular = at.spins.transpose(2, 1, 0)
     return np.linalg.svd(np.concatenate([linear, angular], axis=1), compute_uv=False)[:, -1]

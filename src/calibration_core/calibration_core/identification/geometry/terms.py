@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration_core.model.chain import Chain, rotation_xyz, rotation_y, rotation_z
 from calibration_core.model.equilibrium import Equilibrium
-from calibration_core.model.kinematics import Posture, turn, velocity
+from calibration_core.model.kinematics import Posture, linear_jacobian, turn
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import gravity_torque
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
@@ -252,9 +252,7 @@ class ElasticityTerm:
             torque, amplification = view.rest.torque, view.rest.amplification
         else:
             torque = gravity_torque(view.chain, view.at)
-        levers = np.empty((view.chain.n, *view.target.shape))
-        for i in range(view.chain.n):
-            levers[i] = velocity(view.at, i, view.target)
+        levers = linear_jacobian(view.at, view.target)
         for column, j in zip(out, self.joints, strict=True):
             lever = levers[j] if amplification is None else np.einsum("iam,im->am", levers, amplification[:, j])
             np.multiply(lever, 0.0 if view.chain.rigid[j] else torque[j], out=column)

@@ -53,7 +53,7 @@ def relative_stiffness(cell: Cell, q: Float2D) -> float:
         return float("nan")
     point = np.zeros(3) if parameters.wrench_point is None else parameters.wrench_point
     at = posture(chain_of(cell), q)
-    jacobian = np.stack(linear_jacobian(at, at.point(point)))  # (n, 3, m)
+    jacobian = linear_jacobian(at, at.point(point))  # (n, 3, m)
     robot = float(np.einsum("nam,n,nam->m", jacobian, parameters.compliance, jacobian).min())
     arms = np.cross(np.eye(3), point)  # motion of the point per unit rotation about each flange axis
     own = float(np.sum(tool.translation) + np.array(tool.rotation) @ np.sum(arms**2, axis=1))

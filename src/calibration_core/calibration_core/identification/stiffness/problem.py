@@ -13,7 +13,7 @@ from calibration_core.identification.statistics.offsets import Rows
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects.state import wrench_response
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
-from calibration_core.model.kinematics import linear_jacobian, posture
+from calibration_core.model.kinematics import by_axis, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.statics import Load, load_torque
@@ -124,7 +124,7 @@ class LoadedProblem:
     def _linear(self, compliance: Float1D) -> tuple[Float2D, Float3D, Float3D]:
         """Equation (6): J_MP K^-1 J_WP^T W on the undeformed geometry, K_CSM and gravity left out."""
         at = posture(self.chain, self.readings.q)
-        jacobian = np.stack(linear_jacobian(at, at.point(self._points())), axis=1)
+        jacobian = by_axis(linear_jacobian(at, at.point(self._points())))
         torque = load_torque(at, self.load)
         columns = np.moveaxis(jacobian * torque, -1, 0)
         by_wrench = wrench_response(jacobian * compliance[:, None], at, self.load)

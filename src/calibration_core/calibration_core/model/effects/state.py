@@ -301,8 +301,7 @@ def wrench_response(answer: Float3D, at: Posture, load: Load) -> Float3D:
         at: Deformed posture.
         load: External load.
     """
-    linear = np.stack(linear_jacobian(at, at.point(load.point)))  # (n, 3, m), d tau / d force in base axes
-    angular = np.stack([at.axis(i) for i in range(len(at.origin))])
+    linear, angular = linear_jacobian(at, at.point(load.point)), at.spins  # d tau / d force, d torque, base axes
     if load.rotation is not None:
         axes = turned(at.flange, load.rotation)  # columns: sensor axes in base
         linear, angular = (np.einsum("kam,nam->nkm", axes, part) for part in (linear, angular))

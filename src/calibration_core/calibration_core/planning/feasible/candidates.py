@@ -103,7 +103,7 @@ def brought(site: Site, q: Float2D, places: Float2D, low: Float1D, high: Float1D
     for _ in range(STEPS):
         at = posture(site.chain, q)
         here = at.point(middle)
-        jacobian = np.moveaxis(np.stack(linear_jacobian(at, here), axis=1), -1, 0)  # (m, 3, n)
+        jacobian = linear_jacobian(at, here).transpose(2, 1, 0)  # (m, 3, n)
         gram = jacobian @ jacobian.transpose(0, 2, 1) + DAMPING**2 * np.eye(3)
         step = np.einsum("man,ma->mn", jacobian, np.linalg.solve(gram, (places - here.T)[..., None])[..., 0])
         q = np.clip(q + np.clip(step, -0.5, 0.5), low, high)

@@ -13,7 +13,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.model.chain import Chain
 from calibration_core.model.instruments import tracker_covariance
-from calibration_core.model.kinematics import cross, linear_jacobian, posture
+from calibration_core.model.kinematics import by_axis, cross, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -103,9 +103,9 @@ def point_noise(chain: Chain, cell: Cell, parameters: ModelParameters, q: Float2
     if instrument is None or parameters.wrench_point is None or not np.any(parameters.compliance):
         return noise
     where = parameters.wrench_point if parameters.force_torque is None else parameters.force_torque[:3, 3]
-    by_force = np.stack(linear_jacobian(at, at.point(where)))  # (n, 3, m), torque per unit force at the sensor
-    by_torque = np.stack([at.spin(i) for i in range(chain.n)])
-    jacobian = np.concatenate([np.stack(linear_jacobian(at, point), axis=1) for point in points])  # (3 p, n, m)
+    by_force = linear_jacobian(at, at.point(where))  # (n, 3, m), torque per unit force at the sensor
+    by_torque = at.spins
+    jacobian = np.concatenate([by_axis(linear_jacobian(at, point)) for point in points])  # (3 p, n, m)
     for part, sigma in ((by_force, instrument.sigma_force), (by_torque, instrument.sigma_torque)):
         root = np.einsum("anm,n,nkm->mak", jacobian, parameters.compliance, part) * sigma
         noise += root @ root.transpose(0, 2, 1)
@@ -138,9 +138,9 @@ def information(
     """
     at = posture(chain, q)
     assert parameters.wrench_point is not None  # noqa: S101 - the planner has checked it
-    levers = np.stack(linear_jacobian(at, at.point(parameters.wrench_point)))  # (n, 3, m)
+    levers = linear_jacobian(at, at.point(parameters.wrench_point))  # (n, 3, m)
     torque = np.einsum("nam,mka->mkn", levers, force) * ~np.array(chain.rigid)
-    points = [np.stack(linear_jacobian(at, at.point(point)), axis=1) for point in parameters.points.values()]
+    points = [by_axis(linear_jacobian(at, at.point(point))) for point in parameters.points.values()]
     jacobian = np.moveaxis(np.concatenate(points), -1, 0)  # (m, 3 p, n)
     weight = np.linalg.solve(point_noise(chain, cell, parameters, q), jacobian)
     gram = jacobian.transpose(0, 2, 1) @ weight
@@ -168,11 +168,11 @@ def complementary_share(chain: Chain, parameters: ModelParameters, q: Float2D, f
         for i in range(j + 1):
             bent = cross(at.spin(i), levers[j])
             stiffness[..., i, j] = stiffness[..., j, i] = np.einsum("am,mka->mk", bent, force)
-    torque = np.einsum("nam,mka->mkn", np.stack(levers), force)
+    torque = np.einsum("nam,mka->mkn", levers, force)
     compliance = parameters.compliance
     extra = compliance * np.einsum("mkij,mkj->mki", stiffness, compliance * torque)
     largest = np.zeros(force.shape[:2])
     for point in parameters.points.values():
-        jacobian = np.stack(linear_jacobian(at, at.point(point)))
+        jacobian = linear_jacobian(at, at.point(point))
         largest = np.maximum(largest, np.linalg.norm(np.einsum("nam,mkn->mka", jacobian, extra), axis=2))
     return largest

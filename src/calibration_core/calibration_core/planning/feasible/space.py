@@ -152,7 +152,7 @@ def _above_floor(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
     if rules.floor is None or size == 0.0:
         return np.ones(m, dtype=bool)
     up = -site.chain.gravity / size
-    watched = np.concatenate([np.stack(at.origin[2 + site.chain.rails :]), positions(at, site.handled)])
+    watched = np.concatenate([at.origin[2 + site.chain.rails :], positions(at, site.handled)])
     height = np.einsum("pam,a->pm", watched, up)
     return np.asarray(height.min(axis=0) >= rules.floor + rules.clearance * site.chain.reach)
 
@@ -251,8 +251,8 @@ def _segment_distance(a0: Float3D, a1: Float3D, b0: Float2D, b1: Float2D) -> Flo
 
 
 def _dexterous(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
-    linear = np.stack(linear_jacobian(at, at.flange_origin)) / site.chain.reach
-    angular = np.stack([at.spin(i) for i in range(site.chain.n)])
+    linear = linear_jacobian(at, at.flange_origin) / site.chain.reach
+    angular = at.spins
     jacobian = np.concatenate([linear, angular], axis=1) if site.chain.n >= 6 else linear
     singular = np.linalg.svd(np.moveaxis(jacobian, -1, 0), compute_uv=False)
     return np.asarray(singular[:, -1] >= rules.dexterity * singular[:, 0])
