@@ -39,8 +39,9 @@ from calibration_core.diagnosis.findings.rejected_candidates import (
 )
 from calibration_core.diagnosis.model_estimate import loaded_estimate
 from calibration_core.diagnosis.proposals.candidates import Offers
-from calibration_core.diagnosis.proposals.measurements import NONE_ASKED, propose
-from calibration_core.diagnosis.result.finding import Diagnosis, Rest, Verdict
+from calibration_core.diagnosis.proposals.choose import NONE_ASKED
+from calibration_core.diagnosis.proposals.loaded import propose
+from calibration_core.diagnosis.result.finding import Diagnosis, Rest
 from calibration_core.diagnosis.tested import tested_on
 from calibration_core.identification.result.estimate import Anomaly, Identification
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
@@ -126,7 +127,7 @@ def diagnose_loaded(
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
         registered = registration_findings(prepared, extended.state, readings)
         findings = tuple(sorted((*findings, *registered), key=lambda finding: -finding.magnitude))
-    verdict = _verdict(bool(findings), rest.significant)
+    verdict = rest.verdict(found=bool(findings))
     if law is not None:
         fitted = law_findings(law, prepared.problem.chain.joints, prepared.problem.readings)
         findings = tuple(sorted((*findings, *fitted), key=lambda finding: -finding.magnitude))
@@ -327,9 +328,3 @@ def _left(attempt: Attempt) -> Scatter:
     """Take what the extended model leaves as the noise, where the steps are too few to see it."""
     _, ratio, _ = weighted_rest(attempt.extended)
     return claimed(max(1.0, attempt.seen.total * float(np.sqrt(ratio))))
-
-
-def _verdict(found: bool, significant: bool) -> Verdict:
-    if found:
-        return "partly_explained" if significant else "missing_physics"
-    return "unexplained" if significant else "consistent"

@@ -23,9 +23,9 @@ from calibration_core.diagnosis.findings.positions import position_findings
 from calibration_core.diagnosis.loaded import ALIASES
 from calibration_core.diagnosis.model_estimate import positions_compliance, positions_estimate
 from calibration_core.diagnosis.proposals.candidates import Offers
-from calibration_core.diagnosis.proposals.measurements import NONE_ASKED, Proposals
+from calibration_core.diagnosis.proposals.choose import NONE_ASKED, Proposals
 from calibration_core.diagnosis.proposals.postures import Known, propose_postures
-from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, Verdict, by_size
+from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, by_size
 from calibration_core.diagnosis.tested import tested_on
 from calibration_core.estimation.blocks import posture_blocks, time_blocks
 from calibration_core.estimation.equivalents import equivalents
@@ -134,7 +134,7 @@ def diagnosis_of(
     model = extended.parameters.replace(effects=_applied(extended, effects))
     compliance, covariance = positions_compliance(extended)
     return Diagnosis(
-        verdict=_verdict(bool(findings), rest),
+        verdict=rest.verdict(found=bool(findings)),
         findings=findings,
         anomalies=(*identification.anomalies, *anomalies, *shift_anomalies(found, readings)),
         rest=rest,
@@ -239,12 +239,6 @@ def _stiffness(extended: Extended) -> dict[str, tuple[float, float]]:
         std = float(np.sqrt(extended.covariance[first + k, first + k]))
         found[joint] = (1 / compliance, std / compliance**2) if compliance > 0 else (np.inf, np.inf)
     return found
-
-
-def _verdict(found: bool, rest: Rest) -> Verdict:
-    if found:
-        return "partly_explained" if rest.significant else "missing_physics"
-    return "unexplained" if rest.significant else "consistent"
 
 
 def _rms(residual: Float2D) -> float:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from calibration_core.identification.result.estimate import Identification, NoiseCheck
-from calibration_core.report.results.verdict import SIGNIFICANCE, rest
+from calibration_core.identification.statistics.beyond_noise import SIGNIFICANT
+from calibration_core.report.results.verdict import rest
 
 
 def with_noise(answer: Identification, seen: float, *checks: NoiseCheck, freedom: int = 1272) -> Identification:
@@ -57,7 +58,7 @@ def test_false_alarms_are_as_rare_as_stated(loaded: Identification, freedom: int
     rng = np.random.default_rng(freedom)
     seen = 2e-5 * np.sqrt(rng.chisquare(freedom, 2000) / freedom)
     alarms = sum(rest(with_noise(loaded, float(s), freedom=freedom)).significant for s in seen)
-    assert alarms <= 2000 * SIGNIFICANCE + 3 * np.sqrt(2000 * SIGNIFICANCE)
+    assert alarms <= 2000 * SIGNIFICANT + 3 * np.sqrt(2000 * SIGNIFICANT)
 
 
 def test_any_residual_exceeds_a_claim_of_no_noise(loaded: Identification) -> None:

@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from collections.abc import Mapping
+
 import numpy as np
 
 from calibration_core.diagnosis.result.finding import Rest
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.identification.checks.noise_audit import rigid_triangle
-from calibration_core.identification.statistics.distributions import f_tail
+from calibration_core.identification.statistics.beyond_noise import beyond_noise
 from calibration_core.timeseries import Bool1D, Readings
 
-SIGNIFICANT = 0.001
-SMALLEST_EXCESS = 1.05  # of the noise: a smaller residual does not matter, however certain
 MISSTATED = 1.5  # factor by which an instrument's claim may be wrong where nothing else shows the noise
 TRUSTED = 60  # degrees of freedom from which on the rigid triangle shows the noise
 SHARED = 1.0  # of the own noise, that all points of a step may share unseen by the triangle
 WORST = 5
+NOTHING = "The residual agrees with the noise."
+
+
+def compared(seen: float, freedom: float, noise: float, noise_freedom: float, per: Mapping[int, float]) -> Rest:
+    """Compare a residual with the noise, and say where it is largest.
+
+    Args:
+        seen: Standard deviation of one coordinate of the residual, m.
+        freedom: Its degrees of freedom.
+        noise: Standard deviation of one coordinate of the noise, m.
+        noise_freedom: Degrees of freedom from which it is known; infinity: it is stated.
+        per: Number of a configuration -> rms of one coordinate of its residual, m.
+    """
+    excess, significant = beyond_noise(seen, freedom, noise, noise_freedom)
+    if not significant:
+        return Rest(excess, False, {}, NOTHING)
+    worst = sorted(per, key=lambda number: -per[number])[:WORST]
+    where = {"configurations": worst, "times_noise": [round(per[number] / noise, 2) for number in worst]}
+    text = (
+        f"{1e6 * seen:.1f} µm per coordinate remain, of which {1e6 * excess:.1f} µm are more than noise "
+        f"({1e6 * noise:.1f} µm) and not explained; they are largest in configurations {', '.join(map(str, worst))}."
+    )
+    return Rest(excess, True, where, text)
 
 
 def what_remains(found: Estimate, readings: Readings, claimed: float) -> Rest:
@@ -28,33 +53,19 @@ def what_remains(found: Estimate, readings: Readings, claimed: float) -> Rest:
     """
     extended = found.extended
     used = extended.model.used
-    residual = extended.left
     freedom = max(3 * int(used.sum()) - extended.flat, 1)
     shared = extended.whitening.shared
-    variance = claimed**2 * extended.variance * (1 + shared**2)
-    floor, noise_freedom = noise_floor(readings, used, claimed, shared)
-    excess = float(np.sqrt(max(variance - floor**2, 0.0)))
-    tail = f_tail(variance / floor**2, freedom, noise_freedom)
-    if not (tail < SIGNIFICANT and np.sqrt(variance) > SMALLEST_EXCESS * floor):
-        return Rest(excess, False, {}, "The residual agrees with the noise.")
-    length = np.linalg.norm(residual, axis=1) * used
-    numbers = np.unique(readings.configuration)
-    per = np.array([float(np.sqrt(np.mean(length[readings.configuration == n] ** 2) / 3)) for n in numbers])
-    worst = np.argsort(-per)[:WORST]
-    where: dict[str, object] = {
-        "configurations": [int(numbers[k]) for k in worst],
-        "times_noise": [round(float(per[k]) / floor, 2) for k in worst],
-        "joints": followed(found),
-    }
-    text = (
-        f"{1e6 * np.sqrt(variance):.0f} µm per coordinate remain, of which {1e6 * excess:.0f} µm are more than noise "
-        f"({1e6 * floor:.0f} µm) and unexplained; largest in configurations "
-        f"{', '.join(str(int(numbers[k])) for k in worst)}."
-    )
-    return Rest(excess, True, where, text)
+    seen = claimed * float(np.sqrt(extended.variance * (1 + shared**2)))
+    length = np.linalg.norm(extended.left, axis=1) * used
+    numbers = np.unique(readings.configuration).tolist()
+    per = {n: float(np.sqrt(np.mean(length[readings.configuration == n] ** 2) / 3)) for n in numbers}
+    rest = compared(seen, freedom, *noise_floor(readings, used, claimed, shared), per)
+    if not rest.significant:
+        return rest
+    return dataclasses.replace(rest, where={**rest.where, "joints": followed(found)})
 
 
-def noise_floor(readings: Readings, used: Bool1D, claimed: float, shared: float) -> tuple[float, int]:
+def noise_floor(readings: Readings, used: Bool1D, claimed: float, shared: float) -> tuple[float, float]:
     """Return the noise, m per coordinate, and the degrees of freedom from which it is known.
 
     From the rigid triangle of several points, which shows a reading's own noise; what the points of a step share comes
@@ -62,7 +73,7 @@ def noise_floor(readings: Readings, used: Bool1D, claimed: float, shared: float)
     """
     triangle = rigid_triangle(readings.position, readings, used)
     if triangle is None or triangle.degrees_of_freedom < TRUSTED or triangle.seen <= 0:
-        return MISSTATED * claimed, 10**6
+        return MISSTATED * claimed, math.inf
     return triangle.seen * float(np.sqrt(1 + min(shared, SHARED) ** 2)), triangle.degrees_of_freedom
 
 

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 import numpy as np
 from scipy.linalg import svd
 
+from calibration_core.diagnosis.data_checks.adequacy import compared
 from calibration_core.diagnosis.data_checks.noise import Scatter
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.result.finding import Rest
-from calibration_core.identification.statistics.distributions import chi2_tail, f_tail
+from calibration_core.identification.statistics.distributions import f_tail
 from calibration_core.model.effects.possible import nearest
 from calibration_core.timeseries import Float1D, Float2D, Readings
 
-SIGNIFICANT = 0.001
 ODD = 1e-4  # chance that a clean recording holds any configuration that is called odd
-SMALLEST_EXCESS = 1.04  # of the noise: a smaller rest does not matter, however certain
 
 
 def what_remains(extended: ExtendedLoadedModel, seen: Scatter, claimed: float, readings: Readings) -> Rest:
     """Test the rest of the extended model against the noise, and say where it is largest.
 
-    F test against the noise that was seen; where none could be seen, chi-square test against the instruments' claim.
+    The noise is what was seen; where none could be seen, the instruments' claim.
 
     Args:
         extended: The extended model.
@@ -31,38 +33,29 @@ def what_remains(extended: ExtendedLoadedModel, seen: Scatter, claimed: float, r
     """
     design = extended.design
     rest, ratio, freedom = weighted_rest(extended)
+    numbers = np.unique(readings.configuration).tolist()
     trusted = seen.freedom > 0
-    if trusted:
-        sigma, tail = claimed * seen.total, f_tail(ratio, freedom, seen.freedom)
-    else:  # nothing but the claim to compare with
-        ratio *= seen.total**2
-        sigma, tail = claimed, chi2_tail(ratio * freedom, freedom)
-    excess = sigma * float(np.sqrt(max(ratio - 1, 0.0)))
-    everywhere = tail < SIGNIFICANT and np.sqrt(ratio) > SMALLEST_EXCESS
-    odd = odd_configurations(rest, design, seen) if trusted else []
-    if not everywhere and not odd:
-        return Rest(excess, False, {}, "The residual agrees with the noise.")
-    per = {int(k): float(np.mean(rest[design.configuration == k] ** 2)) for k in np.unique(design.configuration)}
-    numbers = np.unique(readings.configuration)
-    worst = sorted(per, key=lambda k: -per[k])[:5]
-    where = {
-        "configurations": [int(numbers[k]) for k in worst],
-        "times_noise": [round(per[k] ** 0.5, 2) for k in worst],
+    size = claimed * seen.total  # of one whitened row
+    per = {
+        numbers[k]: size * float(np.sqrt(np.mean(rest[design.configuration == k] ** 2)))
+        for k in np.unique(design.configuration)
     }
-    text = (
-        f"The catalogue does not explain a residual of {1e6 * excess:.1f} µm per coordinate beyond the noise; largest "
-        f"in configurations {', '.join(str(int(numbers[k])) for k in worst)}."
-    )
-    if not everywhere:
-        listed = ", ".join(str(int(numbers[k])) for k in odd)
+    noise, noise_freedom = (size, seen.freedom) if trusted else (claimed, math.inf)  # nothing but the claim
+    found = compared(size * float(np.sqrt(ratio)), freedom, noise, noise_freedom, per)
+    odd = odd_configurations(rest, design, seen) if trusted and not found.significant else []
+    if odd:
+        listed = ", ".join(str(numbers[k]) for k in odd)
         text = (
             f"Configurations {listed} do not agree with the model within the noise, the others do: repeat them; a "
             "slip, a contact or a jump is more likely than physics of the robot."
         )
-        where = {"configurations": [int(numbers[k]) for k in odd]}
-    if not trusted:
-        text += " Steps are too few to see the noise itself: it may be larger than claimed, or physics is missing."
-    return Rest(excess, True, where, text)
+        found = dataclasses.replace(
+            found, significant=True, where={"configurations": [numbers[k] for k in odd]}, text=text
+        )
+    if found.significant and not trusted:
+        more = " Steps are too few to see the noise itself: it may be larger than claimed, or physics is missing."
+        return dataclasses.replace(found, text=found.text + more)
+    return found
 
 
 def odd_configurations(rest: Float1D, design: Design, seen: Scatter) -> list[int]:

@@ -105,6 +105,12 @@ class Rest:
     where: Mapping[str, object]
     text: str
 
+    def verdict(self, *, found: bool) -> Verdict:
+        """Return what is said of a recording in which something is found, or nothing, and this remains."""
+        if found:
+            return "partly_explained" if self.significant else "missing_physics"
+        return "unexplained" if self.significant else "consistent"
+
 
 @dataclasses.dataclass(frozen=True)
 class ProposedMeasurement:

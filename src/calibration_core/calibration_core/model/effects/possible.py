@@ -61,7 +61,7 @@ def nearest(several: Sequence[Sequence[Parameter]], mean: Float1D, covariance: F
     rows = np.eye(len(mean))[positive]
     from scipy.optimize import nnls  # slow to load, and few recordings meet the bound
 
-    value, way = mean / std, np.zeros(len(mean))
+    value, way, dual = mean / std, np.zeros(len(mean)), np.zeros(len(rows))
     for _ in range(ROUNDS):
         dual, _ = nnls(lower.T @ rows.T, -target)
         way = lower.T @ (rows.T @ dual)
@@ -70,8 +70,10 @@ def nearest(several: Sequence[Sequence[Parameter]], mean: Float1D, covariance: F
         if not more:
             break
         rows = np.concatenate([rows, more])
-    value = np.where(positive & (value < JITTER * np.abs(mean / std)), 0.0, value) * std
-    held = [np.eye(len(mean))[[k]] for k in np.flatnonzero(positive & (value == 0.0))]
+    at_bound = positive & (value < JITTER * np.abs(mean / std))
+    at_bound[np.flatnonzero(positive)[dual[: positive.sum()] > 0]] = True
+    value = np.where(at_bound, 0.0, value) * std
+    held = [np.eye(len(mean))[[k]] for k in np.flatnonzero(at_bound)]
     for hinge in hinges:
         value[hinge], directions = _positive(value[hinge], std[hinge])
         held.append(_equations(directions, hinge, len(mean)))

@@ -8,13 +8,7 @@ import math
 import numpy as np
 
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.statistics.distributions import chi2_tail, f_tail
-
-SIGNIFICANCE = 0.01
-"""Level of the test: chance of calling noise a rest."""
-
-SMALLEST_EXCESS = 1.05
-"""Ratio to the noise below which a rest is too small to matter, however certain."""
+from calibration_core.identification.statistics.beyond_noise import beyond_noise
 
 MODEL_FREE = frozenset({"rigid triangle", "window scatter"})
 """Ways of seeing the noise that neither the model nor hysteresis and creep of the robot can spoil."""
@@ -31,7 +25,7 @@ class ResidualVerdict:
         noise: What it is compared with: the instruments' claim, or what was seen without the model if that is more, m.
         source: Where `noise` comes from.
         rms: The excess, sqrt(seen^2 - noise^2), m; 0 if there is none.
-        significant: Whether the excess is beyond chance (1 % level) and more than 5 % of the noise.
+        significant: Whether the excess is beyond chance and more than 5 % of the noise, see `beyond_noise`.
         configurations: Configurations with the largest rest, largest first; empty if it is not significant.
         axis: Base axis with the largest rest; empty if it is not significant.
     """
@@ -59,28 +53,17 @@ def rest(identification: Identification) -> ResidualVerdict:
             seen, freedom = check.seen, max(check.degrees_of_freedom, 1)
         elif check.source in MODEL_FREE and check.seen > noise:
             noise, noise_freedom, source = check.seen, float(check.degrees_of_freedom), check.source
-    significant = _significant(seen, freedom, noise, noise_freedom)
+    rms, significant = beyond_noise(seen, freedom, noise, noise_freedom)
     configurations, axis = _where(result) if significant else ((), "")
     return ResidualVerdict(
         seen=seen,
         noise=noise,
         source=source,
-        rms=math.sqrt(max(seen**2 - noise**2, 0.0)),
+        rms=rms,
         significant=significant,
         configurations=configurations,
         axis=axis,
     )
-
-
-def _significant(seen: float, freedom: int, noise: float, noise_freedom: float) -> bool:
-    if not seen > SMALLEST_EXCESS * noise:
-        return False
-    if noise <= 0:
-        return True
-    ratio = (seen / noise) ** 2
-    if math.isinf(noise_freedom):
-        return chi2_tail(ratio * freedom, freedom) < SIGNIFICANCE
-    return f_tail(ratio, freedom, max(noise_freedom, 1.0)) < SIGNIFICANCE
 
 
 def _where(result: Identification, most: int = 3) -> tuple[tuple[int, ...], str]:

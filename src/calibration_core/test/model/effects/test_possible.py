@@ -35,6 +35,20 @@ def test_a_correlated_neighbour_gives_way() -> None:
     assert apart > 10 * alone  # both cannot be raised at once
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_bound_value_is_exactly_zero(seed: int) -> None:
+    """Where the data tell hardly more than a sum, too: what rounding leaves is no compliance."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((6, 1)) + 10.0 ** rng.uniform(-6, -2) * rng.standard_normal((6, 6))
+    mean = 3 * STD * rng.standard_normal(6)
+    mean[0] = -STD
+    found = nearest([(COMPLIANCE,)] * 6, mean, STD**2 * root @ root.T)
+    held = found.held.any(axis=0)
+    assert held.any()
+    assert np.all((found.value == 0.0) == held)
+    assert np.all(held | (found.value > 1e-9 * STD))
+
+
 def test_a_hinge_that_twists_without_bending_costs() -> None:
     """On a fine grid of positive matrices none is nearer."""
     mean = np.array([0.5e-7, 0.2e-7, 4e-7])
