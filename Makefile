@@ -7,6 +7,8 @@ SHELL := /usr/bin/env bash
 
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
+# Hundreds of processes start: without bytecode on the disk each of them would compile everything anew.
+unexport PYTHONDONTWRITEBYTECODE
 JOBS ?= $(shell nproc)
 SHARING = $(shell expr $(JOBS) + 1)
 BY_FILE := --dist loadfile --no-loadscope-reorder
