@@ -114,7 +114,7 @@ def null_model(readings: Readings, cell: Cell, evaluated: Evaluated, used: Bool1
     rows = np.flatnonzero(used)
     chain = model.state.chain
     offered = [axial(j, name, model.state) for j, name in enumerate(chain.joints) if not chain.rigid[j]]
-    felt = [np.abs(model.moves(c, rows) * c.parameters[0].typical).max(initial=0.0) > EXCITED for c in offered]
+    felt = [np.abs(model.moves([c], rows) * c.parameters[0].typical).max(initial=0.0) > EXCITED for c in offered]
     return dataclasses.replace(model, fitted_compliances=tuple(c for c, yes in zip(offered, felt, strict=True) if yes))
 
 

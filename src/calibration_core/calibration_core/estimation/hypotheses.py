@@ -92,9 +92,8 @@ class Offered:
 
     def columns(self, model: NullModel, rows: Int1D) -> Float2D:
         """Return all columns for some readings, per typical size, (3 r, p), in units of the claimed noise."""
-        result = np.empty((3 * len(rows), self.count))
-        for candidate, block in zip(self.candidates, self.blocks, strict=True):
-            result[:, block] = model.moves(candidate, rows) * typical_sizes(candidate)
+        result = model.moves(self.candidates, rows)
+        result *= np.concatenate([np.zeros(0), *map(typical_sizes, self.candidates)])
         return result
 
 

@@ -186,12 +186,11 @@ def refit(
     while True:
         turn += 1
         flat, residual = model.flat(everything)
-        own = np.concatenate([flat, *(model.moves(part.candidate, everything) for part in parts)], axis=1)
+        own = model.moves([part.candidate for part in parts], everything, flat)
         residual = residual - own[:, flat.shape[1] :] @ (value - held)
         columns = whitening(own)
         rest = whitening(residual[:, None])[:, 0]
-        unused = columns[aside]  # few: nothing as large as the columns is copied
-        normal, right = columns.T @ columns - unused.T @ unused, columns.T @ rest - unused.T @ rest[aside]
+        normal, right = _normal(columns, rest, aside)
         square = np.diag(normal)
         length = np.sqrt(np.where(square > 0, square, 1.0))
         normal, right = normal / np.outer(length, length), right / length
@@ -230,7 +229,8 @@ def refit(
     value = value + step[flat.shape[1] :]
     residual = residual - own @ step
     columns /= length
-    own /= length
+    if own is not columns:
+        own /= length
     covariance = variance * inverse @ (normal + np.diag(ridge)) @ inverse
     label = np.repeat(np.where(model.used, partition.label, STAYS), 3)
     widened = _widened(covariance, inverse, columns, left, label)
@@ -239,6 +239,12 @@ def refit(
         model, whitening, tuple(parts), value, held, covariance, own, residual, columns, left, ridge, variance,
         free=_directions(allowed.held, length[f:], f), scale=length**2,
     )  # fmt: skip
+
+
+def _normal(columns: Float2D, rest: Float1D, aside: Int1D) -> tuple[Float2D, Float1D]:
+    """Return A'A and A'y without the rows set aside; these are few: nothing as large as the columns is copied."""
+    unused = columns[aside]
+    return columns.T @ columns - unused.T @ unused, columns.T @ rest - unused.T @ rest[aside]
 
 
 def _beside(normal: Float2D, right: Float1D, effects: Float1D) -> Float1D:

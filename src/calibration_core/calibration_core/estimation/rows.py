@@ -21,6 +21,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
 
 SEARCHED = 1_000  # configurations in the sample that is searched
+TOGETHER = 8  # candidates whose columns are written at once: one by one each row would be fetched as often
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -68,12 +69,27 @@ class NullModel:
         """Return the null model's columns (3 r, f) and the residual (3 r,) of some readings, units of the claim."""
         part = self.problem.select(rows)
         columns, residual = null_columns(part, self.parameters, self.terms)
-        extra = [self.moves(one, rows) for one in self.fitted_compliances]
-        return np.concatenate([columns, *extra], axis=1), residual
+        return self.moves(self.fitted_compliances, rows, columns), residual
 
-    def moves(self, candidate: Candidate, rows: Int1D) -> Float2D:
-        """Return the columns of a candidate per unit of its parameters, (3 r, k), in units of the claimed noise."""
-        return weighted(self.problem.select(rows), self.parameters, candidate.columns(self.state)[rows])
+    def moves(self, candidates: Sequence[Candidate], rows: Int1D, before: Float2D | None = None) -> Float2D:
+        """Return the columns of candidates per unit of their parameters, (3 r, k), in units of the claimed noise.
+
+        Args:
+            candidates: The effects.
+            rows: Indices of the r readings.
+            before: (3 r, f) columns that stand before them in what is returned; None: none.
+        """
+        part, every = self.problem.select(rows), len(rows) == len(self.readings)
+        last = 0 if before is None else before.shape[1]
+        result = np.empty((3 * len(rows), last + sum(len(one.parameters) for one in candidates)))
+        if before is not None:
+            result[:, :last] = before
+        for k in range(0, len(candidates), TOGETHER):
+            movements = [one.columns(self.state) for one in candidates[k : k + TOGETHER]]
+            several = np.concatenate(movements if every else [one[rows] for one in movements], axis=2)
+            first, last = last, last + several.shape[2]
+            result[:, first:last] = weighted(part, self.parameters, several)
+        return result
 
 
 def state_at(problem: AbsoluteProblem, parameters: ModelParameters, readings: Readings, cell: Cell) -> State:

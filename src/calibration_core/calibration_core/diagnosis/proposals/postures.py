@@ -110,8 +110,8 @@ class _Postures(Knowledge):
             several = [self.known.field.offered.candidates[m] for m in self.known.of(index).members]
             columns = np.zeros((len(flat), len(self.known.of(index).columns)))
             if self.known.by_posture(index):
-                scaled = [there.moves(one, every) * typical_sizes(one) for one in several]
-                columns = self.known.sizes[index] * np.concatenate(scaled, axis=1)
+                scaled = np.concatenate([typical_sizes(one) for one in several])
+                columns = self.known.sizes[index] * there.moves(several, every) * scaled
             own[index] = per_offer(columns)
         null = per_offer(np.concatenate([flat, sensor], axis=1) / self.known.field.flat_scale)
         return OfferTable(offers, null, own, null[:, :, :0])

@@ -75,7 +75,12 @@ class Whitening:
     log_determinant: float
 
     def __call__(self, values: Float2D) -> Float2D:
-        """Return rows (3 r, k), in units of the own noise, as independent rows of unit variance."""
+        """Return rows (3 r, k), in units of the own noise, as independent rows of unit variance.
+
+        Where they are that already, the same array is returned.
+        """
+        if not self.parts:
+            return values
         result = np.array(values)
         for rows, root in self.parts:
             result[rows] = root @ values[rows]
