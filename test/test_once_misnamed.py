@@ -112,9 +112,16 @@ def test_friction_that_scatters_is_not_taken_for_noise(tmp_path: Path) -> None:
     assert "The noise of the tracker has no such direction: the cause is at this joint" in found.rest.text
 
 
-@pytest.mark.parametrize("number", [pytest.param(552, id="the tracker's"), pytest.param(554, id="the sensor's")])
-def test_noise_that_lasts_is_no_drift(number: int, tmp_path: Path) -> None:
-    """What is left of a posture's noise at the next one adds up as a drift of the tracker, or of the sensor, does."""
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(552, id="a drift of the tracker"),
+        pytest.param(554, id="a drift of the sensor"),
+        pytest.param(586, id="a gear's order"),
+    ],
+)
+def test_noise_that_lasts_is_no_cause(number: int, tmp_path: Path) -> None:
+    """What is left of a posture's noise at the next one adds up as a drift does, or resembles waves of a joint."""
     answer = answered(number, tmp_path, PUBLISHED)
     assert not answer.label["effects"]
     assert (answer.found.verdict, answer.found.findings) == ("consistent", ())

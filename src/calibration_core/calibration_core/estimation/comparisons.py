@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.estimation.controls import FLOOR
+from calibration_core.estimation.controls import CHANCE
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.leave_out import LeftOut
 from calibration_core.estimation.likelihood.gains import Gains
@@ -29,7 +29,8 @@ class Demands:
     """What a hypothesis must show, by the kind of recording.
 
     Attributes:
-        least: Nats that any must gain, and
+        least: Nats that any must gain,
+        first: the first cause: where noise lasts over some configurations, the best of all has gained 16 by it, and
         further: a further cause: what is accepted is seldom of quite the right form.
         levels: Of the small effects that are part of the noise.
         by_density: Whether blocks are few, so that some show an effect far better than others: those left out are then
@@ -39,14 +40,15 @@ class Demands:
     """
 
     least: float
+    first: float
     further: float
     levels: tuple[float, ...]
     by_density: bool
     narrow: int
 
 
-POSITIONS = Demands(least=FLOOR, further=20.0, levels=NONE, by_density=False, narrow=24)
-STEPS = Demands(least=5.0, further=8.0, levels=LEVELS, by_density=True, narrow=48)
+POSITIONS = Demands(least=CHANCE, first=20.0, further=20.0, levels=NONE, by_density=False, narrow=24)
+STEPS = Demands(least=5.0, first=5.0, further=8.0, levels=LEVELS, by_density=True, narrow=48)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

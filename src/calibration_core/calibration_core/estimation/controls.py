@@ -24,7 +24,7 @@ COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
 DRIFTS = frozenset({"tracker_drift", "wrench_drift"})
 SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness and turned levers
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
-FLOOR = 10.0  # nats that any hypothesis must gain
+CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
 LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
 STEP_SHARE = 0.1  # of the squared residual on blocks left out, that a step must explain
 
@@ -86,7 +86,7 @@ def _small(trial: Trial) -> str:
 
 
 def _lasting(trial: Trial) -> str:
-    if min(trial.gain, *(one.nats for one in trial.proofs)) > LASTING * FLOOR:
+    if min(trial.gain, *(one.nats for one in trial.proofs)) > LASTING * CHANCE:
         return ""
     return f"it does not convince where {LASTING:g} configurations in a row may share their noise"
 

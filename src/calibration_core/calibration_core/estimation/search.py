@@ -207,8 +207,8 @@ class Search(Comparisons):
         """Return what every judged hypothesis must gain beside the accepted ones, nats, (j,)."""
         hypotheses = self.field.offered.hypotheses
         known = {hypotheses[i].place for i in accepted}
-        further = [bool(known) and hypotheses[i].place not in known for i in self.judged]
-        return np.where(further, max(self.limit, self.demands.further), self.limit)
+        new = [hypotheses[i].place not in known for i in self.judged]
+        return np.where(new, max(self.limit, self.demands.further if known else self.demands.first), self.limit)
 
     def _instead(self, accepted: Accepted, gained: float, *, narrow: bool) -> Accepted:
         """Return the accepted ones, one of them swapped, where that gains as much as one more; else nothing.
