@@ -39,8 +39,8 @@ from calibration_core.diagnosis.findings.rejected_candidates import (
 )
 from calibration_core.diagnosis.model_estimate import loaded_estimate
 from calibration_core.diagnosis.proposals.candidates import Offers
-from calibration_core.diagnosis.proposals.choose import NONE_ASKED
-from calibration_core.diagnosis.proposals.loaded import propose
+from calibration_core.diagnosis.proposals.choose import NONE_ASKED, choose
+from calibration_core.diagnosis.proposals.loaded import LoadedKnowledge
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest
 from calibration_core.diagnosis.tested import tested_on
 from calibration_core.identification.result.estimate import Anomaly, Identification
@@ -137,7 +137,8 @@ def diagnose_loaded(
     model = extended_model(prepared.parameters, extended)
     proposals = NONE_ASKED
     if offers is not None:
-        proposals = propose(extended, selection, offers, cell, seen, prepared.frames)
+        known = LoadedKnowledge(extended, selection, offers, cell, seen, prepared.frames)
+        proposals = choose(known, offers.each)
     return Diagnosis(
         verdict=verdict,
         findings=findings,

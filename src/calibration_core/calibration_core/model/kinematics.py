@@ -103,8 +103,7 @@ def posture(chain: Chain, q: Float2D) -> Posture:
     other = np.empty((3, m))
     for i in range(n):
         origin[i] = at + _mix(columns, chain.translation[i])
-        for k in range(3):
-            _mix(columns, chain.rotation[i][:, k], before[i, k])
+        turned(columns, chain.rotation[i], before[i])
         (x, y, z), columns, at = before[i], body[i], body_origin[i]
         np.multiply(cos[i], x, out=columns[0])
         columns[0] += np.multiply(sin[i], y, out=other)
@@ -124,12 +123,12 @@ def turn(columns: Float3D, vector: Float2D | Float1D) -> Float2D:
     return columns[0] * vector[0] + columns[1] * vector[1] + columns[2] * vector[2]
 
 
-def turned(columns: Float3D, rotation: Float2D) -> Float3D:
-    """Return the (3, 3, m) columns of R S for one constant (3, 3) rotation S."""
-    result = np.empty(columns.shape)
+def turned(columns: Float3D, rotation: Float2D, result: Float3D | None = None) -> Float3D:
+    """Return the (3, 3, m) columns of R S for one constant (3, 3) rotation S, in `result` where that is given."""
+    filled = np.empty(columns.shape) if result is None else result
     for k in range(3):
-        _mix(columns, rotation[:, k], result[k])
-    return result
+        _mix(columns, rotation[:, k], filled[k])
+    return filled
 
 
 def _mix(columns: Float3D, weights: Float1D, result: Float2D | None = None) -> Float2D:

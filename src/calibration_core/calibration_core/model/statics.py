@@ -73,16 +73,15 @@ def masses_beyond(chain: Chain, at: Posture) -> tuple[Float1D, Float3D]:
     """
     mass, moment = np.zeros(chain.n + 1), np.zeros((chain.n + 1, 3, at.flange_origin.shape[1]))
     if chain.mass is not None and chain.com is not None:
-        turned_com = np.einsum("ik,ikam->iam", chain.com, at.body)
-        first = chain.mass[:, None, None] * (at.body_origin + turned_com)
+        first = chain.mass[:, None, None] * centres_of_mass(chain, at)
         mass[:-1], moment[:-1] = np.cumsum(chain.mass[::-1])[::-1], np.cumsum(first[::-1], axis=0)[::-1]
     return mass, moment
 
 
-def centre_of_mass(chain: Chain, at: Posture, link: int) -> Float2D:
-    """Return the (3, m) m centre of gravity of a link whose mass is known, base frame."""
+def centres_of_mass(chain: Chain, at: Posture) -> Float3D:
+    """Return the (n, 3, m) m centres of gravity of the links, whose masses are known, base frame."""
     assert chain.com is not None  # noqa: S101 - asked for only where masses are known
-    return at.body_origin[link] + turn(at.body[link], chain.com[link])
+    return np.asarray(at.body_origin + np.einsum("ik,ikam->iam", chain.com, at.body))
 
 
 def load_torque_derivative(at: Posture, load: Load) -> Float3D:

@@ -21,7 +21,7 @@ WORST = 5
 NOTHING = "The residual agrees with the noise."
 
 
-def compared(seen: float, freedom: float, noise: float, noise_freedom: float, per: Mapping[int, float]) -> Rest:
+def against_noise(seen: float, freedom: float, noise: float, noise_freedom: float, per: Mapping[int, float]) -> Rest:
     """Compare a residual with the noise, and say where it is largest.
 
     Args:
@@ -59,7 +59,7 @@ def what_remains(found: Estimate, readings: Readings, claimed: float) -> Rest:
     length = np.linalg.norm(extended.left, axis=1) * used
     numbers = np.unique(readings.configuration).tolist()
     per = {n: float(np.sqrt(np.mean(length[readings.configuration == n] ** 2) / 3)) for n in numbers}
-    rest = compared(seen, freedom, *noise_floor(readings, used, claimed, shared), per)
+    rest = against_noise(seen, freedom, *noise_floor(readings, used, claimed, shared), per)
     if not rest.significant:
         return rest
     return dataclasses.replace(rest, where={**rest.where, "joints": followed(found)})

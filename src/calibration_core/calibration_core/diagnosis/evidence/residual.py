@@ -8,7 +8,7 @@ import math
 import numpy as np
 from scipy.linalg import svd
 
-from calibration_core.diagnosis.data_checks.adequacy import compared
+from calibration_core.diagnosis.data_checks.adequacy import against_noise
 from calibration_core.diagnosis.data_checks.noise import Scatter
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
@@ -41,7 +41,7 @@ def what_remains(extended: ExtendedLoadedModel, seen: Scatter, claimed: float, r
         for k in np.unique(design.configuration)
     }
     noise, noise_freedom = (size, seen.freedom) if trusted else (claimed, math.inf)  # nothing but the claim
-    found = compared(size * float(np.sqrt(ratio)), freedom, noise, noise_freedom, per)
+    found = against_noise(size * float(np.sqrt(ratio)), freedom, noise, noise_freedom, per)
     odd = odd_configurations(rest, design, seen) if trusted and not found.significant else []
     if odd:
         listed = ", ".join(str(numbers[k]) for k in odd)

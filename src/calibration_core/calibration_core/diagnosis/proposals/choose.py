@@ -90,11 +90,13 @@ class Knowledge(ABC):
         accepted: In the model.
         rivals: Accepted hypothesis -> what explains the recording as well.
         worth: Share by which an offer lowers the worst standard deviation at least, to be worth its time.
+        nothing_offered: Sentence where there is no offer.
     """
 
     accepted: tuple[int, ...]
     rivals: Mapping[int, tuple[int, ...]]
     worth: float
+    nothing_offered: str
 
     @abstractmethod
     def name(self, index: int) -> str:
@@ -123,6 +125,8 @@ class Knowledge(ABC):
 
 def choose(known: Knowledge, offers: Sequence[Offer]) -> Proposals:
     """Propose an offer for every ambiguous hypothesis, then for what is known worst."""
+    if not offers:
+        return Proposals((), known.nothing_offered)
     return _Choice(known, tuple(offers)).made()
 
 

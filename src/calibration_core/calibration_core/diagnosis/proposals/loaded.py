@@ -14,42 +14,18 @@ from calibration_core.diagnosis.evidence.discrepancy import structured_discrepan
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel, loaded_state
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
 from calibration_core.diagnosis.proposals.candidates import Offer, Offers
-from calibration_core.diagnosis.proposals.choose import Knowledge, OfferTable, Proposals, Uncertain, choose
+from calibration_core.diagnosis.proposals.choose import Knowledge, OfferTable, Uncertain
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior
 from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects.words import effect_sentence
 
-NO_CONFIGURATION = "No configuration that the cell file allows could be drawn; nothing is proposed."
 
-
-def propose(
-    extended: ExtendedLoadedModel,
-    selection: LoadedSelection,
-    offers: Offers,
-    cell: Cell,
-    seen: Scatter,
-    frames: FrameFit | None,
-) -> Proposals:
-    """Choose among offers.
-
-    Args:
-        extended: The extended model.
-        selection: What was accepted, and what does as well.
-        offers: What could be measured.
-        cell: The cell file.
-        seen: The noise.
-        frames: Refitted frames; None for displacement recordings.
-    """
-    if not offers.each:
-        return Proposals((), NO_CONFIGURATION)
-    return choose(_Steps(extended, selection, offers, cell, seen, frames), offers.each)
-
-
-class _Steps(Knowledge):
+class LoadedKnowledge(Knowledge):
     """The designs of recording and offers; hypotheses are the indices of their candidates."""
 
     worth = 0.02
+    nothing_offered = "No configuration that the cell file allows could be drawn; nothing is proposed."
 
     def __init__(
         self,
@@ -60,6 +36,16 @@ class _Steps(Knowledge):
         seen: Scatter,
         frames: FrameFit | None,
     ) -> None:
+        """Keep what the recording tells.
+
+        Args:
+            extended: The extended model.
+            selection: What was accepted, and what does as well.
+            offers: What could be measured.
+            cell: The cell file.
+            seen: The noise.
+            frames: Refitted frames; None for displacement recordings.
+        """
         self.extended, self.expected = extended, offers.expected
         self.cell, self.seen, self.frames = cell, seen, frames
         self.accepted = selection.accepted
@@ -67,16 +53,19 @@ class _Steps(Knowledge):
         self.members = tuple(dict.fromkeys([*self.accepted, *(i for several in self.rivals.values() for i in several)]))
 
     def name(self, index: int) -> str:
+        """Return effect and place of a candidate in words."""
         candidate = self.extended.design.candidates[index]
         return effect_sentence(candidate.effect, candidate.location)
 
     def posterior(self, chosen: Sequence[int]) -> HypothesisPosterior:
+        """Return what the whitened recording tells under some candidates together."""
         design = self.extended.design
         parts = [design.columns[:, design.blocks[i]] for i in chosen]
         columns = np.column_stack([design.null, *parts, design.columns[:, design.discrepancy]])
         return HypothesisPosterior.of(columns, design.residual, design.n)
 
     def table(self, offers: tuple[Offer, ...]) -> OfferTable:
+        """Return the whitened columns of some offers, for the accepted candidates and their rivals."""
         extended, compliance = self.extended, self.extended.base_compliance
         readings = self.expected(offers, extended.problem.parameters.replace(compliance=compliance))
         would = build_problem(readings, self.cell, extended.problem.chain, extended.problem.parameters)
@@ -92,6 +81,7 @@ class _Steps(Knowledge):
         return OfferTable(offers, null, own, columns[:, :, design.discrepancy])
 
     def parameters(self, index: int) -> list[tuple[str, tuple[int, ...]]]:
+        """Return words and place of every parameter of a candidate: each is judged by itself."""
         several = self.extended.design.candidates[index].parameters
         return [(f"{one.name.replace('_', ' ')} ({self.name(index)})", (k,)) for k, one in enumerate(several)]
 
@@ -101,6 +91,7 @@ class _Steps(Knowledge):
         return [Uncertain(f"the stiffness of {name}", (j,), c) for j, (name, c) in enumerate(compliances) if c > 0]
 
     def inseparable(self, names: Sequence[str]) -> str:
+        """Return a sentence on candidates that no load at the flange separates from their rivals."""
         return (
             f"No load at the flange distinguishes “{'” and “'.join(names)}” from what does as well: a target "
             "on the link before, another sensor or another place of the load is needed."

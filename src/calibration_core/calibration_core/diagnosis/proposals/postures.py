@@ -1,7 +1,7 @@
 """What positions at rest tell, and what further postures would show of it.
 
-A posture is judged for effects that depend on the posture alone: from where it is reached, when and how warm, no
-proposal can promise.
+A posture is judged for effects that depend on the posture alone: a proposal does not determine from where it is
+reached, when, and at which temperature.
 """
 
 from __future__ import annotations
@@ -69,8 +69,6 @@ def propose_postures(known: Known, cell: Cell, offers: Offers) -> Proposals:
     """
     if not any(known.by_posture(index) for index in known.accepted):
         return Proposals((), NOTHING_FOUND)
-    if not offers.each:
-        return Proposals((), NO_POSTURE)
     unloaded = tuple(dataclasses.replace(offer, steps=np.zeros((1, 6))) for offer in offers.each)
     return choose(_Postures(known, cell, offers), unloaded)
 
@@ -79,6 +77,7 @@ class _Postures(Knowledge):
     """The rows of the search, and those of offers; hypotheses are those of the search."""
 
     worth = 0.0  # a posture takes seconds
+    nothing_offered = NO_POSTURE
 
     def __init__(self, known: Known, cell: Cell, offers: Offers) -> None:
         self.known, self.cell, self.expected = known, cell, offers.expected

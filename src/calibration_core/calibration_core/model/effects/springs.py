@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration_core.model.effects.state import State
 from calibration_core.model.kinematics import dot
-from calibration_core.model.statics import centre_of_mass
+from calibration_core.model.statics import centres_of_mass
 from calibration_core.model.virtual_joints import Cut, before_joint, behind_joint, rotation_twist, translation_twist
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -81,7 +81,7 @@ def _share_before_centre(state: State, link: int, start: Float2D, span: Float2D)
     """Return which share of a link lies before its centre of gravity, (m,), 0 to 1; 0 where masses are not known."""
     if state.chain.mass is None:
         return np.zeros(state.m)
-    lever = centre_of_mass(state.chain, state.at, link) - start
+    lever = centres_of_mass(state.chain, state.at)[link] - start
     return np.clip(dot(lever, span) / dot(span, span), 0.0, 1.0)
 
 
