@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
 from calibration_core.diagnosis.comparison.result import PartDifference, StepByStep
@@ -53,6 +54,27 @@ def located(levels: int, shares: bool = True) -> Located:
         memory_chance=1.0,
         sentences=("One.",),
     )
+
+
+@pytest.mark.parametrize("shares", [True, False], ids=["two diagrams", "one diagram"])
+@pytest.mark.parametrize("levels", [2, 5])
+def test_every_word_of_where_is_inside_and_apart(levels: int, shares: bool, drawn: Drawn) -> None:
+    where_figure(located(levels, shares))
+    for axes in drawn():
+        figure = axes.get_figure(root=True)
+        assert figure is not None
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        renderer = canvas.get_renderer()  # type: ignore[no-untyped-call]
+        legend, title = axes.get_legend(), axes._left_title  # type: ignore[attr-defined]
+        for label in (one for one in (axes.xaxis.label, axes.yaxis.label, title) if one.get_text()):
+            box = label.get_window_extent(renderer)
+            assert box.x0 >= -1
+            assert box.y0 >= -1
+            assert box.x1 <= figure.bbox.width + 1
+            assert box.y1 <= figure.bbox.height + 1
+        if legend is not None and title.get_text():
+            assert not legend.get_window_extent(renderer).overlaps(title.get_window_extent(renderer))
 
 
 def test_before_and_after_are_drawn_for_every_configuration(loaded: Identification, drawn: Drawn) -> None:

@@ -118,7 +118,9 @@ def _joint_shares(axes: Axes, where: Located) -> None:
     axes.set_ylim(len(shares) - 0.5, -0.5)
     axes.set_xlim(0, 100)
     axes.set_xlabel("residual explained by turns about the joint [%]")
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.2)
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.2, handlelength=1.0, columnspacing=1.0
+    )
 
 
 def _level_curve(axes: Axes, where: Located) -> None:
@@ -141,4 +143,4 @@ def _dependence_bars(axes: Axes, where: Located) -> None:
         axes.barh(k, 100 * dependence.share, height=0.6, color=fill, edgecolor=INK, linewidth=0.6)
     axes.set_yticks(place, [drawable(dependence.on, 34) for dependence in shown])
     axes.set_ylim(max(len(shown), 1) - 0.5, -0.5)
-    axes.set_xlabel("share of the residual that follows it [%] (full: not by chance)")
+    axes.set_xlabel("share of the residual that follows it [%]\n(full: not by chance)")
