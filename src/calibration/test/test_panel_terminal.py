@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from typing import Any
 
@@ -17,7 +18,7 @@ from std_srvs.srv import Trigger
 from textual.widgets import Static
 
 from calibration.topics import EVENT, STATE
-from calibration.web.shown import text
+from calibration.web.shown import terminal, text
 from calibration.web.shown.plain import plain
 from calibration.web.shown.terminal import Terminal
 from calibration.web.shown.view import view
@@ -105,3 +106,21 @@ def test_the_keys_ask_what_they_say(spinning: Any, until: Any) -> None:
 
     run(work())
     until(lambda: any("stop by Ann at a terminal" in one.text for one in events))
+
+
+def test_states_that_arrive_while_it_ends_do_no_harm(spinning: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is shown is taken down in several steps, between which a look and an answer may fall."""
+    monkeypatch.setattr(terminal, "LOOK", 0.0005)
+    node = spinning.plain("panel_terminal")
+
+    async def work() -> None:
+        for _ in range(10):
+            app = Terminal(node, "Ann", "en")
+            async with app.run_test() as pilot:
+                app.cell_shown = view(plain(loading()))
+                await pilot.pause(0.02)
+                assert "configuration 7" in str(app.query_one("#status", Static).render())
+                asking = asyncio.create_task(app.action_do("stop"))
+            await asking
+
+    run(work())

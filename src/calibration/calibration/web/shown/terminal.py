@@ -84,6 +84,8 @@ class Terminal(App[None]):
         self.set_interval(LOOK, self._look_again)
 
     def _look_again(self) -> None:
+        if not self.is_running:  # it ends: what is shown is taken down step by step, and this may fall between two
+            return
         message = self.cell_state.take()
         if message is not None:
             self.cell_shown, self.cell_heard = view(plain(message)), time.monotonic()
@@ -112,7 +114,8 @@ class Terminal(App[None]):
             fields = {**by, "configuration": procedure["configuration"], "step": procedure["step"]}
         answer = await self.cell_link.ask(request, **fields)
         self._show(f"{request} by {self.operator} at a terminal{'' if answer.done else f': refused: {answer.text}'}")
-        self._fill("answer", [self.words("done") if answer.done else f"{self.words('not_done')}: {answer.text}"])
+        if self.is_running:
+            self._fill("answer", [self.words("done") if answer.done else f"{self.words('not_done')}: {answer.text}"])
 
     def _show(self, line: str) -> None:
         header = to_header(self.cell_node.get_clock().now().nanoseconds)
