@@ -98,7 +98,8 @@ def test_commands_of_a_document_run(
 
 def quick(command: str) -> list[str]:
     """Options that leave the report out, which other tests make."""
-    return ["--no-report"] if command in {"plan", "simulate", "identify", "diagnose", "predict"} else []
+    drawing = {"plan", "simulate", "identify", "diagnose", "predict", "compensate", "verify", "compare", "fleet"}
+    return ["--no-report"] if command in drawing else []
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)

@@ -291,7 +291,7 @@ def test_workers_elsewhere_give_the_same_data_set_though_one_is_killed(
     options, workers = cluster
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [BIN / "calibration", "fleet", plant / "plant.csv", "--out", out, *options],
+        [BIN / "calibration", "fleet", plant / "plant.csv", "--out", out, "--no-report", *options],
         env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     deadline = time.monotonic() + PATIENCE

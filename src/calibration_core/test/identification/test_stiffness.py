@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import truncnorm
 
 from calibration_core.identification.result.stiffness_interval import joint_stiffness, positive_quantile
 
@@ -12,6 +11,8 @@ from calibration_core.identification.result.stiffness_interval import joint_stif
 @pytest.mark.parametrize("mean", [-40.0, -31.0, -29.0, -3.0, 0.0, 0.5, 2.0, 8.0])
 @pytest.mark.parametrize("probability", [0.025, 0.5, 0.975])
 def test_the_quantiles_are_those_of_the_normal_distribution_above_zero(mean: float, probability: float) -> None:
+    from scipy.stats import truncnorm  # slow to load
+
     true = truncnorm.ppf(probability, -mean, np.inf, loc=mean)
     assert positive_quantile(3.0 * mean, 3.0, probability) == pytest.approx(3.0 * true, rel=3e-3)
 

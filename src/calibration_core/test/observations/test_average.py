@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from calibration_core.observations.average import autocorrelation_times, average, inliers, mean_of
 
 
 def correlated(rng: np.random.Generator, memory: float, shape: tuple[int, int]) -> np.ndarray:
     """First-order autoregressive samples of unit variance along the last axis."""
+    from scipy.signal import lfilter  # slow to load
+
     white = rng.normal(size=shape) * np.sqrt(1 - memory**2)
     white[:, 0] /= np.sqrt(1 - memory**2)
     return lfilter([1.0], [1.0, -memory], white, axis=1)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from calibration_core.cell import Cell
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Phase
@@ -200,6 +199,8 @@ def _along(segment: Segment, time: Float1D) -> Samples:
         rows = np.zeros(len(time), dtype=np.int64)
         q, points, wrench = states.q[rows], states.points[rows], states.wrench[rows]
     else:
+        from scipy.interpolate import CubicSpline  # slow to load, and a cell that lives has no use for it
+
         fraction = np.clip(elapsed / segment.duration, 0.0, 1.0)
         if segment.phase is Phase.MOVING:
             fraction = fraction**3 * (10.0 - 15.0 * fraction + 6.0 * fraction**2)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from calibration_sim.proving.diagnosing import Run
 from calibration_sim.proving.scoring import Outcome
@@ -208,9 +208,9 @@ def _limit(text: str, cases: Sequence[Case], chosen: Chosen) -> Measure:
     of the false alarms (Neyman and Pearson 1933); one that must find these out has less.  What absolute positions show,
     too, is counted as told: the signal-to-noise ratio is that of the load steps.
     """
-    threshold = norm.isf(FALSE_ALARM / PLACES)
+    threshold = -ndtri(FALSE_ALARM / PLACES)
     effects = [(case.label["effects"][0]["effect"], float(case.label["snr"][0])) for case in cases if chosen(case)]
-    detected = [1.0 if effect in BESIDES_LOADS else float(norm.cdf(ratio - threshold)) for effect, ratio in effects]
+    detected = [1.0 if effect in BESIDES_LOADS else float(ndtr(ratio - threshold)) for effect, ratio in effects]
     words = f"{text}, {100 * FALSE_ALARM:g} % false alarms among {PLACES} places"
     return Measure(words, float(np.mean(detected)) if detected else None, "", None, len(detected))
 
