@@ -19,6 +19,7 @@ Float1D = NDArray[np.float64]  # (n,)
 Float2D = NDArray[np.float64]  # (m, n)
 Float3D = NDArray[np.float64]  # (k, m, n)
 Float4D = NDArray[np.float64]  # (l, k, m, n)
+FloatND = NDArray[np.float64]  # of several shapes, which the function states
 Int1D = NDArray[np.int64]  # (n,)
 Int2D = NDArray[np.int64]  # (m, n)
 Bool1D = NDArray[np.bool_]  # (n,)

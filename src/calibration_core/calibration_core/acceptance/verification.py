@@ -11,7 +11,7 @@ import numpy as np
 from calibration_core.acceptance.decision import Decision, decide, overall
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError
-from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
+from calibration_core.identification.stiffness.predict import predict_readings, references
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import with_values
@@ -98,7 +98,7 @@ def verify(
     error = readings.position - predict_readings(readings, cell, parameters)
     keep = np.ones(len(readings), dtype=bool)
     if displacement:  # the first step of every configuration and point is the reference: zero by definition
-        keep = from_step_zero(readings, readings.step[:, None].astype(float))[:, 0] > 0
+        keep = ~references(readings)
     known, columns = _model_columns(readings, cell, parameters, model.estimate, frame)
     tracker = position_covariance(readings, cell)
     covariances: dict[Source, Float3D] = {

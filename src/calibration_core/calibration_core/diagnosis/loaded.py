@@ -27,7 +27,7 @@ from calibration_core.diagnosis.evidence.extended import (
     extended_model,
     loaded_state,
 )
-from calibration_core.diagnosis.evidence.left_out_errors import held_out_errors, lengths
+from calibration_core.diagnosis.evidence.left_out_errors import held_out_lengths
 from calibration_core.diagnosis.evidence.residual import held_out_error, weighted_rest, what_remains
 from calibration_core.diagnosis.evidence.selection import LoadedSelection, select
 from calibration_core.diagnosis.findings.loaded import findings_of
@@ -41,12 +41,12 @@ from calibration_core.diagnosis.model_estimate import loaded_estimate
 from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.choose import NONE_ASKED, choose
 from calibration_core.diagnosis.proposals.loaded import LoadedKnowledge
-from calibration_core.diagnosis.result.finding import Diagnosis, Rest
+from calibration_core.diagnosis.result.finding import Diagnosis, Rest, by_size
 from calibration_core.diagnosis.tested import tested_on
 from calibration_core.identification.result.estimate import Anomaly, Identification
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
+from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.stiffness.loaded import (
-    SET_ASIDE,
     Options,
     PreparedLoaded,
     identify_prepared,
@@ -91,18 +91,7 @@ def diagnose_loaded(
     test: Readings | None = None,
     offers: Offers | None = None,
 ) -> Diagnosis:
-    """Say what the model of a loaded recording leaves out.
-
-    Args:
-        readings: The recording.
-        cell: The cell file.
-        options: As for `identify_loaded`.
-        test: A second recording, predicted but not fitted.
-        offers: What could be measured next; None: nothing is proposed.
-
-    Raises:
-        InputError: As `identify_loaded`.
-    """
+    """Say what the model of a loaded recording leaves out; arguments as `diagnose`, errors as `identify_loaded`."""
     options = options or Options()
     prepared = prepare_loaded(readings, cell, options)
     identification = identify_prepared(prepared, cell, options, test)
@@ -126,11 +115,11 @@ def diagnose_loaded(
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
         registered = registration_findings(prepared, extended.state, readings)
-        findings = tuple(sorted((*findings, *registered), key=lambda finding: -finding.magnitude))
+        findings = by_size((*findings, *registered))
     verdict = rest.verdict(found=bool(findings))
     if law is not None:
         fitted = law_findings(law, prepared.problem.chain.joints, prepared.problem.readings)
-        findings = tuple(sorted((*findings, *fitted), key=lambda finding: -finding.magnitude))
+        findings = by_size((*findings, *fitted))
         rest = dataclasses.replace(rest, text=f"{rest.text} {law_sentence(law)}")
     noise = identification.noise.claimed * seen.total
     joints = prepared.problem.chain.joints
@@ -152,14 +141,14 @@ def diagnose_loaded(
             for joint, c, s in zip(joints, extended.compliance, extended.compliance_std, strict=True)
         },
         rms_before=attempt.rms_before,
-        rms_after=float(np.sqrt(np.mean(extended.residual**2))),
+        rms_after=rms(extended.residual),
         held_out_before=held_out_error(attempt.design, ()) * noise,
         held_out_after=held_out_error(extended.design, selection.accepted) * noise,
         noise=noise,
         level=selection.level,
         located=(),
-        residual=without_offsets(_kept_rows(extended), extended.raw),
-        residual_before=_before(prepared, extended),
+        residual=_without_offsets(extended, extended.raw),
+        residual_before=_without_offsets(extended, prepared.problem.linearise(prepared.fit.compliance).residual),
         shift=extended.shift,
         compliance=extended.compliance,
         compliance_covariance=scattered_covariance(extended) if rest.significant else extended.compliance_covariance,
@@ -184,9 +173,7 @@ def _with_whole_steps(rest: Rest, extended: ExtendedLoadedModel, checked: Checke
         f"At some steps all points moved together, the tool's shape unchanged, to where the model does not expect them "
         f"(configuration/step {listed}{more}): that is no gross error of the tracker but the robot or the load."
     )
-    before = f"{rest.text} " if rest.significant else ""
-    where = dict(rest.where) or {"configurations": sorted({configuration for configuration, _ in steps})}
-    return dataclasses.replace(rest, significant=True, where=where, text=f"{before}{text}")
+    return rest.also(text, dict(rest.where) or {"configurations": sorted({number for number, _ in steps})})
 
 
 def _with_jumps(rest: Rest, prepared: PreparedLoaded, extended: ExtendedLoadedModel, seen: Scatter) -> Rest:
@@ -205,11 +192,7 @@ def _with_jumps(rest: Rest, prepared: PreparedLoaded, extended: ExtendedLoadedMo
         "moves them than in the others. The noise of the tracker has no such direction: the cause is at this joint, "
         "for example friction of another law than the catalogue's."
     )
-    before = f"{rest.text} " if rest.significant else ""
-    where = {**rest.where, "joints": {name: round(found.share, 3)}}
-    return dataclasses.replace(
-        rest, rms=max(rest.rms, found.rms), significant=True, where=where, text=f"{before}{text}"
-    )
+    return rest.also(text, {**rest.where, "joints": {name: round(found.share, 3)}}, found.rms)
 
 
 def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
@@ -222,10 +205,9 @@ def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
 
 def _held_out_lengths(extended: ExtendedLoadedModel, cell: Cell) -> dict[str, float]:
     """Return mean and largest length of the prediction error of configurations left out, before and after, m."""
-    displacement = cell.measurements.points == "displacement"
     figures = {}
     for name, accepted in (("before", ()), ("after", extended.accepted)):
-        length = lengths(*held_out_errors(extended, accepted, displacement=displacement))
+        length = held_out_lengths(extended, cell, accepted)
         figures[f"held_out_mean_{name}"] = float(length.mean())
         figures[f"held_out_max_{name}"] = float(length.max())
     return figures
@@ -236,7 +218,7 @@ def _anomalies(checked: Checked, attempt: Attempt, identification: Identificatio
     readings = extended.problem.readings
     aside = checked.sound.copy()
     aside[extended.used] = False
-    length = np.linalg.norm(without_offsets(_kept_rows(extended), extended.raw), axis=1)
+    length = np.linalg.norm(_without_offsets(extended, extended.raw), axis=1)
     size = float(length[aside].max(initial=0.0))
     kinds = {anomaly.kind for anomaly in checked.anomalies}
     noise = () if kinds & {"loose_target"} else noise_understated(attempt.seen, identification.noise.claimed)
@@ -244,17 +226,10 @@ def _anomalies(checked: Checked, attempt: Attempt, identification: Identificatio
     return (*checked.anomalies, *noise, *outlier_readings(aside, size, readings), *notes)
 
 
-def _kept_rows(extended: ExtendedLoadedModel) -> Rows:
-    """Return the rows of all readings in which those not used do not count for the offsets."""
+def _without_offsets(extended: ExtendedLoadedModel, residual: Float2D) -> Float2D:
+    """Return the (m, 3) m residuals of all readings, offsets by those used taken out."""
     rows = extended.problem.linearise(extended.compliance).rows
-    aside = np.ones(len(rows.configuration), dtype=bool)
-    aside[extended.used] = False
-    return dataclasses.replace(rows, noise=rows.noise * np.where(aside, SET_ASIDE, 1.0)[:, None, None])
-
-
-def _before(prepared: PreparedLoaded, extended: ExtendedLoadedModel) -> Float2D:
-    """Return (m, 3) m, what the refitted null model leaves of all readings, offsets taken out."""
-    return without_offsets(_kept_rows(extended), prepared.problem.linearise(prepared.fit.compliance).residual)
+    return without_offsets(rows.counting(extended.used), residual)
 
 
 def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Checked) -> Attempt:
@@ -322,7 +297,7 @@ def _rms(used: Int1D, prepared: PreparedLoaded) -> float:
     """Return the rms of the refitted null model over the readings used, m."""
     before = prepared.problem.linearise(prepared.fit.compliance)
     rest = without_offsets(before.rows.select(used), before.residual[used])
-    return float(np.sqrt(np.mean(rest**2)))
+    return rms(rest)
 
 
 def _left(attempt: Attempt) -> Scatter:

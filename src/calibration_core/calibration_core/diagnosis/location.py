@@ -20,7 +20,7 @@ from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import load_torque
 from calibration_core.observations.load_levels import levels_of
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
 PERMUTATIONS = 400
 CERTAIN = 0.01  # chance that permuted configurations show any such pattern
@@ -116,8 +116,6 @@ def locate(readings: Readings, residual: Float2D, cell: Cell, model: ModelParame
         kept = numbers[np.linspace(0, len(numbers) - 1, MOST).astype(int)]
         rows = np.isin(readings.configuration, kept)
         readings, residual = readings.select(rows), residual[rows]
-    whole = _complete(readings)
-    readings, residual = readings.select(whole), residual[whole]
     chain = chain_of(cell).corrected(model.geometry)
     table = _table(readings, residual)
     if table is None:
@@ -129,7 +127,7 @@ def locate(readings: Readings, residual: Float2D, cell: Cell, model: ModelParame
     peak = table.first
     memory, chance = float("nan"), float("nan")
     if table.loaded:
-        share = levels_of(readings)
+        share = levels_of(readings.select(table.rows))
         if len(share) == table.whole.shape[1]:
             peak, levels = _along(table.whole, share)
             memory, chance = _memory(table.whole, share)
@@ -152,6 +150,7 @@ class _Table:
     """Residuals by configuration.
 
     Attributes:
+        rows: Readings of it, in their order.
         points: Indices of the points.
         whole: (k, s, p, 3) m, since the first step.
         first: (k, p, 3) m, at the first step (absolute recordings).
@@ -162,6 +161,7 @@ class _Table:
         loaded: Whether there are load steps.
     """
 
+    rows: Int1D
     points: Int1D
     whole: Float3D
     first: Float3D
@@ -172,31 +172,22 @@ class _Table:
     loaded: bool
 
 
-def _complete(readings: Readings) -> Bool1D:
-    """Return (m,) which readings belong to configurations that have the steps that most have, of all points.
-
-    A reference that is measured again and again has others.
-    """
-    numbers, index = np.unique(readings.configuration, return_inverse=True)
-    steps, place = np.unique(readings.step, return_inverse=True)
-    points = np.zeros((len(numbers), len(steps)), dtype=np.int64)
-    np.add.at(points, (index.reshape(-1), place.reshape(-1)), 1)
-    has = points == len(np.unique(readings.point))
-    patterns, counts = np.unique(has, axis=0, return_counts=True)
-    common = patterns[np.argmax(counts)]
-    kept = (has == common).all(axis=1)
-    return np.asarray(kept[index.reshape(-1)] & common[place.reshape(-1)])
-
-
 def _table(readings: Readings, residual: Float2D) -> _Table | None:
-    """Arrange residuals of complete configurations; None if there are too few."""
+    """Arrange residuals of the configurations with the steps that most have, of all points; None if there are too few.
+
+    A reference that is measured again and again has other steps.
+    """
     numbers, index = np.unique(readings.configuration, return_inverse=True)
     steps, points = np.unique(readings.step), np.unique(readings.point)
     place = np.full((len(numbers), len(steps), len(points)), -1)
     place[index.reshape(-1), np.searchsorted(steps, readings.step), np.searchsorted(points, readings.point)] = (
         np.arange(len(readings))
     )
-    if len(place) < FEWEST:
+    has = (place >= 0).all(axis=2)
+    patterns, counts = np.unique(has, axis=0, return_counts=True)
+    common = patterns[np.argmax(counts)]
+    place = place[(has == common).all(axis=1)][:, common]
+    if len(place) < FEWEST or not common.any():
         return None
     values = residual[place]
     q = readings.q[place[:, 0, 0]]
@@ -206,6 +197,7 @@ def _table(readings: Readings, residual: Float2D) -> _Table | None:
         force = np.linalg.norm(readings.wrench[place[:, :, 0], :3], axis=2)
         peaks = place[np.arange(len(place)), np.argmax(force, axis=1), 0]
     return _Table(
+        rows=np.sort(place, axis=None),
         points=points,
         whole=values - values[:, :1],
         first=values[:, 0],
@@ -213,7 +205,7 @@ def _table(readings: Readings, residual: Float2D) -> _Table | None:
         time=time if np.isfinite(time).all() else np.arange(len(place), dtype=np.float64),
         temperature=readings.temperature[place[:, 0, 0]],
         peaks=peaks,
-        loaded=len(steps) > 1,
+        loaded=int(common.sum()) > 1,
     )
 
 

@@ -16,12 +16,11 @@ from calibration_core.identification.geometry.named_estimate import (
     named_estimate,
     without_unknown,
 )
-from calibration_core.identification.geometry.parameter_table import pose_by_twist, poses_of
+from calibration_core.identification.geometry.parameter_table import in_coordinates
 from calibration_core.identification.geometry.terms import names_of
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.named_values import POSE
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -59,13 +58,7 @@ def positions_estimate(
             stand in the model itself follow the geometry, targets that moved are left out.
         cell: The cell file.
     """
-    fitted = list(names_of(extended.model.terms))
-    change = np.eye(len(extended.covariance))
-    for k, (label, pose) in enumerate(poses_of(extended.parameters).items()):
-        own = slice(6 * k, 6 * k + 6)
-        change[own, own] = pose_by_twist(pose)
-        fitted[own] = [f"{label} {part}" for part in POSE]
-    covariance = change @ extended.covariance @ change.T
+    fitted, covariance = in_coordinates(extended.parameters, names_of(extended.model.terms), extended.covariance)
     sagging = [k for k, part in enumerate(extended.parts) if is_axial(part.candidate) and k not in effects]
     joints = [one.location["joint"] for one in extended.model.fitted_compliances]
     joints += [extended.parts[k].candidate.location["joint"] for k in sagging]

@@ -39,6 +39,7 @@ from calibration_core.identification.checks.noise_audit import rigid_triangle
 from calibration_core.identification.geometry.problem import absolute_problem
 from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.result.estimate import Anomaly, Identification, TestResult
+from calibration_core.identification.statistics.sizes import rms, rms_length
 from calibration_core.identification.stiffness.loaded import (
     MIN_CONFIGURATIONS,
     Options,
@@ -49,8 +50,8 @@ from calibration_core.identification.stiffness.loaded import (
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
-from calibration_core.observations.covariance import position_covariance
-from calibration_core.timeseries import Bool1D, Float2D, Readings
+from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.timeseries import Bool1D, Readings
 
 DWARFS = 10.0  # times what remains unexplained, that a geometry error beside it must move the points
 SLACK = 0.02  # of the largest force: less is none
@@ -68,12 +69,7 @@ def diagnose_still(
 ) -> Diagnosis:
     """Say what the model of a recording at rest leaves out.
 
-    Args:
-        readings: The recording; rows in the order of time.
-        cell: The cell file.
-        test: A second recording, predicted but not fitted.
-        believed: Model to start from; None: what the cell file believes.
-        offers: Postures that could be measured next; None: nothing is proposed.
+    Rows are in the order of time.  `believed` is a model to start from (None: the cell file's); else as `diagnose`.
 
     Raises:
         InputError: As `identify_absolute`.
@@ -119,7 +115,7 @@ def diagnosis_of(
         anomalies: Found in the data before.
     """
     readings, extended, null = found.extended.model.readings, found.extended, found.null
-    noise = float(np.sqrt(np.einsum("mii->m", position_covariance(readings, cell)).mean() / 3))
+    noise = coordinate_std(position_covariance(readings, cell))
     findings = position_findings(found)
     rest = what_remains(found, readings, noise)
     findings = by_size((*findings, *_geometry(found, evaluated, rest)))
@@ -142,10 +138,10 @@ def diagnosis_of(
         next_text=proposals.text,
         identification=identification,
         stiffness=_stiffness(extended),
-        rms_before=_rms(null.left),
-        rms_after=_rms(extended.left),
-        held_out_before=_rms(left["time"][0]),
-        held_out_after=_rms(left["time"][1]),
+        rms_before=rms(null.left),
+        rms_after=rms(extended.left),
+        held_out_before=rms(left["time"][0]),
+        held_out_after=rms(left["time"][1]),
         noise=noise,
         level=0.0,
         located=found.selection.refused,
@@ -154,7 +150,7 @@ def diagnosis_of(
         shift=extended.shift(extended.model.state, physics),
         compliance=compliance,
         compliance_covariance=covariance,
-        blocks={kind: (_rms3(before), _rms3(after)) for kind, (before, after) in left.items()},
+        blocks={kind: (rms_length(before), rms_length(after)) for kind, (before, after) in left.items()},
         test=None if test is None else _tested(test, cell, evaluated, found, model),
         model=model,
         estimate=positions_estimate(extended, model, effects, cell),
@@ -241,14 +237,6 @@ def _stiffness(extended: Extended) -> dict[str, tuple[float, float]]:
     return found
 
 
-def _rms(residual: Float2D) -> float:
-    return float(np.sqrt(np.mean(residual**2)))
-
-
-def _rms3(residual: Float2D) -> float:
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
-
-
 def diagnose_mixed(
     readings: Readings,
     cell: Cell,
@@ -258,12 +246,7 @@ def diagnose_mixed(
 ) -> Diagnosis:
     """Say what the model of a recording leaves out that holds postures at rest and loaded ones, any number of either.
 
-    Args:
-        readings: The recording; rows in the order of time.
-        cell: The cell file.
-        options: How the loaded steps are evaluated.
-        test: A second recording, predicted but not fitted.
-        offers: What could be measured next; None: nothing is proposed.
+    Rows are in the order of time; arguments as `diagnose`.
 
     Raises:
         InputError: As `identify_absolute`, and as `identify_loaded` where several configurations were loaded.

@@ -21,7 +21,7 @@ from calibration_core.estimation.likelihood.small_effects import (
 )
 from calibration_core.timeseries import Float1D, Int1D
 
-KEPT = 4  # models with blocks left out, for what is tried beside them
+KEPT = 8  # models with blocks left out, for what is tried beside them
 
 
 @dataclasses.dataclass(frozen=True)

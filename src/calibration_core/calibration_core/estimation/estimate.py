@@ -225,7 +225,7 @@ def _again(found: Estimate, model: NullModel) -> Estimate:
     at = dataclasses.replace(found.extended.model, used=model.used)
     whitening = found.extended.whitening
     null = refit(dataclasses.replace(found.null.model, used=model.used), whitening, (), blocks)
-    extended = refit(at, whitening, found.extended.parts, blocks)
+    extended = refit(at, whitening, found.extended.parts, blocks, known=found.extended)
     return dataclasses.replace(found, null=null, extended=extended)
 
 

@@ -31,6 +31,7 @@ class Field:
         flat_scale: (f,) lengths by which the null model's columns were divided.
         offered: What they are.
         partitions: Of the readings, into blocks.
+        products: (f + p, f + p) of the columns in `wide`.
         gram: Condensed, flat columns projected out.
         clear: (p,) whether frames and geometry leave enough of a column.
     """
@@ -40,6 +41,7 @@ class Field:
     flat_scale: Float1D
     offered: Offered
     partitions: tuple[Blocks, ...]
+    products: Float2D
     gram: Gram
     clear: Bool1D
 
@@ -75,9 +77,9 @@ class Field:
         left, s, _ = np.linalg.svd(wide[:, : f + u], full_matrices=False)
         basis, columns = left[:, s > 1e-7 * s[0]], wide[:, f + u :]
         in_flat = basis.T @ columns
-        whole = np.einsum("ij,ij->j", columns, columns)
-        matrix = columns.T @ columns
-        matrix -= in_flat.T @ in_flat
+        products = wide.T @ wide
+        matrix = products[f + u :, f + u :] - in_flat.T @ in_flat
+        whole = np.diag(products)[f + u :]
         seen = basis.T @ residual
         gram = Gram(
             matrix, columns.T @ residual - in_flat.T @ seen, float(residual @ residual - seen @ seen),
@@ -85,7 +87,7 @@ class Field:
         )  # fmt: skip
         clear = (whole > LEAST_MOVED) & (np.diag(matrix) > LEAST_REST**2 * whole)
         matrix[~clear] = matrix[:, ~clear] = gram.vector[~clear] = 0.0
-        return Field(residual, wide, scale, offered, partitions, gram, clear)
+        return Field(residual, wide, scale, offered, partitions, products, gram, clear)
 
     @property
     def flat_count(self) -> int:
@@ -107,14 +109,18 @@ class Field:
 
     def columns(self, accepted: Accepted) -> Float2D:
         """Return the whitened columns of hypotheses, (r, k)."""
-        return self.wide[:, self.flat_count + np.concatenate([np.zeros(0, dtype=np.int64), *self.blocks(accepted)])]
+        return self.wide[:, self._places(accepted)]
+
+    def _places(self, accepted: Accepted) -> Int1D:
+        return self.flat_count + np.concatenate([np.zeros(0, dtype=np.int64), *self.blocks(accepted)])
 
     def left_out(self, accepted: Accepted, sizes: Sizes) -> LeftOut:
         """Return the null model with hypotheses of some sizes, every block left out."""
         t = np.repeat(sizes.size, [len(block) for block in self.blocks(accepted)])
-        columns = np.concatenate([self.wide[:, : self.flat_count], self.columns(accepted)], axis=1)
+        index = np.concatenate([np.arange(self.flat_count), self._places(accepted)])
         ridge = np.concatenate([np.zeros(self.flat_count), sizes.variance / t**2])
-        return LeftOut(columns, self.residual, self.partitions, ridge)
+        products = self.products[np.ix_(index, index)]
+        return LeftOut(self.wide[:, index], self.residual, self.partitions, ridge, products)
 
     def in_blocks(self, errors: Sequence[Float1D]) -> list[Float1D]:
         """Return per partition the squares of blocks left out, (b,)."""

@@ -57,11 +57,61 @@ def left_out(
     return result
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Block:
+    """(I - H_bb)^(-1) of a block of b rows, H_bb = K'K with K (p, b), by a factor of the smaller size.
+
+    (I - K'K)^(-1) = I + K' (I - K K')^(-1) K, and both determinants are the same (Woodbury; Sylvester).
+
+    Attributes:
+        rows: (b,) indices of the rows.
+        factor: Cholesky factor of I - K'K, (b, b), or of I - K K', (p, p).
+        through: (p, b) K; None: the factor is (b, b).
+    """
+
+    rows: Int1D
+    factor: Float2D
+    through: Float2D | None
+
+    @staticmethod
+    def of(rows: Int1D, through: Float2D) -> _Block:
+        """Factorise a block, of which K is given, (p, b)."""
+        p, b = through.shape
+        if b <= p:
+            return _Block(rows, _factor(np.eye(b) - through.T @ through), None)
+        return _Block(rows, _factor(np.eye(p) - through @ through.T), through)
+
+    def solve(self, right: Float2D) -> Float2D:
+        """Return (I - H_bb)^(-1) times some columns, (b, c)."""
+        if self.through is None:
+            return np.asarray(dpotrs(self.factor, right, lower=True)[0])
+        return np.asarray(right + self.through.T @ dpotrs(self.factor, self.through @ right, lower=True)[0])
+
+    @property
+    def log_determinant(self) -> float:
+        """Log |I - H_bb|."""
+        return 2 * float(np.log(np.diag(self.factor)).sum())
+
+    def beside(self, left: Float1D, more: Float2D) -> tuple[Float1D, float]:
+        """Return what is left of the rows when they are left out, (b,), and log |I - H_bb|, with further columns.
+
+        Args:
+            left: (b,) what the whole model, further columns included, leaves of them.
+            more: (k, b) what k further columns add to H.
+        """
+        solved = self.solve(np.column_stack([left, more.T]))
+        plain, through = solved[:, 0], solved[:, 1:]
+        inner = np.eye(len(more)) - more @ through
+        error = plain + through @ np.linalg.solve(inner, more @ plain)
+        return error, self.log_determinant + float(np.linalg.slogdet(inner)[1])
+
+
 class LeftOut:
     """A linear model with every block of several partitions left out, and what more columns would change.
 
     e_b = (I - H_bb)^(-1) r_b with H = X (X'X + R)^(-1) X': one factorisation serves all blocks.  Further columns Z add
-    U'U to H, U = S^(-1/2) (Z - H Z)' with S = Z' (Z - H Z) + R_z, so that they cost little (Woodbury).
+    U'U to H, U = S^(-1/2) (Z - H Z)' with S = Z' (Z - H Z) + R_z, so that they cost little (Woodbury).  Where X'X is
+    known already, it is given as `products`, (p, p).
 
     Attributes:
         partitions: Of the readings; rows beyond them are priors, which stay.
@@ -70,24 +120,28 @@ class LeftOut:
         ridge: (p,) prior precision times the noise variance.
         half: (p, r) (X'X + R)^(-1/2) X'.
         left: (r,) what the model leaves, nothing left out.
-        blocks: Per partition and block: its rows, and the Cholesky factor of I - H_bb.
+        blocks: Per partition.
     """
 
-    def __init__(self, columns: Float2D, residual: Float1D, partitions: Sequence[Blocks], ridge: Float1D) -> None:
-        lower = cholesky(columns.T @ columns + np.diag(RIDGE + ridge), lower=True, overwrite_a=True)
+    def __init__(
+        self,
+        columns: Float2D,
+        residual: Float1D,
+        partitions: Sequence[Blocks],
+        ridge: Float1D,
+        products: Float2D | None = None,
+    ) -> None:
+        products = columns.T @ columns if products is None else products
+        lower = cholesky(products + np.diag(RIDGE + ridge), lower=True, overwrite_a=True)
         self.partitions, self.residual = tuple(partitions), residual
         self.columns, self.ridge = columns, ridge
         self.half = solve_triangular(lower, columns.T, lower=True)
         self.left = residual - (self.half @ residual) @ self.half
-        self.blocks: list[list[tuple[Int1D, Float2D]]] = []
+        self.blocks: list[list[_Block]] = []
         for partition in self.partitions:
             label = np.repeat(partition.label, 3)
-            several = []
-            for block in range(partition.count):
-                rows = np.flatnonzero(label == block)
-                own = self.half[:, rows]
-                several.append((rows, _factor(np.eye(len(rows)) - own.T @ own)))
-            self.blocks.append(several)
+            rows = [np.flatnonzero(label == block) for block in range(partition.count)]
+            self.blocks.append([_Block.of(own, self.half[:, own]) for own in rows])
 
     @property
     def errors(self) -> list[Float1D]:
@@ -95,8 +149,8 @@ class LeftOut:
         answers = []
         for several in self.blocks:
             result = np.zeros_like(self.residual)
-            for rows, factor in several:
-                result[rows] = dpotrs(factor, self.left[rows], lower=True)[0]
+            for block in several:
+                result[block.rows] = block.solve(self.left[block.rows, None])[:, 0]
             answers.append(result)
         return answers
 
@@ -108,8 +162,8 @@ class LeftOut:
         answers = []
         for several in self.blocks:
             result = np.zeros_like(self.residual)
-            for rows, factor in several:
-                result[rows], _ = _beside(factor, left[rows], more[:, rows])
+            for block in several:
+                result[block.rows], _ = block.beside(left[block.rows], more[:, block.rows])
             answers.append(result)
         return answers
 
@@ -129,10 +183,9 @@ class LeftOut:
         answers = []
         for several in self.blocks:
             scores = []
-            for rows, factor in several:
-                error, beside = _beside(factor, left[rows], more[:, rows])
-                log_determinant = 2 * float(np.log(np.diag(factor)).sum()) + beside
-                scores.append(float(left[rows] @ error) - variance * log_determinant)
+            for block in several:
+                error, log_determinant = block.beside(left[block.rows], more[:, block.rows])
+                scores.append(float(left[block.rows] @ error) - variance * log_determinant)
             answers.append(np.array(scores))
         return answers
 
@@ -146,20 +199,6 @@ class LeftOut:
         lower = cholesky(columns.T @ rest + np.diag(RIDGE + ridge), lower=True)
         more = solve_triangular(lower, rest.T, lower=True)
         return more, self.left - (more @ self.residual) @ more
-
-
-def _beside(factor: Float2D, left: Float1D, more: Float2D) -> tuple[Float1D, float]:
-    """Return what is left of a block's b rows when it is left out, (b,), and by how much log |I - H_bb| changes.
-
-    Args:
-        factor: (b, b) Cholesky factor of I - H_bb.
-        left: (b,) what the whole model, further columns included, leaves of them.
-        more: (k, b) what k further columns add to H.
-    """
-    solved = dpotrs(factor, np.column_stack([left, more.T]), lower=True)[0]
-    plain, through = solved[:, 0], solved[:, 1:]
-    inner = np.eye(len(more)) - more @ through
-    return plain + through @ np.linalg.solve(inner, more @ plain), float(np.linalg.slogdet(inner)[1])
 
 
 def _factor(matrix: Float2D) -> Float2D:

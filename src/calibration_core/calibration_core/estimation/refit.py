@@ -36,6 +36,7 @@ STEP = 2.0  # factor by which a compliance may move in one round
 APART = 4.0  # factor between a compliance and what was believed of it
 CONVERGED = 1e-6  # m and rad
 STILL = 0.01  # of a compliance
+STAY = 1e-3  # of a compliance: by which it may move before columns of effects are written anew
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,8 +70,9 @@ class Extended:
         covariance: (f + p, f + p) of everything, units of the parameters.
         own: (3 m, f + p) columns in units of the claimed noise, of length one.
         residual: (3 m,) likewise, at the solution.
-        columns: (3 m, f + p) and
-        rest: (3 m,) the same as independent rows.
+        columns: (3 m, f + p) the same as independent rows.
+        gram: (f + p, f + p) products of those of the readings used.
+        rest: (3 m,) the residual as independent rows.
         ridge: (f + p,) precision of the priors times the variance.
         variance: Of an independent row.
         free: (f + p, k) directions in which physics lets the solution move, in lengths of the columns; None: in all.
@@ -85,6 +87,7 @@ class Extended:
     own: Float2D
     residual: Float1D
     columns: Float2D
+    gram: Float2D
     rest: Float1D
     ridge: Float1D
     variance: float
@@ -164,8 +167,57 @@ class Extended:
         return unweighted(self.model.problem, self.parameters, values)
 
 
+class _Columns:
+    """Columns of everything, (3 m, f + p), at one linearisation, and their products over all readings.
+
+    Those of the null model are written anew at every linearisation.  Those of effects stay as long as the compliances
+    do: by what frames and geometry are corrected they change in the fourth digit.
+
+    Attributes:
+        own: In units of the claimed noise, per unit of the parameters.
+        white: The same as independent rows; the same array where the rows are independent as they are.
+        gram: (f + p, f + p) of `white`.
+    """
+
+    def __init__(self, model: NullModel, whitening: Whitening, parts: Sequence[Part], known: Extended | None) -> None:
+        self._everything = np.arange(len(model.readings))
+        self._whitening, self._candidates = whitening, [part.candidate for part in parts]
+        if known is None:
+            self._at: Float1D | None = None
+            return
+        self._at, length = known.model.parameters.compliance, np.sqrt(known.scale)
+        self.own = known.own * length
+        self.white = self.own if known.own is known.columns else known.columns * length
+        aside = known.columns[_aside(known.model)]
+        self.gram = (known.gram + aside.T @ aside) * np.outer(length, length)
+
+    def at(self, model: NullModel) -> Float1D:
+        """Linearise about a model, and return the residual of all rows there, (3 m,), in units of the claimed noise."""
+        flat, residual = model.flat(self._everything)
+        f, compliance = flat.shape[1], model.parameters.compliance
+        if self._at is None or np.any(np.abs(compliance - self._at) > STAY * self._at):
+            self._at = compliance
+            self.own = model.moves(self._candidates, self._everything, flat)
+            self.white = self._whitening(self.own)
+            self.gram = self.white.T @ self.white
+            return residual
+        independent = self.white is self.own
+        self.own[:, :f] = flat
+        if not independent:
+            self.white[:, :f] = self._whitening(flat)
+        cross = self.white.T @ self.white[:, :f]
+        self.gram[:, :f], self.gram[:f] = cross, cross.T
+        return residual
+
+
 def refit(
-    model: NullModel, whitening: Whitening, parts: Sequence[Part], partition: Blocks, *, rounds: int = ROUNDS
+    model: NullModel,
+    whitening: Whitening,
+    parts: Sequence[Part],
+    partition: Blocks,
+    *,
+    rounds: int = ROUNDS,
+    known: Extended | None = None,
 ) -> Extended:
     """Fit null model and effects together, linearised again until nothing moves.
 
@@ -175,58 +227,58 @@ def refit(
         parts: The effects.
         partition: Blocks of the m readings for the covariance.
         rounds: Linearisations at most.
+        known: The same of other readings used, at the model to start from; None: not known.
     """
     held, value = _held(model, parts), np.zeros(sum(len(part.candidate.parameters) for part in parts))
     prior = np.concatenate([np.zeros(0), *(part.prior for part in parts)])
-    everything = np.arange(len(model.readings))
-    fitted = np.repeat(model.used, 3)
-    aside = np.flatnonzero(~fitted)
+    fitted, aside = np.repeat(model.used, 3), _aside(model)
     n = len(names_of(model.terms))
+    f = n + len(model.fitted_compliances)
+    linear = _Columns(model, whitening, parts, known)
     turn = 0
     while True:
         turn += 1
-        flat, residual = model.flat(everything)
-        own = model.moves([part.candidate for part in parts], everything, flat)
-        residual = residual - own[:, flat.shape[1] :] @ (value - held)
-        columns = whitening(own)
+        residual = linear.at(model)
+        residual = residual - linear.own[:, f:] @ (value - held)
         rest = whitening(residual[:, None])[:, 0]
-        normal, right = _normal(columns, rest, aside)
+        unused = linear.white[aside]
+        normal = linear.gram - unused.T @ unused
+        right = rest @ linear.white - rest[aside] @ unused
         square = np.diag(normal)
         length = np.sqrt(np.where(square > 0, square, 1.0))
         normal, right = normal / np.outer(length, length), right / length
-        count = int(fitted.sum()) - flat.shape[1]
-        variance = float(rest[fitted] @ rest[fitted]) / max(count, 1)
-        precision = np.concatenate([np.zeros(flat.shape[1]), 1 / (prior * length[flat.shape[1] :]) ** 2])
-        lacking = np.concatenate([np.zeros(flat.shape[1]), value * length[flat.shape[1] :]])
+        variance = float(rest[fitted] @ rest[fitted]) / max(int(fitted.sum()) - f, 1)
+        precision = np.concatenate([np.zeros(f), 1 / (prior * length[f:]) ** 2])
+        lacking = np.concatenate([np.zeros(f), value * length[f:]])
         settling = 0
         while True:  # the variance of the rows and the solution settle together
             settling += 1
             ridge = variance * precision
             inverse = np.asarray(np.linalg.inv(normal + np.diag(ridge + RIDGE)), dtype=np.float64)
             change = inverse @ (right - ridge * lacking)
-            left = rest - columns @ (change / length)
+            left = rest - linear.white @ (change / length)
             effective = float(np.einsum("ij,ji->", inverse, normal))
             variance = float(left[fitted] @ left[fitted]) / max(int(fitted.sum()) - effective, 1.0)
             if settling == SETTLING:
                 break
-        f = flat.shape[1]
         spread = variance * inverse[f:, f:] / np.outer(length[f:], length[f:])
         allowed = nearest([part.candidate.parameters for part in parts], value + change[f:] / length[f:], spread)
         if len(allowed.held):  # the effects as physics allows them, everything else the best beside them
             change = _beside(normal, right, (allowed.value - value) * length[f:])
-            left = rest - columns @ (change / length)
+            left = rest - linear.white @ (change / length)
             variance = float(left[fitted] @ left[fitted]) / max(int(fitted.sum()) - effective, 1.0)
         step = change / length
-        softer = step[n : flat.shape[1]] / np.maximum(_fitted(model), 1e-300)
+        softer = step[n:f] / np.maximum(_fitted(model), 1e-300)
         still = np.abs(step[:n]).max(initial=0.0) < CONVERGED and np.abs(softer).max(initial=0.0) < STILL
         if turn == rounds or still:
             break
-        value = value + step[flat.shape[1] :]
+        value = value + step[f:]
         parameters = moved(model.parameters, model.terms, step[:n])
-        parameters = _softened(parameters, model.fitted_compliances, step[n : flat.shape[1]], model.believed)
+        parameters = _softened(parameters, model.fitted_compliances, step[n:f], model.believed)
         model = model.at(_sagging(parameters, parts, value))
         held = _held(model, parts)
-    value = value + step[flat.shape[1] :]
+    value = value + step[f:]
+    own, columns = linear.own, linear.white
     residual = residual - own @ step
     columns /= length
     if own is not columns:
@@ -236,15 +288,14 @@ def refit(
     widened = _widened(covariance, inverse, columns, left, label)
     covariance = widened / np.outer(length, length)
     return Extended(
-        model, whitening, tuple(parts), value, held, covariance, own, residual, columns, left, ridge, variance,
+        model, whitening, tuple(parts), value, held, covariance, own, residual, columns, normal, left, ridge, variance,
         free=_directions(allowed.held, length[f:], f), scale=length**2,
     )  # fmt: skip
 
 
-def _normal(columns: Float2D, rest: Float1D, aside: Int1D) -> tuple[Float2D, Float1D]:
-    """Return A'A and A'y without the rows set aside; these are few: nothing as large as the columns is copied."""
-    unused = columns[aside]
-    return columns.T @ columns - unused.T @ unused, columns.T @ rest - unused.T @ rest[aside]
+def _aside(model: NullModel) -> Int1D:
+    """Return the rows that are not fitted; these are few."""
+    return np.flatnonzero(~np.repeat(model.used, 3))
 
 
 def _beside(normal: Float2D, right: Float1D, effects: Float1D) -> Float1D:

@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.geometry.fit import AbsoluteProblem
-from calibration_core.identification.geometry.terms import Term, names_of
+from calibration_core.identification.geometry.terms import Term, columns_of
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.effects.state import State
@@ -118,14 +118,8 @@ def sample(configuration: Int1D, used: Int1D) -> Int1D:
 def null_columns(part: AbsoluteProblem, parameters: ModelParameters, terms: Sequence[Term]) -> tuple[Float2D, Float1D]:
     """Return the columns of frames and geometry (3 r, n) and the residual (3 r,), in units of the claimed noise."""
     view = part.view(parameters)
-    columns = np.empty((len(names_of(terms)), *view.target.shape))
-    first = 0
-    for term in terms:
-        count = len(term.names)
-        term.write(view, columns[first : first + count])
-        first += count
     residual = (view.measured - view.target).T[:, :, None]
-    movement = np.moveaxis(columns, 0, -1).transpose(1, 0, 2)  # (r, 3, n)
+    movement = np.moveaxis(columns_of(view, terms), 0, -1).transpose(1, 0, 2)  # (r, 3, n)
     return weighted(part, parameters, movement), weighted(part, parameters, residual)[:, 0]
 
 

@@ -250,7 +250,8 @@ class Search(Comparisons):
         """Return members of a family that alone do as well as all of it; empty where they do not.
 
         The family is accepted already, so that its members compete among themselves alone; where they are more than
-        half of it, each must pass by itself.
+        half of it, each must pass by itself.  Those that blocks left out do not prove, or physics forbids, beside the
+        others go, the last first.
         """
         whole, members = self.sizes((*others, family)).value, set(self.field.offered.hypotheses[family].members)
         alone = [i for i in self.judged if len(m := self.field.offered.hypotheses[i].members) == 1 and m[0] in members]
@@ -263,13 +264,13 @@ class Search(Comparisons):
             if best < 0 or gain[self.place[best]] < least:
                 break
             few = (*few, best)
-        while few:  # those that blocks left out do not prove, or physics forbids, beside the others go, the last first
+        while few and self.sizes((*others, *few)).value > whole - EQUIVALENT:
             beside = {i: (*others, *(j for j in few if j != i)) for i in few}
             doubtful = [i for i, rest in beside.items() if not (self.trial(rest, i).proven and self._allowed(rest, i))]
             if not doubtful:
-                break
+                return few
             few = tuple(i for i in few if i != doubtful[-1])
-        return few if few and self.sizes((*others, *few)).value > whole - EQUIVALENT else ()
+        return ()
 
     def result(self, accepted: Accepted) -> Selection:
         """Say how each stands beside the others."""

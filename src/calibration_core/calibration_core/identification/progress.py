@@ -14,7 +14,8 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.identify import is_loaded
-from calibration_core.identification.statistics.distributions import chi2_limit, normal_quantile
+from calibration_core.identification.result.stiffness_interval import TWO_SIDED
+from calibration_core.identification.statistics.distributions import chi2_limit
 from calibration_core.identification.statistics.offsets import normal_equations
 from calibration_core.identification.stiffness.fit import LoadedFit
 from calibration_core.identification.stiffness.loaded import Options, identify_prepared, prepare_loaded
@@ -25,7 +26,6 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings
 
 FALSE_ALARM = 1e-3  # probability that a sound configuration is called suspicious
 DETERMINED = 1e-10  # reciprocal condition of the column-scaled normal matrix, below which nothing is told
-QUANTILE = normal_quantile(0.975)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ def _accuracy(matrix: Float2D, compliance: Float1D, scale: float) -> Float1D:
     if values[0] <= DETERMINED * values[-1]:
         return np.full(len(size), np.inf)
     std = scale * np.sqrt((vectors**2 / values).sum(axis=1)) / size
-    return np.where(compliance > 0.0, QUANTILE * std / np.where(compliance > 0.0, compliance, 1.0), np.inf)
+    return np.where(compliance > 0.0, TWO_SIDED * std / np.where(compliance > 0.0, compliance, 1.0), np.inf)
 
 
 def _next(planned: Sequence[Loading], information: Float3D, total: Float2D, compliance: Float1D) -> int | None:

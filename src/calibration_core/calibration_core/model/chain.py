@@ -171,6 +171,11 @@ def rotation_rpy(roll: float, pitch: float, yaw: float) -> Float2D:
     return rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)
 
 
+def xyz_rpy(pose: Float2D) -> Float1D:
+    """Return x, y, z (m) and roll, pitch, yaw (rad) of a (4, 4) pose, see `rpy_of`."""
+    return np.concatenate([pose[:3, 3], rpy_of(pose[:3, :3])])
+
+
 def rpy_of(rotation: Float2D) -> Float1D:
     """Return roll, pitch, yaw in rad of a (3, 3) rotation, the inverse of `rotation_rpy`.
 

@@ -41,6 +41,11 @@ def position_covariance(readings: Readings, cell: Cell) -> Float3D:
     return _larger(claim, readings.position_covariance)
 
 
+def coordinate_std(covariance: Float3D) -> float:
+    """Return the standard deviation of one coordinate, m, root mean square over covariances (m, 3, 3) m²."""
+    return float(np.sqrt(np.einsum("mii->m", covariance).mean() / 3))
+
+
 def spherical_covariance(position: Float2D, tracker: Tracker) -> Float3D:
     """Covariance (m, 3, 3) m² of positions (m, 3) in the tracker frame under a claim in range, azimuth, elevation.
 

@@ -12,7 +12,7 @@ from calibration_core.cell import Cell
 from calibration_core.identification.checks.space import operating_space
 from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.result.estimate import OperatingSpace, Residuals
-from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
+from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings, references
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -20,7 +20,6 @@ from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
 from calibration_core.outcomes.inputs import naming_model, refuse_lengths
-from calibration_core.report.shown import references
 from calibration_core.timeseries import Float2D, Readings
 
 

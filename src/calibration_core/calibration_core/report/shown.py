@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.result.estimate import Identification, Residuals
-from calibration_core.timeseries import Bool1D, Readings
+from calibration_core.identification.stiffness.predict import references
 
 
 def shown(identification: Identification, cell: Cell) -> Identification:
@@ -29,12 +29,3 @@ def shown(identification: Identification, cell: Cell) -> Identification:
     changes = {field.name: getattr(residuals, field.name)[keep] for field in dataclasses.fields(Residuals)}
     changes["sigma"] = changes["sigma"] * factor
     return dataclasses.replace(result, readings=result.readings.select(keep), residuals=Residuals(**changes))
-
-
-def references(readings: Readings) -> Bool1D:
-    """Return (m,) which rows are the first step of their configuration and point."""
-    order = np.lexsort((readings.step, readings.point, readings.configuration))
-    keys = np.column_stack([readings.configuration, readings.point])[order]
-    first = np.zeros(len(readings), dtype=bool)
-    first[order] = np.concatenate([[True], np.any(np.diff(keys, axis=0) != 0, axis=1)])[: len(readings)]
-    return first

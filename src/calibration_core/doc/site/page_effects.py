@@ -144,7 +144,7 @@ def shown(effect: Effect, cell: Cell) -> tuple[Candidate, State] | None:
 
 def shift(candidate: Candidate, state: State) -> Float2D:
     """Return the (m, 3) m that an effect of typical size moves the points."""
-    return candidate.columns(state) @ np.array([p.sign * p.typical for p in candidate.parameters])
+    return candidate.columns(state) @ np.array([p.typical for p in candidate.parameters])
 
 
 def picture(effect: Effect, cell: Cell) -> bytes:

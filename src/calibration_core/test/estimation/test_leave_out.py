@@ -18,13 +18,17 @@ def example() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rng.standard_normal((3 * READINGS, COLUMNS)), rng.standard_normal(3 * READINGS), ridge
 
 
-def test_both_ways_are_the_fit_without_the_block(example: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+@pytest.mark.parametrize("count", [5, 15])
+def test_both_ways_are_the_fit_without_the_block(
+    example: tuple[np.ndarray, np.ndarray, np.ndarray], count: int
+) -> None:
+    """Blocks of 18 rows, more than there are columns, and of 6 rows, fewer."""
     columns, residual, ridge = example
-    blocks = time_blocks(np.arange(READINGS), 5)
+    blocks = time_blocks(np.arange(READINGS), count)
     (quick,) = LeftOut(columns, residual, (blocks,), ridge).errors
     slow = left_out(columns, residual, blocks, np.diag(ridge))
     label = np.repeat(blocks.label, 3)
-    for block in range(5):
+    for block in range(count):
         rest = label != block
         matrix = columns[rest].T @ columns[rest] + np.diag(ridge + RIDGE)
         expected = (residual - columns @ np.linalg.solve(matrix, columns[rest].T @ residual[rest]))[~rest]

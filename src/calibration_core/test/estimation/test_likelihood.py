@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration_core.estimation.likelihood.gains import beside, gains
-from calibration_core.estimation.likelihood.restricted import WIDE, Gram, Sizes, fit_sizes, price
+from calibration_core.estimation.likelihood.restricted import DEAR, WIDE, Gram, Likelihood, Sizes, fit_sizes, price
 
 ROWS, FLAT = 90, 4
 BLOCKS = [np.arange(3), np.arange(3, 8)]
@@ -49,6 +49,28 @@ def test_the_optimum_is_that_of_the_dense_likelihood(seed: int) -> None:
             variance = found.variance * (factor if k == 2 else 1.0)
             size = found.size * np.where(np.arange(2) == k, factor, 1.0)
             assert dense(residual, flat, columns, Sizes(variance, size, 0.0), BLOCKS) < best + 1e-3
+
+
+@pytest.mark.parametrize("wide", [5, WIDE + 4])
+def test_slopes_are_finite_differences_and_the_information_is_that_of_the_covariance(wide: int) -> None:
+    """Of two blocks as columns, and of a wide one by its eigenvectors; one size is beyond what is typical."""
+    rng = np.random.default_rng(11)
+    columns, residual = rng.standard_normal((3 * WIDE, wide + 4)), rng.standard_normal(3 * WIDE)
+    blocks = [np.arange(4), np.arange(4, wide + 4)]
+    gram = Gram(columns.T @ columns, columns.T @ residual, float(residual @ residual), len(residual))
+    x = np.log([0.8, 4.0, 0.3])
+
+    at, step = Likelihood(gram, blocks).at, 1e-5
+    found = at(x)
+    for k, change in enumerate(step * np.eye(3)):
+        assert found.slope[k] == pytest.approx((at(x + change).value - at(x - change).value) / (2 * step), abs=1e-5)
+    variance, size = np.exp(x[0]), np.exp(x[1:])
+    parts = [2 * t**2 * columns[:, block] @ columns[:, block].T for t, block in zip(size, blocks, strict=True)]
+    changes = [variance * np.eye(len(residual)), *parts]  # of the covariance with every logarithm
+    precision = np.linalg.inv(changes[0] + 0.5 * sum(parts))
+    along = np.stack([change @ precision @ residual for change in changes])
+    paid = np.diag([0.0, 1 / DEAR**2, 0.0])
+    np.testing.assert_allclose(found.information, 0.5 * along @ precision @ along.T + paid, rtol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(3))

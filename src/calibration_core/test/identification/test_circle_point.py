@@ -12,7 +12,8 @@ from robots import write_cell
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.circle_point.circle import _jacobian, _residual, fit_circle
-from calibration_core.identification.circle_point.joint_axes import identify_axes, identify_base_frame
+from calibration_core.identification.circle_point.coaxial import fit_coaxial
+from calibration_core.identification.circle_point.joint_axes import identify_axes
 from calibration_core.identification.circle_point.sweeps import single_joint_sweeps
 from calibration_core.identification.wrist.centre import identify_wrist_centre
 from calibration_core.identification.wrist.sphere import fit_sphere, trilaterate
@@ -74,9 +75,11 @@ def test_circle_intervals_cover(arc: float) -> None:
     z = []
     for seed in range(200):
         clean = truth + 1.5 * (np.cos(angle)[:, None] * frame[:, 0] + np.sin(angle)[:, None] * frame[:, 1])
-        circle = fit_circle(clean + np.random.default_rng(seed).normal(0, SIGMA, clean.shape))
+        points = clean + np.random.default_rng(seed).normal(0, SIGMA, clean.shape)
+        circle = fit_circle(points)
         assert circle.normal @ frame[:, 2] > 0.999
-        z.append((circle.centre - truth) / np.sqrt(np.diag(circle.covariance)[:3]))
+        alone = fit_coaxial([circle], [points])
+        z.append((alone.centres[0] - truth) / np.sqrt(np.diag(alone.line_covariance(0))[:3]))
     assert 0.9 < np.mean(np.abs(z) < 2.0) < 0.98
     assert circle.arc == pytest.approx(arc, rel=1e-3)
 
@@ -97,7 +100,7 @@ def test_sphere_and_trilateration() -> None:
 
 def test_base_frame_is_found(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
-    found = identify_base_frame(_readings(cell, chain_of(cell), _sweeps(range(2)), SIGMA), cell)
+    found = identify_axes(_readings(cell, chain_of(cell), _sweeps(range(2)), SIGMA), cell).base
     error = found.tracker @ np.linalg.inv(nominal_parameters(cell).tracker)
     assert np.linalg.norm(error[:3, 3]) < 5 * np.linalg.norm(found.std[:3]) < 5e-4
     assert np.linalg.norm(error[:3, :3] - np.eye(3)) < 8 * np.linalg.norm(found.std[3:]) < 1e-3
@@ -107,7 +110,7 @@ def test_base_frame_is_found(tmp_path: Path) -> None:
 
 def test_short_arcs_are_called_short(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
-    found = identify_base_frame(_readings(cell, chain_of(cell), _sweeps(range(2), arc=0.7), SIGMA), cell)
+    found = identify_axes(_readings(cell, chain_of(cell), _sweeps(range(2), arc=0.7), SIGMA), cell).base
     assert len(found.warnings) == 2
     assert "40 degrees" in found.warnings[0]
 
@@ -193,14 +196,11 @@ def test_sweeps_are_found_in_long_recordings_at_once(tmp_path: Path) -> None:
     assert [(sweep.joints, len(sweep.rows)) for sweep in found] == [((0,), 25)]
 
 
-@pytest.mark.parametrize(
-    ("function", "joints", "expected"),
-    [(identify_base_frame, range(1, 2), "joint_1"), (identify_base_frame, range(1), "joint_2")],
-)
-def test_missing_sweeps_are_named(tmp_path: Path, function, joints: range, expected: str) -> None:
+@pytest.mark.parametrize(("joints", "expected"), [(range(1, 2), "joint_1"), (range(1), "joint_2")])
+def test_missing_sweeps_are_named(tmp_path: Path, joints: range, expected: str) -> None:
     cell = write_cell(tmp_path)
     with pytest.raises(IdentificationError) as caught:
-        function(_readings(cell, chain_of(cell), _sweeps(joints), SIGMA), cell)
+        identify_axes(_readings(cell, chain_of(cell), _sweeps(joints), SIGMA), cell)
     assert caught.value.place == expected
 
 

@@ -13,7 +13,7 @@ from calibration_core.cell import Cell
 from calibration_core.identification.circle_point.arc import arc_for, centre_std
 from calibration_core.identification.circle_point.circle import fit_circle
 from calibration_core.identification.circle_point.coaxial import _linearised, fit_coaxial
-from calibration_core.identification.circle_point.joint_axes import identify_base_frame
+from calibration_core.identification.circle_point.joint_axes import identify_axes
 from calibration_core.model.chain import pose_matrix, rotation_about, rotation_vector
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Provenance, Readings
@@ -168,7 +168,7 @@ def test_base_frame_reaches_the_bound_and_its_intervals_cover(seeds: int) -> Non
     errors, ratios = [], []
     for seed in range(seeds):
         play = _play(seed)
-        found = identify_base_frame(play.readings, cell)
+        found = identify_axes(play.readings, cell).base
         centres = np.stack([_centre(play, k) for k in range(3)])
         best = int(np.argmin(np.linalg.norm(centres - found.axes[1].point, axis=1)))
         origin, axes = _clause(play.lines, centres[best])

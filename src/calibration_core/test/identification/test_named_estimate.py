@@ -10,9 +10,12 @@ from absolute_cases import SIGMA, make_cell, make_readings, random_angles, truth
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
+from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.geometry.named_estimate import with_known_effects
+from calibration_core.identification.geometry.parameter_table import frames_uncertainty
 from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.predict import predict_readings
+from calibration_core.model.chain import rotation_about, rotation_rpy, rpy_of
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import value_of, with_values
 from calibration_core.model.parameters import ModelParameters
@@ -68,6 +71,30 @@ def test_intervals_of_stiffness_cover_the_truth(tmp_path: Path) -> None:
         squares.append(float(error @ np.linalg.solve(estimate.covariance, error)))
     # The mean of 25 chi squares of 6 degrees of freedom: 6, standard deviation sqrt(12 / 25).
     assert np.mean(squares) == pytest.approx(6.0, abs=4 * np.sqrt(12 / RECORDINGS))
+
+
+def test_the_table_of_frames_states_the_uncertainty_of_the_model_that_is_written(tmp_path: Path) -> None:
+    """Roll, pitch and yaw of a tracker that stands askew are not the rotations about the axes of the base."""
+    cell = write_cell(tmp_path)
+    found = identify(loaded_readings(cell, 1), cell)
+    std = dict(zip(found.estimate.names, np.sqrt(np.diag(found.estimate.covariance)), strict=True))
+    table = {one.name: one for one in found.parameters if one.group == "tracker"}
+    assert abs(table["tracker yaw"].value) > 0.1
+    for part in ("x", "y", "z", "roll", "pitch", "yaw"):
+        assert table[f"tracker {part}"].std == pytest.approx(std[f"tracker.{part}"], rel=1e-9)
+
+
+def test_roll_pitch_and_yaw_scatter_as_the_rotations_that_were_fitted() -> None:
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((9, 9)) * 1e-4
+    tracker = np.eye(4)
+    tracker[:3, :3] = rotation_rpy(0.3, -0.7, 2.6)
+    stated = frames_uncertainty(FrameFit(tracker, np.zeros((1, 3)), root @ root.T, 0.0, 9), ["mp1"])
+    drawn = rng.standard_normal((20_000, 9)) @ root.T
+    turned = np.array([rpy_of(rotation_about(one) @ tracker[:3, :3]) for one in drawn[:, 3:6]])
+    seen = np.cov(np.column_stack([drawn[:, :3], turned, drawn[:, 6:]]).T)
+    scale = np.sqrt(np.diag(seen))
+    np.testing.assert_allclose(stated.covariance / np.outer(scale, scale), seen / np.outer(scale, scale), atol=0.04)
 
 
 def test_the_estimate_is_that_of_the_model_as_it_is_written(tmp_path: Path) -> None:

@@ -10,10 +10,11 @@ import pytest
 
 from calibration_core.cell import Cell, Safety
 from calibration_core.identification.result.estimate import Identification, NoiseCheck
+from calibration_core.identification.stiffness.predict import references
 from calibration_core.report.content import build, date_of_test
 from calibration_core.report.document import Document, Facts, Items, Paragraph, Table
 from calibration_core.report.sections import procedure, residuals, stiffness, uncertainty
-from calibration_core.report.shown import references, shown
+from calibration_core.report.shown import shown
 
 DAY = dt.date(2026, 3, 5)
 Case = tuple[Identification, Cell]

@@ -17,7 +17,7 @@ from calibration_core.identification.stiffness.problem import LoadedProblem, bui
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.covariance import coordinate_std, position_covariance
 from calibration_core.timeseries import Float1D, Readings
 
 NOISE = 1.1  # times the claimed noise, that a model may leave and still be called the same
@@ -76,7 +76,7 @@ def reproduction(readings: Readings, cell: Cell) -> Reproduction:
 
 
 def _reproduction(readings: Readings, cell: Cell, model: ModelParameters) -> Reproduction:
-    noise = float(np.sqrt(np.mean(np.einsum("mii->m", position_covariance(readings, cell))) / 3))
+    noise = coordinate_std(position_covariance(readings, cell))
     absolute = _absolute(readings, cell, model)
     near = not absolute > NOISE * noise  # NaN: no absolute positions to compare
     if not _bends(readings, model):

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from calibration_core.diagnosis.comparison.result import Difference, Side
+from calibration_core.diagnosis.comparison.result import Difference, Side, farther_off
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 UNITS = {"the recording in mm": 1000.0, "the simulation in mm": 0.001}
@@ -50,7 +50,7 @@ def place(
         names: Of the points.
         far: m per coordinate, how far recording and simulation are from the cell file's own prediction.
     """
-    side = _side(*far)
+    side = farther_off(*far)
     found: list[Difference] = []
     factor = _unit(recorded, simulated)
     if factor != 1.0:
@@ -137,9 +137,3 @@ def _names(recorded: Float2D, simulated: Float2D, point: Int1D, count: int) -> _
     if rms > BETTER * usual:
         return None
     return _Order(table[:, order].reshape(-1), tuple((a, b) for b, a in enumerate(order) if a != b))
-
-
-def _side(recording: float, simulation: float) -> Side:
-    if recording > 3 * simulation:
-        return "recording"
-    return "simulation" if simulation > 3 * recording else "either"

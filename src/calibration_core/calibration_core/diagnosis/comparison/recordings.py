@@ -11,19 +11,25 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.joints import by_posture, joint_differences, postures, relation
 from calibration_core.diagnosis.comparison.model import Misfit, misfit, reproduction
 from calibration_core.diagnosis.comparison.points import Placed, place, rigid
-from calibration_core.diagnosis.comparison.result import Comparison, Difference, PartDifference, Side, StepByStep
+from calibration_core.diagnosis.comparison.result import (
+    Comparison,
+    Difference,
+    PartDifference,
+    Side,
+    StepByStep,
+    farther_off,
+)
 from calibration_core.diagnosis.comparison.wrench import wrench_differences
 from calibration_core.identification.stiffness.predict import from_step_zero
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import posture, turned
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.covariance import coordinate_std, position_covariance
 from calibration_core.timeseries import Float2D, Float3D, Int1D, Readings
 
 FEWEST = 4  # readings that a comparison needs
 WRONG_FILE = 0.0025  # of the reach, m per coordinate: farther apart, the two are not the same robot
-CLEARLY = 3.0  # times worse than the other
 
 
 def compare(recorded: Readings, simulated: Readings, cell: Cell) -> Comparison:
@@ -45,7 +51,7 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell) -> Comparison:
         more, placed = _frames(ours, theirs, cell, chain, far, known=bool(found))
         found += more
         if ours.wrench is not None and theirs.wrench is not None:
-            side = _side(far[0].deflection, far[1].deflection)
+            side = farther_off(far[0].deflection, far[1].deflection)
             found += wrench_differences(ours.wrench, theirs.wrench, sensor_axes(ours, cell, chain), side)
         elif (ours.wrench is None) != (theirs.wrench is None):
             which: Side = "recording" if ours.wrench is None else "simulation"
@@ -139,7 +145,7 @@ def _joint_side(recorded: Readings, simulated: Readings, cell: Cell) -> Side:
         far = misfit(recorded, cell).deflection, misfit(simulated, cell).deflection
     else:
         far = _rigid_misfit(recorded, cell), _rigid_misfit(simulated, cell)
-    return _side(*far)
+    return farther_off(*far)
 
 
 def _rigid_misfit(readings: Readings, cell: Cell) -> float:
@@ -177,7 +183,7 @@ def _frames(
     placed = place(ours.position, theirs.position, ours.point, ours.points, (far[0].absolute, far[1].absolute))
     found = list(placed.differences)
     if placed.rms > WRONG_FILE * chain.reach and not known:
-        side = _side(_rigid_misfit(ours, cell), _rigid_misfit(theirs, cell))
+        side = farther_off(_rigid_misfit(ours, cell), _rigid_misfit(theirs, cell))
         whose = f"the {side} was made with another robot" if side != "either" else "one of them is of another robot"
         text = (
             f"With the best frame recording and simulation are {1e3 * placed.rms:.1f} mm apart (rms per coordinate) at "
@@ -213,7 +219,7 @@ def _step_by_step(ours: Readings, theirs: Readings, placed: Placed | None, cell:
     if bends:
         mine, other = _deflection(ours, mine), _deflection(ours, other)
     rest = mine - other
-    noise = float(np.sqrt(np.mean(np.einsum("mii->m", position_covariance(ours, cell))) / 3))
+    noise = coordinate_std(position_covariance(ours, cell))
     power = float(np.sum(other**2))
     shown = mine if bends else np.zeros_like(mine)
     groups = [
@@ -256,13 +262,6 @@ def _parts(rest: Float2D, measured: Float2D, names: np.ndarray, in_order: bool) 
             )
         )
     return tuple(parts) if in_order else tuple(sorted(parts, key=lambda part: -part.rms))
-
-
-def _side(recording: float, simulation: float) -> Side:
-    """Return the one that is clearly farther off; NaN decides nothing."""
-    if recording > CLEARLY * simulation:
-        return "recording"
-    return "simulation" if simulation > CLEARLY * recording else "either"
 
 
 def _sentences(

@@ -9,6 +9,14 @@ from typing import Literal
 from calibration_core.identification.result.estimate import Anomaly
 
 Side = Literal["simulation", "recording", "either"]
+CLEARLY = 3.0  # times worse than the other
+
+
+def farther_off(recording: float, simulation: float) -> Side:
+    """Return the one that is clearly farther off; NaN decides nothing."""
+    if recording > CLEARLY * simulation:
+        return "recording"
+    return "simulation" if simulation > CLEARLY * recording else "either"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -150,8 +150,8 @@ def _minority(step: Step, shape: Shape) -> np.ndarray:
 
 def _loose_target(prepared: PreparedLoaded, state: State, shape: Shape) -> tuple[Anomaly, int] | None:
     """See whether one point scatters against the others from step to step."""
-    groups = left_over(prepared.problem, state, prepared.rejection.used)
-    contrasts = [g.rest - (g.rest.sum(axis=1, keepdims=True) - g.rest) / (shape.points - 1) for g in groups]
+    groups = left_over(prepared.problem, state, prepared.rejection.used).values()
+    contrasts = [rest - (rest.sum(axis=1, keepdims=True) - rest) / (shape.points - 1) for rest in groups]
     if not contrasts:
         return None
     usual = np.median([(c**2).mean(axis=(0, 2)) for c in contrasts], axis=0)  # single wild readings do not count
@@ -182,16 +182,16 @@ def _unsettled(
     groups = left_over(prepared.problem, state, prepared.rejection.used & steady)
     if len(groups) < 4:
         return None
-    common = [np.median(g.rest, axis=1) for g in groups]  # one wild reading of three points does not count
+    common = [np.median(rest, axis=1) for rest in groups.values()]  # one wild reading of three points does not count
     power = np.array([float((rest**2).mean()) for rest in common])
-    freedom = np.array([3 * len(g.rest) for g in groups])
+    freedom = np.array([rest.size for rest in common])
     quiet = float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)]))
     ratio = power / quiet
     chance = np.array([f_tail(r, f, float(freedom.sum()) / 2) for r, f in zip(ratio, freedom, strict=True)])
     restless = (ratio > SWINGING) & (chance * len(groups) < CERTAIN)
     if not restless.any():
         return None
-    numbers = np.array([g.number for g in groups])[restless]
+    numbers = np.array(list(groups))[restless]
     size = float(np.sqrt(power[restless].mean()))
     text = (
         f"in configurations {', '.join(map(str, numbers))} all points move together from step to step by "

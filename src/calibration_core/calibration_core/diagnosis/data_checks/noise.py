@@ -17,7 +17,7 @@ from calibration_core.identification.statistics.offsets import Rows
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects.state import State
 from calibration_core.observations.covariance import sight_axes
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Int2D, Readings
 
 SHARE = 0.8  # of the steps of a configuration that smooth functions may take up
 TRUSTED = 30  # degrees of freedom from which on the scatter sets the noise
@@ -47,11 +47,6 @@ class Scatter:
     def total(self) -> float:
         """Standard deviation of one coordinate of one reading over the claimed one (root mean square)."""
         return float(np.sqrt(np.mean(np.square(self.own)) * (1 + self.shared**2)))
-
-    def scaled(self, factor: float) -> Scatter:
-        """Return the same with another size."""
-        first, second, third = (float(np.clip(factor * value, LEAST, MOST)) for value in self.own)
-        return dataclasses.replace(self, own=(first, second, third))
 
 
 def claimed(factor: float = 1.0) -> Scatter:
@@ -99,10 +94,10 @@ def with_noise(rows: Rows, readings: Readings, seen: Scatter, axes: Float3D) -> 
     noise = np.einsum("mi,mia,mib->mab", sigma**2, axes, axes)
     if seen.shared == 0:
         return dataclasses.replace(rows, noise=noise)
-    step = _ranks(readings)
+    step = _ranks(readings.step, rows.configuration)
     steps = int(step.max()) + 1
     m, width = len(readings), rows.shared.shape[2]
-    load = _ranks_of(rows.load, rows.configuration)
+    load = _ranks(rows.load, rows.configuration)
     own_load = np.zeros((m, 3, int(load.max()) + 1, width))
     own_load[np.arange(m), :, load] = rows.shared
     root = np.linalg.cholesky(seen.memory ** np.abs(np.subtract.outer(np.arange(steps), np.arange(steps))))
@@ -154,18 +149,36 @@ def _group(seen: Float2D, known: Float3D, rows: Rows, readings: Readings, number
     inside = np.flatnonzero(rows.configuration == number)
     recording = readings.recording
     point = readings.point if recording is None else readings.point[recording == recording[inside[0]]]
-    steps, kinds = np.unique(readings.step[inside]), np.unique(point)
-    index = np.full((len(steps), len(kinds)), -1)
-    index[np.searchsorted(steps, readings.step[inside]), np.searchsorted(kinds, readings.point[inside])] = inside
+    several = _steps(readings, inside, np.unique(point))
+    if several is None:
+        return None
+    index, basis = several
+    rest = np.einsum("sl,spi->lpi", basis, seen[index])
+    mean = rest.mean(axis=1)
+    within = ((rest - mean[:, None]) ** 2).sum(axis=(0, 1))
+    return StepGroup(mean, basis, within, (known[inside] ** 2).sum(axis=2).mean(axis=0), index.shape[1])
+
+
+def _steps(readings: Readings, inside: Int1D, points: Int1D) -> tuple[Int2D, Float2D] | None:
+    """Return what may jump from step to step in one configuration; None with fewer than three whole steps.
+
+    Args:
+        readings: All readings.
+        inside: Indices of those of the configuration.
+        points: The points of a whole step.
+
+    Returns:
+        index: (s, p) readings of the steps at which all points were read.
+        basis: (s, l) directions of these steps that are free of smooth functions of the load.
+    """
+    steps = np.unique(readings.step[inside])
+    index = np.full((len(steps), len(points)), -1)
+    index[np.searchsorted(steps, readings.step[inside]), np.searchsorted(points, readings.point[inside])] = inside
     index = index[(index >= 0).all(axis=1)]
     if len(index) < 3:
         return None
     smooth = _smooth(_load(readings, index[:, 0]))
-    complement = np.linalg.svd(smooth, full_matrices=True)[0][:, smooth.shape[1] :]
-    rest = np.einsum("sl,spi->lpi", complement, seen[index])
-    mean = rest.mean(axis=1)
-    within = ((rest - mean[:, None]) ** 2).sum(axis=(0, 1))
-    return StepGroup(mean, complement, within, (known[inside] ** 2).sum(axis=2).mean(axis=0), len(kinds))
+    return index, np.linalg.svd(smooth, full_matrices=True)[0][:, smooth.shape[1] :]
 
 
 def _alone(groups: list[StepGroup]) -> float:
@@ -197,11 +210,7 @@ def _log_likelihoods(group: StepGroup, own: Float1D, memory: float) -> Float1D:
     return np.asarray(-0.5 * ((vectors.T @ (group.mean / own)) ** 2 / variance + np.log(variance)).sum(axis=(1, 2)))
 
 
-def _ranks(readings: Readings) -> Int1D:
-    return _ranks_of(readings.step, readings.configuration)
-
-
-def _ranks_of(values: Int1D, configuration: Int1D) -> Int1D:
+def _ranks(values: Int1D, configuration: Int1D) -> Int1D:
     """Number the distinct values within every configuration, from 0."""
     result = np.empty(len(values), dtype=np.int64)
     for number in np.unique(configuration):
@@ -238,43 +247,26 @@ def _smooth(level: Float1D) -> Float2D:
     return np.stack(basis, axis=1)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class LeftOver:
-    """One configuration's residuals, free of smooth functions of the load.
-
-    Attributes:
-        number: Of the configuration.
-        rest: (l, p, 3) m, flange axes, independent combinations of steps.
-    """
-
-    number: int
-    rest: Float3D
-
-
-def left_over(problem: LoadedProblem, state: State, used: Bool1D) -> list[LeftOver]:
-    """Return what jumps from step to step under the state's compliances.
+def left_over(problem: LoadedProblem, state: State, used: Bool1D) -> dict[int, Float3D]:
+    """Return what jumps from step to step under the state's compliances, by number of the configuration.
 
     Args:
         problem: All readings.
         state: Their state.
         used: (m,) readings to look at; steps at which not all of their points are left do not count.
+
+    Returns:
+        (l, p, 3) m, flange axes: independent combinations of steps, free of smooth functions of the load.
     """
     readings = problem.readings.select(used)
     residual = problem.linearise(state.compliance).residual[used]
     axes = np.moveaxis(state.at.flange, -1, 0)[used]
     local = np.einsum("mia,ma->mi", axes, residual)
-    kinds = np.unique(readings.point)
-    found = []
+    points = np.unique(readings.point)
+    found = {}
     for number in np.unique(readings.configuration):
-        inside = np.flatnonzero(readings.configuration == number)
-        steps = np.unique(readings.step[inside])
-        index = np.full((len(steps), len(kinds)), -1)
-        index[np.searchsorted(steps, readings.step[inside]), np.searchsorted(kinds, readings.point[inside])] = inside
-        index = index[(index >= 0).all(axis=1)]
-        if len(index) < 3:
-            continue
-        smooth = _smooth(_load(readings, index[:, 0]))
-        complement = np.linalg.svd(smooth, full_matrices=True)[0][:, smooth.shape[1] :]
-        if complement.shape[1]:
-            found.append(LeftOver(int(number), np.einsum("sl,spi->lpi", complement, local[index])))
+        several = _steps(readings, np.flatnonzero(readings.configuration == number), points)
+        if several is not None and several[1].shape[1]:
+            index, basis = several
+            found[int(number)] = np.einsum("sl,spi->lpi", basis, local[index])
     return found

@@ -7,10 +7,9 @@ import dataclasses
 import numpy as np
 
 from calibration_core.identification.statistics.distributions import chi2_limit
-from calibration_core.identification.statistics.offsets import Rows, deleted
+from calibration_core.identification.statistics.offsets import Rows, deleted, deletion_limit
 from calibration_core.timeseries import Float2D, Float3D, Int1D, Readings
 
-FALSE_EXCLUSION = 0.01  # probability that a clean recording loses any reading
 MOST = 0.05  # never more than this share of the readings
 ROUNDS = 12
 SHAPE = 3  # points, of which the shape is known
@@ -33,10 +32,7 @@ def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
         some = rows.select(used)
         some = dataclasses.replace(some, configuration=np.unique(some.configuration, return_inverse=True)[1])
         squared, _, _ = deleted(some, residual[used])
-        testable = squared > 0
-        scale = float(np.median(squared[testable]) / chi2_limit(0.5, 3)) if testable.any() else 1.0
-        limit = chi2_limit(FALSE_EXCLUSION / m, 3) * max(1.0, scale)
-        suspects = np.flatnonzero(squared > limit)
+        suspects = np.flatnonzero(squared > deletion_limit(squared, m))
         if not len(suspects):
             break
         order = suspects[np.argsort(-squared[suspects], kind="stable")]

@@ -9,6 +9,7 @@ import numpy as np
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.shifts import FAMILY, around, in_time, position_of
 from calibration_core.identification.result.estimate import Anomaly
+from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects.words import listed_location
 from calibration_core.timeseries import Readings
 
@@ -29,7 +30,7 @@ def _anomaly(found: Estimate, index: int, readings: Readings) -> Anomaly:
     value, _ = extended.values_of(members[0])
     shift = extended.shift(extended.model.state, members)
     concerned = np.any(shift != 0, axis=1)
-    size = float(np.sqrt(np.mean(np.sum(shift[concerned] ** 2, axis=1))))
+    size = rms_length(shift[concerned])
     order, numbers = in_time(readings.configuration), readings.configuration
     k = position_of(one.variant)
     inside = around(readings, order, k)

@@ -219,8 +219,7 @@ def _rest(extended: ExtendedLoadedModel) -> _Rest | None:
     raw = np.stack([within.column(state) for within in withins], axis=-1)
     functions, _ = whitened(extended.rows, raw[extended.used])
     numbers, place = np.unique(design.configuration, return_inverse=True)
-    accepted = [design.columns[:, design.own(i)] for i in extended.accepted]
-    known = np.column_stack([design.null, *accepted, design.columns[:, design.discrepancy]])
+    known = design.known(extended.accepted)
     factors = np.zeros((len(terms), len(numbers), 2))
     for t, term in enumerate(terms):
         factors[t, :, : term.factors.shape[1]] = term.factors[numbers]
@@ -357,13 +356,10 @@ def _law(rest: _Rest, accepted: tuple[int, ...], gain: float, limit: float) -> L
     everywhere = np.ones(len(rest.value), dtype=bool)
     state = rest.extended.state
     withins, _ = dictionary(state)
-    model, precision = rest.model(accepted)
-    inverse = np.linalg.inv(model.T @ model + np.diag(precision))
+    model, inverse, left = _left(rest, accepted, everywhere)
     solution = inverse @ (model.T @ rest.value)
-    left = rest.value - model @ solution
     freedom = max(len(left) - model.shape[1], 1)
-    alone, prior = rest.model(())
-    before = rest.value - alone @ np.linalg.solve(alone.T @ alone + np.diag(prior), alone.T @ rest.value)
+    before = _left(rest, (), everywhere)[2]
     length = np.linalg.norm(rest.columns(accepted), axis=0)
     start = rest.known.shape[1]
     value = solution[start:] / length

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration_core.diagnosis.empirical.law import Law, LawTerm
 from calibration_core.diagnosis.result.finding import EMPIRICAL, Alternative, Finding, FoundParameter
+from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.timeseries import Float2D, Int1D, Readings
 
 EFFECT = "empirical_law"
@@ -38,7 +39,7 @@ def law_sentence(law: Law) -> str:
 
 def _finding(law: Law, joints: Sequence[str], number: int, terms: list[LawTerm], readings: Readings) -> Finding:
     shift = np.sum([term.shift for term in terms], axis=0)
-    magnitude = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
+    magnitude = rms_length(shift)
     parameters = tuple(
         FoundParameter(name, float(value), float(std), "1")
         for term in terms
@@ -71,7 +72,6 @@ def _finding(law: Law, joints: Sequence[str], number: int, terms: list[LawTerm],
         held_out_gain=law.held_out_gain,
         magnitude=magnitude,
         cannot_be_told_from=alternatives,
-        stiffness_change={},
         explanation=text,
         separate_by=f"more configurations that differ in {words}, at the same torque of {joints[number]}",
     )

@@ -22,8 +22,7 @@ def scattered_covariance(extended: ExtendedLoadedModel) -> Float2D:
         extended: The extended model of a loaded recording.
     """
     design = extended.design
-    own = [c for i in extended.accepted for c in design.own(i)]
-    columns = np.column_stack([design.null, design.columns[:, own], design.columns[:, design.discrepancy]])
+    columns = design.known(extended.accepted)
     length = np.linalg.norm(columns, axis=0)
     length = np.where(length > 0, length, 1.0)
     columns = columns / length

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -59,6 +60,15 @@ class Design:
         """Return the (k,) columns that a candidate brings with it: its parameters, and what it leaves to chance."""
         parts = (self.blocks[candidate], self.chances[candidate])
         return np.concatenate([np.arange(part.start, part.stop) for part in parts])
+
+    def known(self, accepted: Sequence[int]) -> Float2D:
+        """Return the (r, q) columns of null model, accepted candidates with their chance, and discrepancy."""
+        own = [self.columns[:, self.own(index)] for index in accepted]
+        return np.column_stack([self.null, *own, self.columns[:, self.discrepancy]])
+
+    def fitted(self, accepted: Sequence[int]) -> Float2D:
+        """Return the (r, n + k) columns of null model and accepted candidates alone."""
+        return np.column_stack([self.null, *(self.columns[:, self.blocks[index]] for index in accepted)])
 
     def gram(self) -> Float2D:
         """Return the Gram matrix of [null, columns, residual]; a rigid joint is held at zero."""

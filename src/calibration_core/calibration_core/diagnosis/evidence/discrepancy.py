@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration_core.estimation.noise.usual import sensor_lag, sensor_mounting
 from calibration_core.identification.geometry.frames import FrameFit
-from calibration_core.model.effects import catalogue
+from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.recordings import each_recording
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
@@ -34,8 +34,8 @@ def structured_discrepancy(state: State, frames: FrameFit | None) -> Float3D:
 def _geometry(state: State, frames: FrameFit | None) -> Float3D:
     """Zeros of the joints stand for all errors of the geometry, as large as the absolute positions show them."""
     size = UNFITTED_ZERO if frames is None else frames.rms / max(state.chain.reach / 2, 0.1)
-    zero = next(effect for effect in catalogue() if effect.name == "joint_zero_offset")
-    return np.concatenate([candidate.columns(state) * size for candidate in zero.candidates(state)], axis=2)
+    zeros = effect_named("joint_zero_offset").candidates(state)
+    return np.concatenate([candidate.columns(state) * size for candidate in zeros], axis=2)
 
 
 def _frames(state: State, frames: FrameFit) -> Float3D:
@@ -43,14 +43,10 @@ def _frames(state: State, frames: FrameFit) -> Float3D:
     steps = len(state.configuration) / max(len(np.unique(state.configuration)), 1) / len(frames.points)
     std = np.sqrt(np.clip(np.diag(frames.covariance), 0.0, None) * max(steps, 1.0))
     recordings = 1 if state.setups is None else state.setups.count
-    turned, columns = np.tile(std[3:6], recordings), []
-    for effect in catalogue():
-        if effect.name == "tracker_frame_misalignment":
-            columns += [each_recording(one.columns, state) * turned for one in effect.candidates(state)]
-        if effect.name == "measurement_point_offset":
-            points = np.zeros((len(state.configuration), 3, 3 * len(frames.points)))  # none where no reading shows one
-            for candidate in effect.candidates(state):
-                first = 3 * int(str(candidate.location["point"])[1:])
-                points[:, :, first : first + 3] = candidate.columns(state) * std[6 + first : 9 + first]
-            columns.append(points)
-    return np.concatenate(columns, axis=2)
+    turned = np.tile(std[3:6], recordings)
+    frame = effect_named("tracker_frame_misalignment").candidates(state)
+    points = np.zeros((len(state.configuration), 3, 3 * len(frames.points)))  # none where no reading shows one
+    for candidate in effect_named("measurement_point_offset").candidates(state):
+        first = 3 * int(str(candidate.location["point"])[1:])
+        points[:, :, first : first + 3] = candidate.columns(state) * std[6 + first : 9 + first]
+    return np.concatenate([points, *(each_recording(one.columns, state) * turned for one in frame)], axis=2)

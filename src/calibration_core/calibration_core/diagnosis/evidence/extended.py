@@ -43,7 +43,6 @@ class ExtendedLoadedModel:
         base_compliance: (n,) rad/(N*m), about which the design is linear.
         compliance: (n,) rad/(N*m), fitted.
         value: (p,) parameters of the accepted candidates.
-        std: (p,) their standard deviations.
         covariance: (n + p, n + p) of compliances and parameters.
         shift: (m, 3) m, what the accepted candidates move, all readings.
         raw: (m, 3) m, measured - extended model fitted by least squares, what the candidates leave to chance taken out,
@@ -60,7 +59,6 @@ class ExtendedLoadedModel:
     base_compliance: Float1D
     compliance: Float1D
     value: Float1D
-    std: Float1D
     covariance: Float2D
     shift: Float2D
     raw: Float2D
@@ -77,15 +75,14 @@ class ExtendedLoadedModel:
         """(n,) rad/(N*m)."""
         return np.asarray(np.sqrt(np.clip(np.diag(self.compliance_covariance), 0.0, None)))
 
-    def parameters_of(self, candidate: int) -> slice:
-        """Return where in `value` an accepted candidate's parameters are."""
-        start = 0
-        for index in self.accepted:
-            k = len(self.design.candidates[index].parameters)
-            if index == candidate:
-                return slice(start, start + k)
-            start += k
-        raise KeyError(candidate)
+    def values_of(self, candidate: int) -> tuple[Float1D, Float2D]:
+        """Return the parameters of an accepted candidate, (k,), and their covariance, (k, k)."""
+        counts = [len(self.design.candidates[index].parameters) for index in self.accepted]
+        place = self.accepted.index(candidate)
+        start = sum(counts[:place])
+        own = slice(start, start + counts[place])
+        n = len(self.compliance)
+        return self.value[own], self.covariance[n:, n:][own, own]
 
 
 def loaded_state(problem: LoadedProblem, cell: Cell, compliance: Float1D) -> State:
@@ -147,17 +144,11 @@ def extend(
             compliance = compliance + change
     linear = problem.linearise(compliance)
     state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, frames)
-    shift = np.zeros_like(linear.residual)
-    at = n
-    for candidate in chosen:
-        k = len(candidate.parameters)
-        shift = shift + candidate.columns(state) @ value[at : at + k]
-        at += k
+    shift = np.concatenate([np.zeros((state.m, 3, 0)), *(one.columns(state) for one in chosen)], axis=2) @ value[n:]
     raw = linear.residual - shift - np.einsum("mij,j->mi", linear.columns, value[:n])
     raw = raw - _by_chance(whole, accepted, value, state)
     final, covariance = estimates(whole, accepted, selection.share)
     final = _allowed(compliance, chosen, final, covariance)
-    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     return ExtendedLoadedModel(
         problem=problem,
         used=used,
@@ -168,7 +159,6 @@ def extend(
         base_compliance=compliance,
         compliance=compliance + final[:n],
         value=final[n:],
-        std=std[n:],
         covariance=covariance,
         shift=state.since_step_zero(shift),
         raw=raw,
@@ -217,7 +207,7 @@ def _allowed(compliance: Float1D, chosen: Sequence[Candidate], change: Float1D, 
 def extended_model(parameters: ModelParameters, extended: ExtendedLoadedModel) -> ModelParameters:
     """Return the identified model with the compliances and effects of the extended one."""
     effects = tuple(
-        applied(extended.design.candidates[index], extended.value[extended.parameters_of(index)], extended.state)
+        applied(extended.design.candidates[index], extended.values_of(index)[0], extended.state)
         for index in extended.accepted
     )
     return parameters.replace(compliance=extended.compliance, effects=effects)

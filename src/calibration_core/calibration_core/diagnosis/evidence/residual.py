@@ -74,8 +74,7 @@ def odd_configurations(rest: Float1D, design: Design, seen: Scatter) -> list[int
 def weighted_rest(extended: ExtendedLoadedModel) -> tuple[Float1D, float, int]:
     """Return what null model, discrepancy and findings leave, (r,), its mean square and degrees of freedom."""
     design = extended.design
-    own = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(design.own(i) for i in extended.accepted)]))
-    columns = np.column_stack([design.null, design.columns[:, own], design.columns[:, design.discrepancy]])
+    columns = design.known(extended.accepted)
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 0] / norms[norms > 0]
     u, s, _ = svd(columns, full_matrices=False, lapack_driver="gesvd")  # gesdd can fail where columns nearly repeat
@@ -87,7 +86,7 @@ def weighted_rest(extended: ExtendedLoadedModel) -> tuple[Float1D, float, int]:
 
 def held_out_error(design: Design, accepted: tuple[int, ...]) -> float:
     """Return the rms of the whitened prediction error of configurations left out (1 is the noise)."""
-    columns = np.column_stack([design.null, *(design.columns[:, design.blocks[i]] for i in accepted)])
+    columns = design.fitted(accepted)
     squares = 0.0
     for number, value in solutions(design, accepted)[1].items():
         rows = design.configuration == number
@@ -106,7 +105,7 @@ def solutions(design: Design, accepted: tuple[int, ...]) -> tuple[Float1D, dict[
         Factors (n + p,) of the columns of null model and effects, and by configuration left out the same.
     """
     n = design.n
-    columns = np.column_stack([design.null, *(design.columns[:, design.blocks[i]] for i in accepted)])
+    columns = design.fitted(accepted)
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     ridge = np.full(columns.shape[1], 1e-9)

@@ -22,12 +22,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter
+from calibration_core.diagnosis.findings.building import found_parameters
+from calibration_core.diagnosis.result.finding import Alternative, Finding
 from calibration_core.estimation.leave_out import RIDGE
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.rows import null_columns, unweighted
 from calibration_core.identification.geometry.terms import CORRECTIONS, GeometryTerm, names_of
-from calibration_core.model.effects import catalogue
+from calibration_core.identification.statistics.sizes import rms_length
+from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.absolute.geometry_error import VARIANTS, frame_error
 from calibration_core.model.effects.absolute.joint_zero_offset import zero_offset
 from calibration_core.model.effects.candidate import Candidate
@@ -134,7 +136,6 @@ def hypotheses_of(joints: Sequence[str], rated_load: float) -> tuple[GeometryFau
 def corrections(extended: Extended, term: GeometryTerm, stated: ModelParameters) -> Corrections:
     """Return the fitted corrections, their covariance, and how they answer to errors of all frames."""
     model = extended.model
-    used = np.repeat(model.used, 3)
     names = names_of(model.terms)
     first = names.index(term.names[0])
     rows = slice(first, first + len(term.names))
@@ -143,13 +144,13 @@ def corrections(extended: Extended, term: GeometryTerm, stated: ModelParameters)
     pairs = tuple((joint, kind) for joint in range(n) for kind in range(6))
     every = GeometryTerm(pairs, tuple(f"{CORRECTIONS[kind]} {joint}" for joint, kind in pairs))
     own_movement, _ = null_columns(model.problem, extended.parameters, [every])
-    movement = extended.whitening(own_movement)
-    columns = extended.columns[used]
-    normal = columns.T @ columns + np.diag(extended.ridge + RIDGE)
-    solved = np.linalg.solve(normal, columns.T @ movement[used])
+    movement = np.array(extended.whitening(own_movement))
+    movement[np.repeat(~model.used, 3)] = 0.0
+    right = extended.columns.T @ movement
+    solved = np.linalg.solve(extended.gram + np.diag(extended.ridge + RIDGE), right)
     frames = [k for k in range(len(names)) if not rows.start <= k < rows.stop]
-    base = columns[:, frames]
-    taken = np.linalg.solve(base.T @ base + RIDGE * np.eye(len(frames)), base.T @ movement[used])
+    base = extended.gram[np.ix_(frames, frames)] + RIDGE * np.eye(len(frames))
+    taken = np.linalg.solve(base, right[frames])
     change = extended.parameters.geometry - stated.geometry
     return Corrections(
         value=np.array([change[pair] for pair in term.chosen]),
@@ -270,10 +271,9 @@ def _finding(
     one = hypotheses[best]
     candidate = one.candidate
     mean, covariance = _posterior(seen, one, beside)
-    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     shift = unweighted(extended.model.problem, extended.parameters, seen.movement[:, one.rows] @ mean)
-    magnitude = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
-    kind = next(effect for effect in catalogue() if effect.name == candidate.effect)
+    magnitude = rms_length(shift)
+    kind = effect_named(candidate.effect)
     others = _alternatives(seen, hypotheses, best, beside, scores)
     place = str(candidate.location["joint"])
     listed = "; ".join(f"{a.effect.replace('_', ' ')} at {listed_location(a.location)}" for a in others)
@@ -283,15 +283,11 @@ def _finding(
         family=candidate.family,
         location=dict(candidate.location),
         variant=candidate.variant,
-        parameters=tuple(
-            FoundParameter(p.name, float(v), float(s), p.unit)
-            for p, v, s in zip(candidate.parameters, mean, std, strict=True)
-        ),
+        parameters=found_parameters(candidate, mean, covariance),
         log_bayes_factor=float(scores[best]),
         held_out_gain=gain,
         magnitude=magnitude,
         cannot_be_told_from=others,
-        stiffness_change={},
         explanation=(
             f"{candidate.effect.replace('_', ' ').capitalize()} at {place} ({kind.equation}): the absolute positions "
             f"put it elsewhere than stated, far beyond the frames of the other joints; stated as it is, it moves the "

@@ -8,13 +8,14 @@ import numpy as np
 
 from calibration_core.diagnosis.evidence.confounding import LAW
 from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
+from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
-from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, Location
+from calibration_core.diagnosis.result.finding import Alternative, Finding, Location, by_size
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.model.effects import catalogue
+from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.words import effect_sentence, listed_location
-from calibration_core.timeseries import Float2D, Readings
+from calibration_core.model.effects.words import listed_location
+from calibration_core.timeseries import Readings
 
 if TYPE_CHECKING:
     from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
@@ -28,27 +29,14 @@ def findings_of(
 ) -> tuple[Finding, ...]:
     """Return the findings, largest effect on the measured points first."""
     design = extended.design
-    starts, start = {}, 0
-    for index in selection.accepted:
-        starts[index] = start
-        start += len(design.candidates[index].parameters)
     changes = _stiffness_changes(extended, identification)
     found = []
     for choice in selection.choices:
         candidate = design.candidates[choice.candidate]
         shift = np.zeros((extended.state.m, 3))
         for index in (choice.candidate, *choice.refinements):
-            k = len(design.candidates[index].parameters)
-            shift = (
-                shift
-                + design.candidates[index].columns(extended.state) @ extended.value[starts[index] : starts[index] + k]
-            )
-        magnitude = _size(extended.state.since_step_zero(shift))
-        at = starts[choice.candidate]
-        parameters = tuple(
-            FoundParameter(p.name, float(p.sign * extended.value[at + k]), float(extended.std[at + k]), p.unit)
-            for k, p in enumerate(candidate.parameters)
-        )
+            shift += design.candidates[index].columns(extended.state) @ extended.values_of(index)[0]
+        magnitude = rms_length(extended.state.since_step_zero(shift))
         alternatives = tuple(_alternative(design.candidates[i], score, readings) for i, score in choice.equivalents)
         location = _location(candidate.location, readings)
         open_place = len(alternatives) > LISTED
@@ -59,20 +47,20 @@ def findings_of(
                 family=candidate.family,
                 location={} if open_place else location,
                 variant=candidate.variant,
-                parameters=parameters,
+                parameters=found_parameters(candidate, *extended.values_of(choice.candidate)),
                 log_bayes_factor=choice.log_bayes_factor,
                 held_out_gain=_gain(extended, selection, choice),
                 magnitude=magnitude,
+                explanation=_explanation(candidate, location, choice, magnitude, changes, alternatives[:LISTED])
+                + ("" if settled else UNSETTLED),
+                separate_by=separating([candidate.effect, *(a.effect for a in alternatives)]),
                 cannot_be_told_from=alternatives[:LISTED],
                 stiffness_change=changes,
-                explanation=_explanation(candidate, location, choice, magnitude, changes, alternatives)
-                + ("" if settled else UNSETTLED),
-                separate_by=_separate(candidate, choice, design.candidates),
                 refinements=tuple(describe(design.candidates[i], readings) for i in choice.refinements),
                 law_settled=settled,
             )
         )
-    return tuple(sorted(found, key=lambda finding: -finding.magnitude))
+    return by_size(found)
 
 
 def _alternative(candidate: Candidate, score: float, readings: Readings) -> Alternative:
@@ -108,10 +96,6 @@ def _stiffness_changes(extended: ExtendedLoadedModel, identification: Identifica
     return changes
 
 
-def _size(shift: Float2D) -> float:
-    return float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
-
-
 def describe(candidate: Candidate, readings: Readings) -> str:
     """Return a candidate in words: effect, place and variant."""
     place = listed_location(_location(candidate.location, readings))
@@ -126,22 +110,12 @@ def _explanation(
     changes: dict[str, float],
     alternatives: tuple[Alternative, ...],
 ) -> str:
-    words = effect_sentence(candidate.effect, location)
     text = (
-        f"{words[0].upper() + words[1:]}. This moves the measured points by {1e6 * magnitude:.0f} µm rms; "
+        f"{opening(candidate.effect, location)}. This moves the measured points by {1e6 * magnitude:.0f} µm rms; "
         f"{evidence_words(choice.log_bayes_factor)}."
     )
     moved = {joint: change for joint, change in changes.items() if abs(change) > 0.02}
     if moved:
         listed = ", ".join(f"{joint} {100 * change:+.0f} %" for joint, change in moved.items())
         text += f" Leaving it out biases the stiffness of {listed}."
-    if alternatives:
-        names = "; ".join(effect_sentence(a.effect, a.location) for a in alternatives[:LISTED])
-        text += f" This recording cannot distinguish it from: {names}."
-    return text
-
-
-def _separate(candidate: Candidate, choice: Choice, candidates: tuple[Candidate, ...]) -> str:
-    names = dict.fromkeys([candidate.effect, *(candidates[i].effect for i, _ in choice.equivalents)])
-    reveal = {effect.name: effect.reveal for effect in catalogue()}
-    return "; ".join(f"{name.replace('_', ' ')}: {reveal[name]}" for name in names)
+    return text + confounded_with(alternatives)

@@ -6,6 +6,8 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from calibration_core.diagnosis.evidence.confounding import LAW
+from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
 from calibration_core.estimation.equivalents import equivalents
@@ -13,13 +15,11 @@ from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.shifts import FAMILY
-from calibration_core.model.effects import catalogue
+from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects.absolute.transmission_error import order_of
-from calibration_core.model.effects.words import effect_sentence
 from calibration_core.timeseries import Float1D, Float2D
 
 SEVERAL = 6  # terms that are listed one by one
-LAW = "joint law"
 LOW = 8  # orders of waves that are a gear's, whatever else its joint does
 LAGGING, FROM_WHERE = frozenset({"hysteresis", "backlash"}), "approach_direction"
 
@@ -60,7 +60,7 @@ def _finding(found: Estimate, members: list[int]) -> Finding:
     reported = sorted({part for i in of_first for part in found.members[i]})
     score = float(sum(gained[i] for i in members))
     gain = max(selection.proofs[selection.accepted.index(i)][0].share for i in members)
-    magnitude = float(np.sqrt(np.mean(np.sum(extended.own_shift(parts) ** 2, axis=1))))
+    magnitude = rms_length(extended.own_shift(parts))
     as_well = [(hypotheses[i], nats) for i, nats in equivalents(found.search, found.selection, members)]
     listed = tuple(Alternative(h.effect, h.family, dict(h.location), nats) for h, nats in as_well)
     laws = [i for i in members if hypotheses[i].family == LAW]
@@ -78,10 +78,9 @@ def _finding(found: Estimate, members: list[int]) -> Finding:
         log_bayes_factor=score,
         held_out_gain=gain,
         magnitude=magnitude,
-        cannot_be_told_from=listed,
-        stiffness_change={},
         explanation=_explanation(found, first, reported, score, gain, magnitude, listed, settled=settled),
-        separate_by=_separate(first, listed),
+        separate_by=separating([first.effect, *(one.effect for one in listed)]),
+        cannot_be_told_from=listed,
         refinements=tuple(f"{hypotheses[i].effect} ({hypotheses[i].variant})" for i in members if i not in of_first),
         law_settled=settled,
         shared_size=shared if len(first.members) > 1 else None,
@@ -119,11 +118,7 @@ def _parameters(extended: Extended, parts: Sequence[int], *, everywhere: bool) -
         if candidate.effect == WAVE:
             found += _wave(order_of(candidate.variant), value, covariance, suffix)
             continue
-        std = np.sqrt(np.diag(covariance))
-        found += [
-            FoundParameter(p.name + suffix, float(p.sign * v), float(s), p.unit)
-            for p, v, s in zip(candidate.parameters, value, std, strict=True)
-        ]
+        found += found_parameters(candidate, value, covariance, suffix)
     if everywhere:
         found.sort(key=lambda p: -abs(p.value))
     return tuple(found)
@@ -167,11 +162,11 @@ def _explanation(
 ) -> str:
     extended = found.extended
     everywhere = first.location.get("joints") == ALL
-    words = effect_sentence(first.effect, first.location) + (", with one size that they share" if everywhere else "")
+    shared = ", with one size that they share" if everywhere else ""
     text = (
-        f"{words[0].upper() + words[1:]}. This moves the measured points by {1e6 * magnitude:.0f} µm rms beyond what "
-        f"frames and geometry take up, and saves {100 * gain:.0f} % of the squared error on blocks of configurations "
-        f"left out; {evidence_words(score)}."
+        f"{opening(first.effect, first.location, shared)}. This moves the measured points by "
+        f"{1e6 * magnitude:.0f} µm rms beyond what frames and geometry take up, and saves {100 * gain:.0f} % of the "
+        f"squared error on blocks of configurations left out; {evidence_words(score)}."
     )
     if first.effect == WAVE and len(parts) <= SEVERAL:
         terms = [(order_of(extended.parts[k].candidate.variant), extended.values_of(k)[0]) for k in parts]
@@ -181,10 +176,7 @@ def _explanation(
         text += " Its size is relative: the robot's masses are guesses or not known."
     if not settled:
         text += UNSETTLED
-    if alternatives:
-        names = "; ".join(effect_sentence(a.effect, a.location) for a in alternatives)
-        text += f" This recording cannot distinguish it from: {names}."
-    return text
+    return text + confounded_with(alternatives)
 
 
 def _resolution(found: Estimate, first: Hypothesis) -> str:
@@ -195,9 +187,3 @@ def _resolution(found: Estimate, first: Hypothesis) -> str:
     if apart < 1:
         return ""
     return f" The joint turned through {span:.1f} rad: orders closer than {apart:.0f} cannot be distinguished."
-
-
-def _separate(first: Hypothesis, alternatives: Sequence[Alternative]) -> str:
-    reveal = {effect.name: effect.reveal for effect in catalogue()}
-    names = dict.fromkeys([first.effect, *(a.effect for a in alternatives)])
-    return "; ".join(f"{name.replace('_', ' ')}: {reveal[name]}" for name in names)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.diagnosis.result.finding import Finding, FoundParameter
+from calibration_core.diagnosis.findings.building import found_parameters
+from calibration_core.diagnosis.result.finding import Finding
 from calibration_core.identification.geometry.frames import FrameFit
+from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.model.chain import rotation_vector
-from calibration_core.model.effects import catalogue
+from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.state import State
@@ -77,11 +79,10 @@ def _finding(
     point: int | None,
     stated_by: str,
 ) -> Finding:
-    kind = next(entry for entry in catalogue() if entry.name == effect)
+    kind = effect_named(effect)
     candidate = _candidate(list(kind.candidates(state)), point)
     shift = state.since_step_zero(candidate.columns(state) @ value)
-    size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
-    std = np.sqrt(np.diag(covariance))
+    size = rms_length(shift)
     score = 0.5 * float(np.sum(value**2)) / float(usual**2 + np.trace(covariance) / 3)
     name = "tracker" if point is None else readings.points[point]
     length = float(np.linalg.norm(value))
@@ -92,15 +93,10 @@ def _finding(
         family="point chain",
         location={"tracker": "tracker"} if point is None else {"point": name},
         variant=candidate.variant,
-        parameters=tuple(
-            FoundParameter(p.name, float(v), float(s), p.unit)
-            for p, v, s in zip(candidate.parameters, value, std, strict=True)
-        ),
+        parameters=found_parameters(candidate, value, covariance),
         log_bayes_factor=score,
         held_out_gain=0.0,
         magnitude=size,
-        cannot_be_told_from=(),
-        stiffness_change={},
         explanation=(
             f"{what} by {amount} against {stated_by}, as the absolute positions say. It was refitted before anything "
             f"else; with the stated value the deflections would be wrong by {1e6 * size:.0f} µm rms, the positions by "

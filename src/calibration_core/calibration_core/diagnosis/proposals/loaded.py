@@ -60,8 +60,7 @@ class LoadedKnowledge(Knowledge):
     def posterior(self, chosen: Sequence[int]) -> HypothesisPosterior:
         """Return what the whitened recording tells under some candidates together."""
         design = self.extended.design
-        parts = [design.columns[:, design.blocks[i]] for i in chosen]
-        columns = np.column_stack([design.null, *parts, design.columns[:, design.discrepancy]])
+        columns = np.column_stack([design.fitted(chosen), design.columns[:, design.discrepancy]])
         return HypothesisPosterior.of(columns, design.residual, design.n)
 
     def table(self, offers: tuple[Offer, ...]) -> OfferTable:

@@ -58,10 +58,10 @@ class Finding:
         log_bayes_factor: Against the model without it, nats.
         held_out_gain: Share by which the squared error on configurations left out falls.
         magnitude: Root mean square of the shift that it causes at the measured points, m.
-        cannot_be_told_from: At most five, nearest first.
-        stiffness_change: Joint -> relative change of its stiffness once the effect is in the model.
         explanation: For a person: what, where, how sure, how much.
         separate_by: The measurement that would decide, or confirm it.
+        cannot_be_told_from: At most five, nearest first.
+        stiffness_change: Joint -> relative change of its stiffness once the effect is in the model.
         refinements: Further terms of the same cause (other law, neighbour), by effect name and location.
         law_settled: Whether the form of the law is settled; where not, joint and kind are.
         shared_size: Standard deviation that the parameters of a family share; None where there is none.
@@ -75,10 +75,10 @@ class Finding:
     log_bayes_factor: float
     held_out_gain: float
     magnitude: float
-    cannot_be_told_from: tuple[Alternative, ...]
-    stiffness_change: Mapping[str, float]
     explanation: str
     separate_by: str
+    cannot_be_told_from: tuple[Alternative, ...] = ()
+    stiffness_change: Mapping[str, float] = dataclasses.field(default_factory=dict)
     refinements: tuple[str, ...] = ()
     law_settled: bool = True
     shared_size: FoundParameter | None = None
@@ -104,6 +104,11 @@ class Rest:
     significant: bool
     where: Mapping[str, object]
     text: str
+
+    def also(self, text: str, where: Mapping[str, object], rms: float = 0.0) -> Rest:
+        """Return what remains with something else that noise does not explain: said, where, and how large, m."""
+        before = f"{self.text} " if self.significant else ""
+        return Rest(max(self.rms, rms), True, where, f"{before}{text}")
 
     def verdict(self, *, found: bool) -> Verdict:
         """Return what is said of a recording in which something is found, or nothing, and this remains."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.model.effects import catalogue
+from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.joint_law.hysteresis import stop
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.recordings import each_recording
@@ -43,6 +43,6 @@ def sensor_lag(state: State) -> Float3D:
 
 def sensor_mounting(state: State) -> Float3D:
     """Return (m, 3, 3) what a turn of the sensor's mounting moves, m."""
-    turned = next(effect for effect in catalogue() if effect.name == "wrench_frame_misalignment")
+    turned = effect_named("wrench_frame_misalignment")
     size = typical("registration_rotation", state.rated_load) * SENSOR_MOUNTING
     return np.concatenate([candidate.columns(state) * size for candidate in turned.candidates(state)], axis=2)

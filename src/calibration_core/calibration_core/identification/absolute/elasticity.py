@@ -16,6 +16,7 @@ from calibration_core.identification.absolute.prediction_error import LinearMode
 from calibration_core.identification.geometry.fit import AbsoluteProblem, GeometryFit
 from calibration_core.identification.geometry.identifiability import LEAST_REST, columns_rest
 from calibration_core.identification.geometry.terms import ElasticityTerm, HarmonicTerm, Term
+from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that the best control may keep: most of it must go
@@ -75,7 +76,7 @@ def judge_elasticity(
         chosen = tuple(column - real for column in _sound(model, base, [real + j for j in _loaded(model, real, n)]))
         after = model.held_out([*base, *(real + j for j in chosen)])
     main = compare(before, after, configuration)
-    fitted = float(np.sqrt(np.mean(np.sum(model.fitted([*base, *(real + j for j in chosen)]) ** 2, axis=0))))
+    fitted = rms_length(model.fitted([*base, *(real + j for j in chosen)]).T)
     if not chosen or not main.clear:
         reason = f"no joint's compliance helps clearly; all together: {main.text}"
         return ElasticityVerdict(chosen, believed=False, reason=reason, rms=fitted, held_out_rms=main.after)

@@ -15,11 +15,11 @@ from calibration_core.identification.absolute.staged_selection import (
     StagedSelection,
     select_stages,
 )
-from calibration_core.identification.checks.exclusion_anomalies import anomalies_of
+from calibration_core.identification.checks.exclusion_anomalies import anomalies_of, exclusion
 from calibration_core.identification.checks.noise_audit import rigid_triangle, window_scatter
 from calibration_core.identification.checks.preconditions import check_preconditions
 from calibration_core.identification.checks.space import operating_space
-from calibration_core.identification.geometry.fit import AbsoluteProblem, GeometryFit, column_scale
+from calibration_core.identification.geometry.fit import AbsoluteProblem, GeometryFit
 from calibration_core.identification.geometry.identifiability import (
     ParameterSelection,
     candidates,
@@ -41,6 +41,8 @@ from calibration_core.identification.result.estimate import (
     Unidentified,
 )
 from calibration_core.identification.result.observability import stiffness_table
+from calibration_core.identification.statistics.normal_matrix import column_scale
+from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.statistics.solve import Solution
 from calibration_core.identification.stiffness.outlier_rejection import Key
 from calibration_core.model.chain import Chain
@@ -49,7 +51,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import gravity_torque
-from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.covariance import coordinate_std, position_covariance
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Note, Readings
 
 UNLOADED_TORQUE = 1e-6  # N*m
@@ -104,11 +106,11 @@ def identify_absolute(
         IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
     """
     case = evaluate_absolute(readings, cell, robust=robust, readmit=readmit, believed=believed)
-    return identification_of(case, readings, cell, robust=robust, test=test)
+    return identification_of(case, readings, cell, test=test)
 
 
 def identification_of(
-    case: Evaluated, readings: Readings, cell: Cell, *, robust: bool = True, test: Readings | None = None
+    case: Evaluated, readings: Readings, cell: Cell, *, test: Readings | None = None
 ) -> Identification:
     """Say in values and figures what was decided.
 
@@ -116,7 +118,6 @@ def identification_of(
         case: The evaluated recording.
         readings: The recording.
         cell: The cell file.
-        robust: Whether gross errors were set aside.
         test: A second recording, predicted but not fitted.
     """
     chain = case.problem.chain
@@ -124,13 +125,13 @@ def identification_of(
     result = case.staged.final.fit
     parameters = result.parameters
     noise = _audit(case, readings, covariance)
-    uncertainty = uncertainty_of(result, noise.scale)
+    uncertainty = uncertainty_of(parameters, result.names, result.covariance, noise.scale)
     space = operating_space(chain.corrected(parameters.geometry), parameters, readings)
     figures = _figures(case, covariance, result)
     exclusions = _exclusions(case, readings)
     return Identification(
         kind="absolute",
-        method=_method(case, robust),
+        method=_method(case),
         readings=readings,
         stiffness=_stiffness(case, uncertainty, noise, result),
         parameters=parameter_table(cell, parameters, uncertainty, case.choice, case.problem.names),
@@ -288,14 +289,14 @@ def _figures(case: Evaluated, covariance: Float3D, result: GeometryFit) -> Fit:
     before, after = case.staged.frames, case.staged.final
     lengths = np.linalg.norm(after.held_out, axis=0)
     return Fit(
-        rms_before=_rms(before.residual),
-        rms_after=_rms(after.residual),
-        held_out_rms_before=_rms(before.held_out),
-        held_out_rms_after=_rms(after.held_out),
-        noise=float(np.sqrt(np.einsum("mii->m", covariance).mean() / 3)),
+        rms_before=rms(before.residual),
+        rms_after=rms(after.residual),
+        held_out_rms_before=rms(before.held_out),
+        held_out_rms_after=rms(after.held_out),
+        noise=coordinate_std(covariance),
         held_out_mean_after=float(lengths.mean()),
         held_out_max_after=float(lengths.max()),
-        rms_used=_rms(after.residual[:, case.used]),
+        rms_used=rms(after.residual[:, case.used]),
         chi2=result.normal.cost,
         degrees_of_freedom=result.freedom,
     )
@@ -330,17 +331,7 @@ def _exclusions(case: Evaluated, readings: Readings) -> tuple[Exclusion, ...]:
             f"{held_out[row] * 1e3:.3f} mm from where the other configurations and the model put it, "
             f"{ratio:.2f} times the limit that this recording's own scatter sets"
         )
-        name = readings.points[readings.point[row]]
-        found.append(
-            Exclusion(
-                int(readings.configuration[row]),
-                int(readings.step[row]),
-                name,
-                reason,
-                size=float(held_out[row]),
-                times_sigma=float(np.sqrt(rejection.squared[row])),
-            )
-        )
+        found.append(exclusion(readings, int(row), reason, held_out[row], rejection.squared[row]))
     return tuple(found)
 
 
@@ -352,17 +343,13 @@ def _notes(case: Evaluated) -> tuple[Note, ...]:
     return (Note("many_outliers", "readings", text, count),)
 
 
-def _method(case: Evaluated, robust: bool) -> str:
+def _method(case: Evaluated) -> str:
     kept = [stage.name for stage in case.staged.stages[1:] if stage.kept]
     return ", ".join(
         (
             "absolute positions",
             " + ".join(kept) + " by weighted Gauss-Newton (weights from the instrument's uncertainty)",
             "stages kept by cross-validation over whole configurations",
-            "gross errors excluded by name" if robust else "every reading used",
+            "every reading used" if case.rejection is None else "gross errors excluded by name",
         )
     )
-
-
-def _rms(values: Float2D) -> float:
-    return float(np.sqrt(np.mean(values**2)))

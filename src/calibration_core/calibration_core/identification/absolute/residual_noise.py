@@ -10,9 +10,8 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.identification.checks.noise_audit import audit
+from calibration_core.identification.checks.noise_audit import audit, rejects
 from calibration_core.identification.result.estimate import NoiseAudit, NoiseCheck
-from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
 from calibration_core.timeseries import Float2D, Float3D, Int1D
 
 ENOUGH = 50  # readings below which neighbours say nothing
@@ -119,7 +118,7 @@ def audit_absolute(
         "The standard deviations treat it as independent from pose to pose and are rather too small."
     )
     others = any(check.source == "rigid triangle" for check in plain.checks) and plain.understated
-    understated = others or (repeats and _rejects(seen, plain.claimed))
+    understated = others or (repeats and rejects(seen, plain.claimed))
     if understated:
         text += " The readings scatter more than claimed all the same."
     return dataclasses.replace(with_neighbours, understated=understated, text=text)
@@ -132,8 +131,3 @@ def _angle(size: float) -> str:
     factor, unit = (1.0, "rad") if size >= 1.0 else (1e3, "mrad") if size >= 1e-3 else (1e6, "µrad")
     value = float(f"{size * factor:.1e}")
     return f"{value:.0f} {unit}" if value >= 10 else f"{value:.1f} {unit}"
-
-
-def _rejects(check: NoiseCheck, claimed: float) -> bool:
-    squares = check.degrees_of_freedom * (check.seen / claimed) ** 2
-    return bool(squares > chi2_limit(LEVEL, check.degrees_of_freedom))

@@ -13,6 +13,7 @@ from calibration_core.identification.geometry.fit import AbsoluteProblem, Geomet
 from calibration_core.identification.geometry.identifiability import ParameterSelection
 from calibration_core.identification.geometry.terms import ElasticityTerm, Term
 from calibration_core.identification.result.estimate import Stage
+from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float2D, Int1D
 
@@ -36,12 +37,12 @@ class FittedStage:
     @property
     def rms(self) -> float:
         """3-d root mean square over all readings, m."""
-        return _rms(self.residual)
+        return rms_length(self.residual.T)
 
     @property
     def held_out_rms(self) -> float:
         """The same on held-out configurations, m."""
-        return _rms(self.held_out)
+        return rms_length(self.held_out.T)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -166,7 +167,3 @@ def _not_tried(name: str, current: FittedStage, reason: str) -> Stage:
 
 def _size(stage: FittedStage) -> int:
     return len(stage.fit.names)
-
-
-def _rms(residual: Float2D) -> float:
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=0))))

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from calibration_core.identification.result.estimate import Anomaly, Exclusion, NoiseAudit
 from calibration_core.timeseries import Readings
+
+
+def exclusion(readings: Readings, row: int, reason: str, size: float, squared: float) -> Exclusion:
+    """Name a reading that is not used: its row, why, the length of its residual, m, and its square in variances."""
+    place = int(readings.configuration[row]), int(readings.step[row]), readings.points[readings.point[row]]
+    return Exclusion(*place, reason=reason, size=float(size), times_sigma=math.sqrt(squared))
 
 
 def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: Readings) -> tuple[Anomaly, ...]:

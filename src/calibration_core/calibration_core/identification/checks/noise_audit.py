@@ -6,6 +6,7 @@ import numpy as np
 
 from calibration_core.identification.result.estimate import NoiseAudit, NoiseCheck
 from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
+from calibration_core.observations.covariance import coordinate_std
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Int1D, Readings
 
 MODEL_FREE = ("rigid triangle",)
@@ -46,7 +47,7 @@ def rigid_triangle(position: Float2D, readings: Readings, used: Bool1D) -> Noise
 def _claimed(readings: Readings, rows: Bool1D) -> float:
     """Return the standard deviation per coordinate that the instruments of several recordings claim, m."""
     assert readings.position_claim is not None  # noqa: S101 - every recording brings its own
-    return float(np.sqrt(np.einsum("mii->m", readings.position_claim[rows]).mean() / 3))
+    return coordinate_std(readings.position_claim[rows])
 
 
 def _triangle(position: Float2D, readings: Readings, used: Bool1D, points: Int1D) -> NoiseCheck | None:
@@ -117,12 +118,12 @@ def audit(noise: Float3D, checks: tuple[NoiseCheck | None, ...], chi2: float, fr
         chi2: Weighted sum of squares of the fit.
         freedom: Its degrees of freedom.
     """
-    claimed = float(np.sqrt(np.einsum("mii->m", noise).mean() / 3))
+    claimed = coordinate_std(noise)
     ratio = float(np.sqrt(chi2 / freedom)) if freedom > 0 else 1.0
     present = [check for check in checks if check is not None]
     rest = NoiseCheck("residual", claimed * ratio, freedom)
     model_free = [check for check in present if check.source in MODEL_FREE]
-    rejected = {check.source for check in (*model_free, rest) if _rejects(check, claimed)}
+    rejected = {check.source for check in (*model_free, rest) if rejects(check, claimed)}
     understated = bool(rejected - {"residual"}) if model_free else "residual" in rejected
     scale = ratio if "residual" in rejected else 1.0
     return NoiseAudit(
@@ -130,7 +131,8 @@ def audit(noise: Float3D, checks: tuple[NoiseCheck | None, ...], chi2: float, fr
     )
 
 
-def _rejects(check: NoiseCheck, claimed: float) -> bool:
+def rejects(check: NoiseCheck, claimed: float) -> bool:
+    """Say whether what was seen is more than the claim, m, explains (1 % level)."""
     squares = check.degrees_of_freedom * (check.seen / claimed) ** 2
     return bool(check.degrees_of_freedom > 0 and squares > chi2_limit(LEVEL, check.degrees_of_freedom))
 

@@ -19,30 +19,17 @@ class Circle:
         centre: (3,) m.
         normal: (3,) unit vector; its sense follows the order of the points (right-handed).
         radius: m.
-        covariance: (6, 6) of centre (m), tilt of the normal about two axes across it (rad), radius (m); from the
-            points' own scatter.
         rms: Root mean square of the distances from the circle, per degree of freedom, m.
         arc: Angle that the points span, rad.
         points: Number of points.
-        tilts: (2, 3) unit vectors in which the normal moves when it tilts by the two angles of `covariance`.
     """
 
     centre: Float1D
     normal: Float1D
     radius: float
-    covariance: Float2D
     rms: float
     arc: float
     points: int
-    tilts: Float2D
-
-    @property
-    def line_covariance(self) -> Float2D:
-        """(6, 6) covariance of centre (m) and normal (-)."""
-        change = np.zeros((6, 5))
-        change[:3, :3] = np.eye(3)
-        change[3:, 3:] = self.tilts.T
-        return change @ self.covariance[:5, :5] @ change.T
 
 
 def fit_circle(points: Float2D) -> Circle:
@@ -75,18 +62,15 @@ def fit_circle(points: Float2D) -> Circle:
     turned = _normal(values, normal, first, second)
     freedom = max(2 * len(points) - PARAMETERS, 1)
     variance = 2 * float(solution.cost) / freedom
-    covariance = np.linalg.inv(solution.jac.T @ solution.jac) * variance
     angles = _angles(points - values[:3], turned)
     sense = 1.0 if np.median(np.diff(angles)) >= 0 else -1.0
     return Circle(
         centre=values[:3],
         normal=sense * turned,
         radius=float(values[5]),
-        covariance=covariance,
         rms=float(np.sqrt(variance)),
         arc=float(np.ptp(angles)),
         points=len(points),
-        tilts=sense * np.stack([first - turned * (turned @ first), second - turned * (turned @ second)]),
     )
 
 

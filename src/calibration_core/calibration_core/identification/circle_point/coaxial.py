@@ -26,7 +26,6 @@ class Coaxial:
     Attributes:
         centres: (k, 3) m, one per circle, all on the axis.
         normal: (3,) unit vector along the axis, in the sense of the circles given.
-        radii: (k,) m.
         covariance: (4 + 2 k, 4 + 2 k) of shift of the axis along two directions across it (m), its tilts towards these
             (rad), heights of the circles along it (m) and radii (m); from the points' own scatter.
         across: (2, 3) these two unit vectors; the shifts are at the foot from which heights count.
@@ -36,7 +35,6 @@ class Coaxial:
 
     centres: Float2D
     normal: Float1D
-    radii: Float1D
     covariance: Float2D
     across: Float2D
     heights: Float1D
@@ -87,7 +85,6 @@ def fit_coaxial(circles: Sequence[Circle], points: Sequence[Float2D]) -> Coaxial
     return Coaxial(
         centres=foot + np.outer(heights, normal),
         normal=normal,
-        radii=radii,
         covariance=np.asarray(np.linalg.inv(jacobian.T @ jacobian) * variance, dtype=np.float64),
         across=across,
         heights=heights,

@@ -116,24 +116,14 @@ class AxisGeometry:
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
 
 
-def identify_base_frame(readings: Readings, cell: Cell) -> BaseFrame:
-    """Find the base coordinate system from sweeps of joints 1 and 2.
+def identify_axes(readings: Readings, cell: Cell) -> AxisGeometry:
+    """Find the base coordinate system and, relative to it, the axes of all joints that were swept alone.
 
-    Orientation: the two normals and their cross product; position: the axis of joint 1 at the height of joint 2,
-    carried to the base by the nominal geometry.
+    Base orientation: the normals of joints 1 and 2 and their cross product; position: the axis of joint 1 at the height
+    of joint 2, taken to the base with the nominal geometry.
 
     Raises:
         IdentificationError: No sweep of joint 1 or 2 with five poses on a circle.
-    """
-    chain = chain_of(cell)
-    return _base(readings, chain, _axes(readings, chain))
-
-
-def identify_axes(readings: Readings, cell: Cell) -> AxisGeometry:
-    """Find the axes of all joints that were swept alone, relative to the base coordinate system.
-
-    Raises:
-        IdentificationError: As `identify_base_frame`.
     """
     chain = chain_of(cell)
     axes = _axes(readings, chain)
@@ -160,7 +150,7 @@ def first_guess(readings: Readings, cell: Cell) -> tuple[Float2D, Float2D]:
     """Return tracker pose (4, 4) and corrections (n, 6) by circles, without their uncertainty; see `identify_axes`.
 
     Raises:
-        IdentificationError: As `identify_base_frame`.
+        IdentificationError: As `identify_axes`.
     """
     chain = chain_of(cell)
     axes = _axes(readings, chain)
@@ -211,7 +201,7 @@ def _axis(readings: Readings, joint: int, sweeps: list[Sweep]) -> Axis:
             path = readings.provenance.path
             raise IdentificationError(path, f"joint {joint + 1}", str(error), "points on a circle") from None
         turns = np.sign(np.median(np.diff(readings.q[sweep.rows, joint])))
-        circles.append(dataclasses.replace(circle, normal=turns * circle.normal, tilts=turns * circle.tilts))
+        circles.append(dataclasses.replace(circle, normal=turns * circle.normal))
     together = fit_coaxial(circles, [readings.position[sweep.rows] for sweep in same])
     best = int(np.argmin([float(np.trace(together.line_covariance(k)[:3, :3])) for k in range(len(circles))]))
     return Axis(

@@ -13,7 +13,15 @@ from typing import Protocol
 import numpy as np
 
 from calibration_core.errors import EquilibriumError
-from calibration_core.identification.geometry.terms import ElasticityTerm, Term, TermContext, names_of
+from calibration_core.identification.geometry.terms import (
+    ElasticityTerm,
+    Term,
+    TermContext,
+    columns_of,
+    names_of,
+    places_of,
+)
+from calibration_core.identification.statistics.normal_matrix import column_scale, scaled_inverse
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.kinematics import posture
@@ -107,11 +115,8 @@ class AbsoluteProblem:
 
     def residual(self, parameters: ModelParameters) -> Float2D:
         """Return measured minus predicted, (3, m) m, base axes."""
-        return np.concatenate([view.measured - view.target for view in self._views(parameters)], axis=1)
-
-    def _views(self, parameters: ModelParameters) -> Iterator[TermContext]:
-        for block in self.blocks():
-            yield block.view(parameters)
+        views = (block.view(parameters) for block in self.blocks())
+        return np.concatenate([view.measured - view.target for view in views], axis=1)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -192,8 +197,7 @@ class GeometryFit:
     @property
     def covariance(self) -> Float2D:
         """(p, p) covariance of the parameters for the stated noise, SI units."""
-        scale = column_scale(self.normal.matrix)
-        return np.linalg.inv(self.normal.matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+        return scaled_inverse(self.normal.matrix)
 
 
 def fit(
@@ -260,12 +264,7 @@ def normal_equations(problem: AbsoluteProblem, parameters: ModelParameters, term
 def whitened(block: AbsoluteProblem, parameters: ModelParameters, terms: Sequence[Term]) -> tuple[Float3D, Float2D]:
     """Return the columns (p, 3, m) and residuals (3, m), whitened but for a common factor 1/sigma."""
     view = block.view(parameters, elastic=any(isinstance(t, ElasticityTerm) and t.gravity is None for t in terms))
-    columns = np.empty((len(names_of(terms)), *view.target.shape))
-    first = 0
-    for term in terms:
-        count = len(term.names)
-        term.write(view, columns[first : first + count])
-        first += count
+    columns = columns_of(view, terms)
     residual = view.measured - view.target
     if isinstance(block.whitening, float):
         return columns, residual
@@ -275,12 +274,9 @@ def whitened(block: AbsoluteProblem, parameters: ModelParameters, terms: Sequenc
 
 def moved(parameters: ModelParameters, terms: Sequence[Term], step: Float1D) -> ModelParameters:
     """Return the parameters after a step of all terms."""
-    first = 0
-    for term in terms:
-        count = len(term.names)
-        if count:
-            parameters = term.moved(parameters, step[first : first + count])
-        first += count
+    for term, place in places_of(terms):
+        if term.names:
+            parameters = term.moved(parameters, step[place])
     return parameters
 
 
@@ -320,9 +316,3 @@ def bounded_step(normal: NormalEquations, lower: Float1D, damping: float = 0.0) 
         free = ~held
         step[free] = np.linalg.solve(matrix[np.ix_(free, free)], (right - matrix @ step)[free])
     return step * scale
-
-
-def column_scale(matrix: Float2D) -> Float1D:
-    """Return 1 over the length of every column, (p,), given J^T J; 1 for a column of zeros."""
-    diagonal = np.diag(matrix)
-    return 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

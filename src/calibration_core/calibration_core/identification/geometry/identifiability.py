@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.geometry.fit import AbsoluteProblem, column_scale, normal_equations
+from calibration_core.identification.geometry.fit import AbsoluteProblem, normal_equations
 from calibration_core.identification.geometry.setups import pose_terms
 from calibration_core.identification.geometry.terms import (
     CORRECTIONS,
@@ -23,6 +23,7 @@ from calibration_core.identification.geometry.terms import (
     names_of,
 )
 from calibration_core.identification.result.estimate import Unidentified
+from calibration_core.identification.statistics.normal_matrix import column_scale
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 

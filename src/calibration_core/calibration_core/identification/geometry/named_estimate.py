@@ -9,7 +9,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.geometry.identifiability import candidates
-from calibration_core.identification.geometry.parameter_table import rpy_by_rotation
+from calibration_core.identification.geometry.parameter_table import frames_uncertainty
 from calibration_core.identification.geometry.terms import AXES, CORRECTIONS
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import POSE, unit_of, value_of
@@ -77,12 +77,8 @@ def loaded_estimate(
     joints = named_estimate([f"{COMPLIANCE}{joint}" for joint in cell.robot.joints], compliance, model, cell)
     if frames is None:
         return joints
-    p = len(frames.covariance)
-    change = np.eye(p)
-    change[3:6, 3:6] = rpy_by_rotation(frames.tracker[:3, :3])
-    of_points = [f"{point} {axis}" for point in points for axis in AXES][: p - 6]
-    names = [*(f"tracker {part}" for part in POSE), *of_points]
-    around = named_estimate(names, change @ frames.covariance @ change.T, model, cell)
+    fitted = frames_uncertainty(frames, points)
+    around = named_estimate(fitted.names, fitted.covariance, model, cell)
     return GaussianEstimate.independent((joints, around))
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -12,11 +13,11 @@ from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.geometry.identifiability import GeometryCorrection, ParameterSelection
 from calibration_core.identification.geometry.terms import AXES
 from calibration_core.identification.result.estimate import ParameterEstimate
-from calibration_core.model.chain import rotation_y, rotation_z, rpy_of
+from calibration_core.model.chain import rotation_y, rotation_z, rpy_of, xyz_rpy
+from calibration_core.model.identified.named_values import POSE
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Float2D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Readings
 
-POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 UNITS: tuple[Literal["m", "rad"], ...] = ("m", "m", "m", "rad", "rad", "rad")
 
 
@@ -40,36 +41,30 @@ class Uncertainty:
         return float(np.sqrt(self.covariance[index, index]))
 
 
-class Fitted(Protocol):
-    """Fitted values with their covariance, the tracker pose first, as a twist."""
+def uncertainty_of(
+    parameters: ModelParameters, names: Sequence[str], covariance: Float2D, scale: float = 1.0
+) -> Uncertainty:
+    """Return the uncertainty of fitted parameters.
 
-    @property
-    def parameters(self) -> ModelParameters:
-        """All values."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the fitted parameters."""
-        ...
-
-    @property
-    def covariance(self) -> Float2D:
-        """(p, p), SI units."""
-        ...
+    Args:
+        parameters: All values.
+        names: (p,) of those fitted, the tracker pose first, as a twist.
+        covariance: (p, p), SI units.
+        scale: By which the standard deviations are widened.
+    """
+    named, covariance = in_coordinates(parameters, names, covariance)
+    order = sorted(range(len(named)), key=lambda k: not named[k].startswith("C "))
+    return Uncertainty(tuple(named[k] for k in order), scale**2 * covariance[np.ix_(order, order)])
 
 
-def uncertainty_of(result: Fitted, scale: float) -> Uncertainty:
-    """Return the covariance of the fitted parameters, with the standard deviations widened by `scale`."""
-    p = len(result.names)
-    change, names = np.eye(p), list(result.names)
-    for k, (label, pose) in enumerate(poses_of(result.parameters).items()):
+def in_coordinates(parameters: ModelParameters, names: Sequence[str], covariance: Float2D) -> tuple[list[str], Float2D]:
+    """Return names and covariance with poses as x, y, z, roll, pitch, yaw; arguments as `uncertainty_of`."""
+    change, named = np.eye(len(covariance)), list(names)
+    for k, (label, pose) in enumerate(poses_of(parameters).items()):
         own = slice(6 * k, 6 * k + 6)
         change[own, own] = pose_by_twist(pose)
-        names[own] = [f"{label} {name}" for name in POSE]
-    covariance = scale**2 * change @ result.covariance @ change.T
-    order = sorted(range(p), key=lambda k: not names[k].startswith("C "))
-    return Uncertainty(tuple(names[k] for k in order), covariance[np.ix_(order, order)])
+        named[own] = [f"{label} {name}" for name in POSE]
+    return named, change @ covariance @ change.T
 
 
 def poses_of(parameters: ModelParameters) -> dict[str, Float2D]:
@@ -111,19 +106,7 @@ def parameter_table(
         choice: Corrections of the geometry that can be identified, and those that stay nominal.
         read: Names of the measurement points that were read.
     """
-    nominal = cell.frames.tracker
-    believed = [None] * 6 if nominal is None else [*nominal.xyz, *nominal.rpy]
-    pose = np.concatenate([parameters.tracker[:3, 3], rpy_of(parameters.tracker[:3, :3])])
-    table = []
-    for i, label in enumerate(POSE):
-        name, unit = f"tracker {label}", UNITS[i]
-        table.append(ParameterEstimate(name, "tracker", float(pose[i]), uncertainty.std(name), unit, believed[i]))
-    for point in read:
-        for axis, label in enumerate(AXES):
-            name, value = f"{point} {label}", float(parameters.points[point][axis])
-            before = cell.frames.measurement_points[point][axis]
-            fitted = name in uncertainty.names
-            table.append(ParameterEstimate(name, "point", value, uncertainty.std(name), "m", before, fitted))
+    table = _frames(cell, parameters.tracker, {point: parameters.points[point] for point in read}, uncertainty)
     ordered = sorted((*choice.chosen, *choice.nominal), key=lambda c: (c.joint, c.kind))
     return (*table, *(_geometry(candidate, parameters, uncertainty) for candidate in ordered))
 
@@ -144,20 +127,39 @@ def _geometry(
 
 def frame_table(frames: FrameFit, cell: Cell, readings: Readings) -> tuple[ParameterEstimate, ...]:
     """List tracker pose and points of a loaded recording, which fits no geometry."""
-    std = np.sqrt(np.diag(frames.covariance))
+    uncertainty = frames_uncertainty(frames, readings.points)
+    return _frames(cell, frames.tracker, dict(zip(readings.points, frames.points, strict=True)), uncertainty)
+
+
+def frames_uncertainty(frames: FrameFit, points: Sequence[str]) -> Uncertainty:
+    """Return the uncertainty of tracker pose and points.
+
+    Args:
+        frames: The fit, whose covariance is about rotations about the axes of the base.
+        points: Names of the points, of which the first are fitted.
+    """
+    count = len(frames.covariance)
+    change = np.eye(count)
+    change[3:6, 3:6] = rpy_by_rotation(frames.tracker[:3, :3])
+    names = (*(f"tracker {label}" for label in POSE), *(f"{point} {axis}" for point in points for axis in AXES))
+    return Uncertainty(names[:count], change @ frames.covariance @ change.T)
+
+
+def _frames(
+    cell: Cell, tracker: Float2D, points: Mapping[str, Float1D], uncertainty: Uncertainty
+) -> tuple[ParameterEstimate, ...]:
+    """List tracker pose and points; coordinates without an uncertainty were not fitted."""
     nominal = cell.frames.tracker
-    values = np.concatenate([frames.tracker[:3, 3], rpy_of(frames.tracker[:3, :3])])
     believed = [None] * 6 if nominal is None else [*nominal.xyz, *nominal.rpy]
-    estimates = [
-        ParameterEstimate(
-            f"tracker {label}", "tracker", float(values[i]), float(std[i]), "m" if i < 3 else "rad", believed[i]
-        )
-        for i, label in enumerate(POSE)
-    ]
-    for j, name in enumerate(readings.points):
-        for axis, label in enumerate("xyz"):
-            index = 6 + 3 * j + axis
-            before = cell.frames.measurement_points[name][axis]
-            value = float(frames.points[j, axis])
-            estimates.append(ParameterEstimate(f"{name} {label}", "point", value, float(std[index]), "m", before))
-    return tuple(estimates)
+    pose = xyz_rpy(tracker)
+    table = []
+    for i, label in enumerate(POSE):
+        name, unit = f"tracker {label}", UNITS[i]
+        table.append(ParameterEstimate(name, "tracker", float(pose[i]), uncertainty.std(name), unit, believed[i]))
+    for point, place in points.items():
+        for axis, label in enumerate(AXES):
+            name, before = f"{point} {label}", cell.frames.measurement_points[point][axis]
+            fitted = name in uncertainty.names
+            std = uncertainty.std(name)
+            table.append(ParameterEstimate(name, "point", float(place[axis]), std, "m", before, fitted))
+    return tuple(table)

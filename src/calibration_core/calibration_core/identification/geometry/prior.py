@@ -12,15 +12,10 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.identification.geometry.fit import (
-    AbsoluteProblem,
-    NormalEquations,
-    column_scale,
-    fit,
-    normal_equations,
-)
+from calibration_core.identification.geometry.fit import AbsoluteProblem, NormalEquations, fit, normal_equations
 from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm, Term, TrackerTerm, names_of
 from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
+from calibration_core.identification.statistics.normal_matrix import column_scale, scaled_inverse
 from calibration_core.model.chain import rotation_vector
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
@@ -77,8 +72,7 @@ class GaussianPrior:
         Raises:
             numpy.linalg.LinAlgError: Something is not known at all.
         """
-        scale = column_scale(self.information)
-        return np.linalg.inv(self.information * np.outer(scale, scale)) * np.outer(scale, scale)
+        return scaled_inverse(self.information)
 
     def normal(self, parameters: ModelParameters) -> NormalEquations:
         """Return what this knowledge adds to the normal equations at other values (no readings)."""
@@ -99,9 +93,8 @@ class GaussianPrior:
 
     def without_compliances(self) -> GaussianPrior:
         """Return what is known of everything but the compliances, whatever these are (the marginal)."""
-        counts = np.cumsum([0, *(len(term.names) for term in self.terms)])
         bends = [isinstance(term, ElasticityTerm) for term in self.terms]
-        gone = np.concatenate([np.full(counts[k + 1] - counts[k], bend) for k, bend in enumerate(bends)])
+        gone = np.repeat(bends, [len(term.names) for term in self.terms])
         kept = np.flatnonzero(~gone)
         share = np.linalg.solve(self.information[np.ix_(gone, gone)], self.information[np.ix_(gone, ~gone)]).T
         held = self.held

@@ -315,6 +315,20 @@ def names_of(terms: Sequence[Term]) -> tuple[str, ...]:
     return tuple(name for term in terms for name in term.names)
 
 
+def places_of(terms: Sequence[Term]) -> list[tuple[Term, slice]]:
+    """Return every term with the place of its parameters among those of all."""
+    ends = np.cumsum([0, *(len(term.names) for term in terms)]).tolist()
+    return [(term, slice(first, last)) for term, first, last in zip(terms, ends[:-1], ends[1:], strict=True)]
+
+
+def columns_of(view: TermContext, terms: Sequence[Term]) -> Float3D:
+    """Return the columns of all terms, (p, 3, m), base axes."""
+    columns = np.empty((len(names_of(terms)), *view.target.shape))
+    for term, place in places_of(terms):
+        term.write(view, columns[place])
+    return columns
+
+
 def correction_axis(geometry: Float1D, kind: int) -> Float1D:
     """Return the direction of one correction in the axes of the *corrected* frame, (3,).
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.identification.result.estimate import JointStiffness, Unidentified
-from calibration_core.identification.result.stiffness_interval import joint_stiffness
-from calibration_core.identification.statistics.distributions import normal_quantile, student_quantile
+from calibration_core.identification.result.stiffness_interval import TWO_SIDED, joint_stiffness
+from calibration_core.identification.statistics.distributions import student_quantile
 from calibration_core.identification.statistics.solve import Solution
 from calibration_core.timeseries import Float1D
 
@@ -35,7 +35,7 @@ def stiffness_table(
         prismatic: Per joint, whether it slides; none where empty.
         rigid: Per joint, whether it is declared rigid; none where empty.
     """
-    quantile = normal_quantile(0.975) if freedom is None else student_quantile(0.975, max(freedom, 1))
+    quantile = TWO_SIDED if freedom is None else student_quantile(0.975, max(freedom, 1))
     table = []
     for i, joint in enumerate(joints):
         value = float(solution.value[i])

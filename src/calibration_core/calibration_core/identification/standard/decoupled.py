@@ -38,8 +38,8 @@ def with_decoupled(
 
     Args:
         found: The answer of the joint identification.
-        prepared: The loaded recording, fitted.
-        wrist_centre: (3,) m, flange frame, as measured (7.3); None: from the geometry.
+        prepared: As for `identify_decoupled`.
+        wrist_centre: Likewise.
     """
     try:
         return dataclasses.replace(found, decoupled=identify_decoupled(prepared, found.noise.scale, wrist_centre))

@@ -14,13 +14,12 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.geometry.fit import moved
 from calibration_core.identification.geometry.prior import GaussianPrior, difference
-from calibration_core.identification.geometry.terms import PointTerm, TermContext, TrackerTerm, names_of
-from calibration_core.identification.statistics.offsets import normal_equations
+from calibration_core.identification.geometry.terms import PointTerm, TermContext, TrackerTerm, names_of, places_of
+from calibration_core.identification.statistics.normal_matrix import scaled_inverse
 from calibration_core.identification.statistics.solve import Solution, solve_non_negative
-from calibration_core.identification.stiffness.fit import CONVERGED, LoadedFit, fit_compliance
+from calibration_core.identification.stiffness.fit import CONVERGED, LoadedFit, fit_compliance, normal_of
 from calibration_core.identification.stiffness.loaded import Options, PreparedLoaded, require_load
 from calibration_core.identification.stiffness.outlier_rejection import reject_outliers
-from calibration_core.identification.stiffness.poses import as_poses
 from calibration_core.identification.stiffness.problem import Linearised, LoadedProblem, build_problem
 from calibration_core.model.chain import Chain
 from calibration_core.model.nominal import nominal_parameters
@@ -82,11 +81,11 @@ def fit_with_prior(readings: Readings, cell: Cell, options: Options, known: Gaus
     problem = case.problem(parameters)
     some = problem.select(np.flatnonzero(rejection.used))
     plain = fit_compliance(some, parameters.compliance, options.deflections)
-    chi2 = _chi2(some, parameters.compliance, options)
+    normal = normal_of(some, some.linearise(parameters.compliance), options.deflections)
     n = len(parameters.compliance)
     covariance = _covariance(total, solution, known)
     solution = dataclasses.replace(solution, covariance=covariance[:n, :n])
-    fit = LoadedFit(parameters.compliance, solution, plain.normal, chi2, plain.freedom)
+    fit = LoadedFit(parameters.compliance, solution, plain.normal, float(normal.chi2.sum()), plain.freedom)
     prepared = PreparedLoaded(
         problem, dataclasses.replace(rejection, fit=fit), fit, nominal, parameters, None, "earlier phases"
     )
@@ -139,11 +138,7 @@ def _normal(case: _Case, parameters: ModelParameters, used: Bool1D) -> _Total:
     columns = np.concatenate([linear.columns, _prior_columns(case, problem, parameters, linear)], axis=2)
     rows = np.flatnonzero(used)
     whole = Linearised(linear.predicted[rows], linear.residual[rows], columns[rows], linear.rows.select(rows))
-    if case.options.deflections == "pose":
-        grouped, residual, designs = as_poses(problem.select(rows), whole)
-        normal = normal_equations(grouped, residual, designs)
-    else:
-        normal = normal_equations(whole.rows, whole.residual, whole.columns)
+    normal = normal_of(problem.select(rows), whole, case.options.deflections)
     n, end = len(parameters.compliance), len(parameters.compliance) + len(known.names)
     everything, vector = normal.matrix.sum(axis=0), normal.vector.sum(axis=0)[:end]
     matrix, across = everything[:end, :end].copy(), everything[:end, end:].copy()
@@ -166,22 +161,19 @@ def _prior_columns(case: _Case, problem: LoadedProblem, parameters: ModelParamet
     held = case.known.held
     terms = case.known.terms if held is None else (*case.known.terms, held.term)
     p = len(names_of(terms))
-    columns, first = np.zeros((p, 3, len(readings))), 0
-    for term in terms:
-        count = len(term.names)
-        place = slice(first, first + count)
+    columns = np.zeros((p, 3, len(readings)))
+    for term, place in places_of(terms):
         if isinstance(term, TrackerTerm):
             term.write(view, columns[place])
         elif isinstance(term, PointTerm) and term.point != WRENCH_POINT:
             if term.point in readings.points:
                 PointTerm(term.point, readings.points.index(term.point), term.axes).write(view, columns[place])
         else:
-            for k in range(count):
+            for k in range(place.start, place.stop):
                 step = np.zeros(p)
-                step[first + k] = STEP
+                step[k] = STEP
                 shifted = case.problem(moved(parameters, terms, step))
-                columns[first + k] = (linear.residual - shifted.residual(parameters.compliance)).T / STEP
-        first += count
+                columns[k] = (linear.residual - shifted.residual(parameters.compliance)).T / STEP
     return np.moveaxis(columns, -1, 0).transpose(0, 2, 1)
 
 
@@ -206,8 +198,7 @@ def _covariance(total: _Total, solution: Solution, known: GaussianPrior) -> Floa
     """
     matrix, n = total.matrix, len(solution.value)
     kept = np.r_[solution.determined, np.ones(len(matrix) - n, dtype=bool)]
-    scale = 1 / np.sqrt(np.diag(matrix)[kept])
-    inverse = np.linalg.inv(matrix[np.ix_(kept, kept)] * np.outer(scale, scale)) * np.outer(scale, scale)
+    inverse = scaled_inverse(matrix[np.ix_(kept, kept)])
     if known.held is not None:
         off = inverse @ total.across[kept] * known.held.std
         off[int(solution.determined.sum()) :] = 0.0
@@ -216,12 +207,3 @@ def _covariance(total: _Total, solution: Solution, known: GaussianPrior) -> Floa
     covariance[np.ix_(kept, kept)] = inverse
     covariance[~kept, ~kept] = np.inf
     return covariance
-
-
-def _chi2(problem: LoadedProblem, compliance: Float1D, options: Options) -> float:
-    linear = problem.linearise(compliance)
-    if options.deflections == "pose":
-        rows, residual, columns = as_poses(problem, linear)
-    else:
-        rows, residual, columns = linear.rows, linear.residual, linear.columns
-    return float(normal_equations(rows, residual, columns).chi2.sum())

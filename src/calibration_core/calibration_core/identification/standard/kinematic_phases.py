@@ -17,6 +17,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.absolute.gross_errors import GrossErrorRejection, reject_gross_errors
+from calibration_core.identification.checks.exclusion_anomalies import exclusion
 from calibration_core.identification.circle_point.joint_axes import first_guess
 from calibration_core.identification.circle_point.sweeps import single_joint_sweeps, wrist_sweep
 from calibration_core.identification.geometry.fit import AbsoluteProblem
@@ -227,13 +228,8 @@ def _held(choice: ParameterSelection, cell: Cell, fitted: int) -> ConsiderParame
 
 
 def _exclusion(readings: Readings, row: int, rejection: GrossErrorRejection, off: float) -> Exclusion:
-    times = float(np.sqrt(rejection.squared[row]))
-    return Exclusion(
-        int(readings.configuration[row]),
-        int(readings.step[row]),
-        readings.points[readings.point[row]],
+    reason = (
         f"{off * 1e3:.3f} mm from where all other readings of the kinematic phases put it "
-        f"({times:.1f} claimed standard deviations, limit {np.sqrt(rejection.threshold):.1f})",
-        size=off,
-        times_sigma=times,
+        f"({np.sqrt(rejection.squared[row]):.1f} claimed standard deviations, limit {np.sqrt(rejection.threshold):.1f})"
     )
+    return exclusion(readings, row, reason, off, rejection.squared[row])

@@ -14,7 +14,7 @@ from calibration_core.cell import Cell
 from calibration_core.identification.checks.exclusion_anomalies import anomalies_of
 from calibration_core.identification.circle_point.joint_axes import BaseFrame
 from calibration_core.identification.geometry.named_estimate import named_estimate
-from calibration_core.identification.geometry.parameter_table import POSE, Uncertainty, parameter_table, uncertainty_of
+from calibration_core.identification.geometry.parameter_table import Uncertainty, parameter_table, uncertainty_of
 from calibration_core.identification.geometry.prior import GaussianPrior
 from calibration_core.identification.geometry.terms import AXES
 from calibration_core.identification.result.estimate import Anomaly, Identification, NoiseAudit
@@ -33,9 +33,9 @@ from calibration_core.identification.standard.kinematic_phases import Kinematics
 from calibration_core.identification.standard.standard_geometry import standard_geometry
 from calibration_core.identification.stiffness.loaded import Options, identify_prepared
 from calibration_core.identification.wrist.centre import WristCentre
-from calibration_core.model.chain import rpy_of
+from calibration_core.model.chain import xyz_rpy
+from calibration_core.model.identified.named_values import POSE
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Readings
 
 
@@ -87,7 +87,7 @@ def identify_phases(
     scale = answer.noise.scale
     uncertainty = _everything(fitted, answer, scale)
     model = fitted.prepared.parameters
-    geometry = uncertainty_of(found.geometry, 1.0)
+    geometry = _uncertainty(found.geometry)
     standard = standard_geometry(found.readings, cell, model, geometry.names, geometry.covariance)
     read = tuple(point for point in readings.points if point in model.points)
     wrist = None if standard.wrist is None else standard.wrist.flange
@@ -102,7 +102,7 @@ def identify_phases(
         exclusions=(*answer.exclusions, *found.exclusions),
         anomalies=(*answer.anomalies, *_odd(found, answer.noise)),
         standard=standard,
-        phases=_phases(found, rows, fitted, uncertainty, standard, scale),
+        phases=_phases(found, rows, fitted, geometry, uncertainty, standard, scale),
         estimate=named_estimate(uncertainty.names, uncertainty.covariance, model, cell),
     )
 
@@ -121,24 +121,18 @@ def _everything(fitted: FitWithPrior, answer: Identification, scale: float) -> U
     order = np.r_[n : n + p, 0:n]
     undetermined = ~np.isfinite(np.diag(fitted.covariance))
     finite = np.where(np.isfinite(fitted.covariance), fitted.covariance, 0.0)[np.ix_(order, order)]
-    result = uncertainty_of(_Values(fitted.known.parameters, names, finite), scale)
+    result = uncertainty_of(fitted.known.parameters, names, finite, scale)
     covariance = result.covariance.copy()
     rows = np.flatnonzero(undetermined[:n])
     covariance[rows, rows] = np.inf
     return Uncertainty(result.names, covariance)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Values:
-    parameters: ModelParameters
-    names: tuple[str, ...]
-    covariance: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-
-
 def _phases(
     found: Kinematics,
     rows: PhaseRows,
     fitted: FitWithPrior,
+    geometry: Uncertainty,
     uncertainty: Uncertainty,
     standard: StandardGeometry,
     scale: float,
@@ -147,14 +141,13 @@ def _phases(
     swept = int(found.rows.sweeps.sum())
     if standard.base is not None:
         phases.append(_base(standard.base))
-    geometry = uncertainty_of(found.geometry, 1.0)
     poses = int(found.rows.poses.sum())
     kept = tuple(name for name in geometry.names if not name.startswith("C ") and not _is_point(name, found))
     remarks = tuple(one.reason for one in found.choice.unidentified)
     phases.append(_part(GEOMETRY, swept + poses, geometry, found.geometry, kept, remarks))
     if standard.wrist is not None:
         phases.append(_wrist(standard.wrist, int(found.rows.wrist.sum())))
-    final = uncertainty_of(found.final, 1.0)
+    final = _uncertainty(found.final)
     points = tuple(name for name in final.names if _is_point(name, found))
     hidden = tuple(one.reason for one in found.hidden)
     phases.append(_part(POINTS, poses, final, found.final, points, hidden))
@@ -166,12 +159,16 @@ def _phases(
     return tuple(phases)
 
 
+def _uncertainty(known: GaussianPrior) -> Uncertainty:
+    return uncertainty_of(known.parameters, known.names, known.covariance)
+
+
 def _is_point(name: str, found: Kinematics) -> bool:
     return name.rpartition(" ")[0] in found.readings.points
 
 
 def _base(base: BaseFrame) -> PhaseEstimate:
-    pose = np.concatenate([base.tracker[:3, 3], rpy_of(base.tracker[:3, :3])])
+    pose = xyz_rpy(base.tracker)
     names = tuple(f"tracker {label}" for label in POSE)
     count = sum(circle.points for axis in base.axes for circle in axis.circles)
     return PhaseEstimate(BASE_FRAME, count, names, pose, base.covariance, remarks=base.warnings)
@@ -200,7 +197,7 @@ def _part(
 
 def _values(known: GaussianPrior) -> dict[str, float]:
     tracker = known.parameters.tracker
-    pose = np.concatenate([tracker[:3, 3], rpy_of(tracker[:3, :3])])
+    pose = xyz_rpy(tracker)
     values = {f"tracker {label}": float(value) for label, value in zip(POSE, pose, strict=True)}
     for term in known.terms[1:]:
         found: Float1D = term.values(known.parameters)

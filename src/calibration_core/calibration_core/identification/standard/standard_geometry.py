@@ -10,10 +10,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.circle_point.joint_axes import (
-    identify_axes,
-    identify_base_frame,
-)
+from calibration_core.identification.circle_point.joint_axes import identify_axes
 from calibration_core.identification.geometry.problem import absolute_problem
 from calibration_core.identification.geometry.terms import AXES
 from calibration_core.identification.result.standard_methods import StandardGeometry
@@ -56,11 +53,11 @@ def standard_geometry(
     rows = [names.index(name) if name in names else -1 for point in readings.points for name in _coordinates(point)]
     fitted = np.array(rows) >= 0
     of_points = np.where(np.outer(fitted, fitted), covariance[np.ix_(rows, rows)], 0.0) if fitted.any() else None
-    base = attempt(BASE_FRAME, lambda: identify_base_frame(readings, cell))
-    axes = None if base is None else attempt(JOINT_AXES, lambda: identify_axes(readings, cell))
-    if base is None:
+    axes = attempt(BASE_FRAME, lambda: identify_axes(readings, cell))
+    base = None if axes is None else axes.base
+    if axes is None:
         reasons[JOINT_AXES] = reasons[BASE_FRAME]
-    elif axes is not None and len(axes.axes) < LEAST_AXES:
+    elif len(axes.axes) < LEAST_AXES:
         place, found = ", ".join(axes.not_observed), "no sweep"
         expected = "five or more poses in which only one of them moves"
         reasons[JOINT_AXES] = str(IdentificationError(readings.provenance.path, place, found, expected))

@@ -13,13 +13,12 @@ import functools
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+from calibration_core.identification.statistics.distributions import chi2_limit
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Float4D, FloatND, Int1D, Int2D
 
-Int2D = NDArray[np.int64]
-Float4D = NDArray[np.float64]
-Float5D = NDArray[np.float64]
+FALSE_EXCLUSION = 0.01  # probability that a clean recording loses any reading
+SET_ASIDE = 1e12  # factor on the variance of a row that does not count
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -42,7 +41,20 @@ class Rows:
 
     def select(self, rows: Int1D) -> Rows:
         """Return some of the rows."""
+        if np.array_equal(rows, np.arange(len(self.configuration))):
+            return self
         return Rows(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+
+    def counting(self, used: Int1D | Bool1D) -> Rows:
+        """Return the same rows, of which those not used (mask or indices) do not count for the offsets."""
+        aside = np.ones(len(self.noise), dtype=bool)
+        aside[used] = False
+        return dataclasses.replace(self, noise=self.noise * np.where(aside, SET_ASIDE, 1.0)[:, None, None])
+
+    @functools.cached_property
+    def groups(self) -> tuple[tuple[Int1D, Int1D, Float3D, Float3D], ...]:
+        """Configurations of equal shape: their indices (b,), their rows (b, m), and as `_whiten` of these."""
+        return tuple((group, index, *_whiten(self, index)) for group, index in _groups(self))
 
     @functools.cached_property
     def contrasts(self) -> tuple[tuple[Int1D, Int1D, Float3D], ...]:
@@ -50,7 +62,7 @@ class Rows:
 
         The designs of one search share their rows, so that this is found once.
         """
-        return tuple((group, index, _contrast(self, index)) for group, index in _groups(self))
+        return tuple((group, index, _contrast(white, basis)) for group, index, white, basis in self.groups)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -82,8 +94,7 @@ def normal_equations(rows: Rows, residual: Float2D, columns: Float3D) -> Normal:
     p = columns.shape[2]
     matrix, vector = np.zeros((k, p, p)), np.zeros((k, p))
     chi2, freedom = np.zeros(k), np.zeros(k, dtype=np.int64)
-    for group, index in _groups(rows):
-        white, basis = _whiten(rows, index)
+    for group, index, white, basis in rows.groups:
         data = np.concatenate([columns[index], residual[index][..., None]], axis=-1)
         b, m, d, _ = data.shape
         projected = white @ data.reshape(b, m * d, p + 1)
@@ -117,8 +128,7 @@ def whitened(rows: Rows, data: Float3D) -> tuple[Float2D, Int1D]:
 def without_offsets(rows: Rows, residual: Float2D) -> Float2D:
     """Return the (m, d) residuals after the best offsets of every configuration."""
     left = np.empty_like(residual)
-    for _, index in _groups(rows):
-        white, basis = _whiten(rows, index)
+    for _, index, white, basis in rows.groups:
         b, m = index.shape
         flat = residual[index].reshape(b, -1, 1)
         rest = white @ flat
@@ -140,8 +150,7 @@ def deleted(rows: Rows, residual: Float2D) -> tuple[Float1D, Float2D, Float3D]:
     m_all, d = residual.shape
     squared, error = np.zeros(m_all), np.zeros((m_all, d))
     covariance = np.full((m_all, d, d), np.inf)
-    for _, index in _groups(rows):
-        white, basis = _whiten(rows, index)
+    for _, index, white, basis in rows.groups:
         b, m = index.shape
         projected = white - basis @ (basis.transpose(0, 2, 1) @ white)
         flat = residual[index].reshape(b, m * d, 1)
@@ -158,6 +167,21 @@ def deleted(rows: Rows, residual: Float2D) -> tuple[Float1D, Float2D, Float3D]:
     return squared, error, covariance
 
 
+def deletion_limit(squared: Float1D, readings: int) -> float:
+    """Return the limit on squared deletion residuals that a clean recording exceeds anywhere with 1 % probability.
+
+    The scale is the recording's own (median), never below the claimed noise, so that missing physics or understated
+    noise does not turn readings into outliers.
+
+    Args:
+        squared: As `deleted` returns them; zero where no other row could predict one.
+        readings: Number of readings of the recording.
+    """
+    testable = squared[squared > 0]
+    scale = float(np.median(testable) / chi2_limit(0.5, 3)) if len(testable) else 1.0
+    return chi2_limit(FALSE_EXCLUSION / readings, 3) * max(1.0, scale)
+
+
 def _groups(rows: Rows) -> Iterator[tuple[Int1D, Int1D]]:
     """Yield configurations of equal shape together: their indices (b,) and their rows (b, m)."""
     order = np.argsort(rows.configuration, kind="stable")
@@ -171,9 +195,11 @@ def _groups(rows: Rows) -> Iterator[tuple[Int1D, Int1D]]:
         yield present[members], index
 
 
-def _contrast(rows: Rows, index: Int1D) -> Float3D:
-    """Return (b, r, md): products with it are free of offsets, independent and of unit variance."""
-    white, basis = _whiten(rows, index)
+def _contrast(white: Float3D, basis: Float3D) -> Float3D:
+    """Return (b, r, md): products with it are free of offsets, independent and of unit variance.
+
+    Both arguments are as `_whiten` returns them.
+    """
     rest = np.linalg.qr(basis, mode="complete")[0][:, :, basis.shape[2] :]
     return np.asarray(rest.transpose(0, 2, 1) @ white)
 
@@ -219,7 +245,7 @@ def _sharing(load: Int2D) -> Iterator[tuple[Int1D, Int2D]]:
         yield begin // m, order.reshape(-1)[begin[:, None] + np.arange(count)]
 
 
-def _inverse_root(noise: Float4D, shared: Float4D) -> Float5D:
+def _inverse_root(noise: Float4D, shared: Float4D) -> FloatND:
     """Return the inverse Cholesky factors of blocks of rows, (n, c, c, d, d).
 
     Args:

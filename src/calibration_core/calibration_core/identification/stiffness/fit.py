@@ -10,7 +10,7 @@ import numpy as np
 from calibration_core.identification.statistics.offsets import Normal, normal_equations
 from calibration_core.identification.statistics.solve import Solution, solve_non_negative
 from calibration_core.identification.stiffness.poses import as_poses
-from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.identification.stiffness.problem import Linearised, LoadedProblem
 from calibration_core.timeseries import Float1D
 
 Deflections = Literal["points", "pose"]
@@ -77,9 +77,16 @@ def stepped(normal: Normal, compliance: Float1D, start: Float1D) -> Solution:
     return solve_non_negative(matrix, vector + matrix @ compliance, start)
 
 
-def _normal(problem: LoadedProblem, compliance: Float1D, deflections: Deflections) -> Normal:
-    linear = problem.linearise(compliance)
+def normal_of(problem: LoadedProblem, linear: Linearised, deflections: Deflections) -> Normal:
+    """Return the normal equations of readings, or of the poses that these make, about some compliances.
+
+    Raises:
+        IdentificationError: `pose` without three points.
+    """
     if deflections == "pose":
-        rows, residual, columns = as_poses(problem, linear)
-        return normal_equations(rows, residual, columns)
+        return normal_equations(*as_poses(problem, linear))
     return normal_equations(linear.rows, linear.residual, linear.columns)
+
+
+def _normal(problem: LoadedProblem, compliance: Float1D, deflections: Deflections) -> Normal:
+    return normal_of(problem, problem.linearise(compliance), deflections)

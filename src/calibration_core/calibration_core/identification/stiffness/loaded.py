@@ -24,11 +24,13 @@ from calibration_core.identification.result.estimate import (
     TestResult,
 )
 from calibration_core.identification.result.observability import stiffness_table, weak_directions
-from calibration_core.identification.statistics.offsets import without_offsets
+from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.stiffness.fit import Deflections, LoadedFit, fit_compliance
 from calibration_core.identification.stiffness.left_out import held_out_compliance
 from calibration_core.identification.stiffness.outlier_rejection import Key, OutlierRejection, reject_outliers
-from calibration_core.identification.stiffness.problem import Linearised, LoadedProblem, Method, Weights, build_problem
+from calibration_core.identification.stiffness.predict import from_step_zero
+from calibration_core.identification.stiffness.problem import LoadedProblem, Method, Weights, build_problem
+from calibration_core.identification.stiffness.relative import counted, relative
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
@@ -39,7 +41,6 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D, Reading
 
 MIN_CONFIGURATIONS = 2  # one posture cannot tell joints from frames
 UNLOADED = 0.02  # share of the largest force below which a step counts as unloaded
-SET_ASIDE = 1e12  # factor on the variance of an excluded reading, so that offsets do not depend on it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -217,8 +218,8 @@ def predict_loaded(
     """
     require_load(readings)
     problem = build_problem(readings, cell, chain, parameters)
-    after, nominal = (_relative(problem, problem.linearise(c), cell) for c in (parameters.compliance, before))
-    shown = _shown(problem, cell)
+    after, nominal = (relative(problem, problem.linearise(c), cell) for c in (parameters.compliance, before))
+    shown = counted(problem.readings, cell)
     return TestResult.of(readings, after[shown], nominal[shown])
 
 
@@ -321,17 +322,18 @@ def _figures(
 ) -> tuple[Residuals, Fit]:
     linear = problem.linearise(fit.compliance)
     own = without_load(problem).linearise(fit.compliance)
-    after = _relative(problem, linear, cell, rejection.used)
-    nominal = _relative(problem, problem.linearise(before), cell, rejection.used)
+    after = relative(problem, linear, cell, rejection.used)
+    nominal = relative(problem, problem.linearise(before), cell, rejection.used)
     compliances = held_out_compliance(fit, problem.configuration)
     moved = np.einsum("mij,mj->mi", linear.columns, compliances[problem.configuration] - fit.compliance)
     left_out = dataclasses.replace(linear, residual=linear.residual - moved)
-    held_out = _relative(problem, left_out, cell, rejection.used)
-    shown = _shown(problem, cell)
+    held_out = relative(problem, left_out, cell, rejection.used)
+    shown = counted(problem.readings, cell)
     lengths = np.linalg.norm(held_out[shown], axis=1)
+    differences = cell.measurements.points == "displacement"
     deflection = linear.predicted - own.predicted
-    predicted = _from_first_step(problem, deflection) if cell.measurements.points == "displacement" else deflection
-    doubled = 2.0 if cell.measurements.points == "displacement" else 1.0
+    predicted = from_step_zero(problem.readings, deflection) if differences else deflection
+    doubled = 2.0 if differences else 1.0
     variance = np.einsum("mii->mi", problem.noise) + np.einsum("mij,mij->mi", linear.rows.shared, linear.rows.shared)
     assert problem.readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
     residuals = Residuals(
@@ -344,48 +346,15 @@ def _figures(
         excluded=~rejection.used,
     )
     figures = Fit(
-        rms_before=_rms(nominal[shown]),
-        rms_after=_rms(after[shown]),
-        held_out_rms_before=_rms(nominal[shown]),
-        held_out_rms_after=_rms(held_out[shown]),
+        rms_before=rms(nominal[shown]),
+        rms_after=rms(after[shown]),
+        held_out_rms_before=rms(nominal[shown]),
+        held_out_rms_after=rms(held_out[shown]),
         noise=float(np.sqrt(doubled * variance[shown].mean())),
         held_out_mean_after=float(lengths.mean()),
         held_out_max_after=float(lengths.max()),
-        rms_used=_rms(after[shown & rejection.used]),
+        rms_used=rms(after[shown & rejection.used]),
         chi2=fit.chi2,
         degrees_of_freedom=fit.freedom,
     )
     return residuals, figures
-
-
-def _relative(problem: LoadedProblem, linear: Linearised, cell: Cell, used: Bool1D | None = None) -> Float2D:
-    """Return residuals after the best offsets; for displacement recordings, relative to step 0."""
-    if cell.measurements.points == "displacement":
-        return _from_first_step(problem, linear.residual)
-    rows = linear.rows
-    if used is not None:
-        rows = dataclasses.replace(rows, noise=rows.noise * np.where(used, 1.0, SET_ASIDE)[:, None, None])
-    return without_offsets(rows, linear.residual)
-
-
-def _from_first_step(problem: LoadedProblem, values: Float2D) -> Float2D:
-    readings = problem.readings
-    order = np.lexsort((readings.step, readings.point, problem.configuration))
-    keys = np.column_stack([problem.configuration, readings.point])[order]
-    starts = np.r_[True, np.any(np.diff(keys, axis=0) != 0, axis=1)]
-    first = order[starts][np.cumsum(starts) - 1]
-    reference = np.empty_like(values)
-    reference[order] = values[first]
-    return values - reference
-
-
-def _shown(problem: LoadedProblem, cell: Cell) -> Bool1D:
-    """Say which rows count in the figures: all but step 0 of a displacement recording, zero by definition."""
-    if cell.measurements.points == "absolute":
-        return np.ones(len(problem.readings), dtype=bool)
-    first = _from_first_step(problem, problem.readings.step[:, None].astype(float))[:, 0]
-    return first > 0
-
-
-def _rms(values: Float2D) -> float:
-    return float(np.sqrt(np.mean(values**2)))

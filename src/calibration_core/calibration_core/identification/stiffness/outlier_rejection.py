@@ -6,14 +6,13 @@ import dataclasses
 
 import numpy as np
 
+from calibration_core.identification.checks.exclusion_anomalies import exclusion
 from calibration_core.identification.result.estimate import Exclusion
-from calibration_core.identification.statistics.distributions import chi2_limit
-from calibration_core.identification.statistics.offsets import deleted, normal_equations
+from calibration_core.identification.statistics.offsets import deleted, deletion_limit, normal_equations
 from calibration_core.identification.stiffness.fit import LoadedFit, fit_compliance, stepped
 from calibration_core.identification.stiffness.problem import Linearised, LoadedProblem
 from calibration_core.timeseries import Bool1D, Float1D, Int1D
 
-FALSE_EXCLUSION = 0.01  # probability that a clean recording loses any reading
 MAX_SHARE = 0.05  # never more than this share of the readings
 RETURN = 0.5  # an excluded reading is taken back below this share of the threshold
 Key = tuple[int, int, str]
@@ -99,7 +98,7 @@ def reject_outliers(
         near_it = np.sort(np.append(beside, row))
         trial = squared.copy()
         trial[near_it] = deleted(linear.rows.select(near_it), linear.residual[near_it])[0]
-        if trial[row] < RETURN * _threshold(trial[trial > 0], m):
+        if trial[row] < RETURN * deletion_limit(trial, m):
             used[row] = True
             squared = trial
             del exclusions[row]
@@ -110,12 +109,7 @@ def reject_outliers(
 
 def _suspicion(linear: Linearised, index: Int1D, m: int) -> tuple[Float1D, Float1D, float]:
     squared, error, _ = deleted(linear.rows.select(index), linear.residual[index])
-    return squared, np.linalg.norm(error, axis=1), _threshold(squared[squared > 0], m)
-
-
-def _threshold(testable: Float1D, m: int) -> float:
-    scale = float(np.median(testable) / chi2_limit(0.5, 3)) if len(testable) else 1.0
-    return chi2_limit(FALSE_EXCLUSION / m, 3) * max(1.0, scale)
+    return squared, np.linalg.norm(error, axis=1), deletion_limit(squared, m)
 
 
 def _worst_per_configuration(squared: Float1D, configuration: Int1D, threshold: float, step: Int1D) -> Int1D:
@@ -127,13 +121,11 @@ def _worst_per_configuration(squared: Float1D, configuration: Int1D, threshold: 
 
 
 def _exclusion(problem: LoadedProblem, row: int, size: float, squared: float, threshold: float) -> Exclusion:
-    key = _keys(problem)[row]
-    times = float(np.sqrt(squared))
     reason = (
         f"{size * 1e3:.3f} mm from where the other readings of its configuration and the model put it "
-        f"({times:.1f} claimed standard deviations, limit {np.sqrt(threshold):.1f})"
+        f"({np.sqrt(squared):.1f} claimed standard deviations, limit {np.sqrt(threshold):.1f})"
     )
-    return Exclusion(*key, reason=reason, size=float(size), times_sigma=times)
+    return exclusion(problem.readings, row, reason, size, squared)
 
 
 def _keys(problem: LoadedProblem) -> list[Key]:

@@ -12,7 +12,7 @@ from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
-from calibration_core.timeseries import Float2D, Readings
+from calibration_core.timeseries import Bool1D, Float2D, Readings
 
 
 def predict_readings(readings: Readings, cell: Cell, model: ModelParameters) -> Float2D:
@@ -82,3 +82,8 @@ def from_step_zero(readings: Readings, values: Float2D) -> Float2D:
     order = np.lexsort((readings.step, group))
     _, starts = np.unique(group[order], return_index=True)
     return values - values[order[starts]][group]
+
+
+def references(readings: Readings) -> Bool1D:
+    """Return (m,) which rows are the first step of their configuration and point."""
+    return from_step_zero(readings, readings.step[:, None].astype(float))[:, 0] == 0

@@ -14,7 +14,7 @@ from calibration_core.identification.circle_point.sweeps import LEAST, Sweep, wr
 from calibration_core.identification.wrist.fit import fit_wrist
 from calibration_core.identification.wrist.sphere import Sphere, fit_sphere, trilaterate
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.covariance import coordinate_std, position_covariance
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
 
 WRIST = 3  # joints
@@ -34,7 +34,6 @@ class WristCentre:
         trilaterated: (3,) m, flange frame, by spheres and trilateration alone: where the fit of all readings began.
         spread: m, root mean square distance of the sphere centres from `position`: how far the wrist is from spherical,
             and how well the points determine it.
-        spheres: One per measurement point.
         warnings: What limits the result.
     """
 
@@ -44,7 +43,6 @@ class WristCentre:
     position_covariance: Float2D
     trilaterated: Float1D
     spread: float
-    spheres: tuple[Sphere, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -108,7 +106,6 @@ def identify_wrist_centre(
         position_covariance=fit.covariance[3:, 3:],
         trilaterated=trilaterated,
         spread=spread,
-        spheres=tuple(spheres),
         warnings=_warnings(readings, cell, sweeps, spheres),
     )
 
@@ -147,7 +144,7 @@ def _of_corners(covariance: Float2D, indices: list[int]) -> Float2D:
 
 def _warnings(readings: Readings, cell: Cell, sweeps: tuple[Sweep, ...], spheres: list[Sphere]) -> tuple[str, ...]:
     rows = np.concatenate([sweep.rows for sweep in sweeps])
-    noise = float(np.sqrt(np.einsum("mii->m", position_covariance(readings, cell)[rows]).mean() / 3))
+    noise = coordinate_std(position_covariance(readings, cell)[rows])
     off = float(np.sqrt(np.mean([sphere.rms**2 for sphere in spheres])))
     if off <= OFF * noise:
         return ()

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
+from calibration_core.identification.statistics.normal_matrix import scaled_inverse
 from calibration_core.model.chain import rotation_about
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -87,10 +88,8 @@ def fit_wrist(
     freedom = (3 * k - 3) * m - 6
     ratio = float(np.sqrt(now.chi2 / freedom))
     widened = ratio if now.chi2 > chi2_limit(LEVEL, freedom) and ratio > 1.0 else 1.0
-    matrix = now.matrix / widened**2 + prior
-    scale = 1 / np.sqrt(np.diag(matrix))
-    inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
-    return WristFit(values[:3], values[3:6], np.asarray(inverse[:6, :6], dtype=np.float64), widened, now.rms)
+    covariance = scaled_inverse(now.matrix / widened**2 + prior)[:6, :6]
+    return WristFit(values[:3], values[3:6], covariance, widened, now.rms)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -22,6 +22,11 @@ def catalogue() -> tuple[Effect, ...]:
     return tuple(sorted(found, key=lambda effect: effect.name))
 
 
+def effect_named(name: str) -> Effect:
+    """Return the effect of the catalogue with this name; raises StopIteration where there is none."""
+    return next(effect for effect in catalogue() if effect.name == name)
+
+
 def candidates(state: State) -> tuple[Candidate, ...]:
     """Return every hypothesis that this recording could test, in the order of the catalogue."""
     usable = [effect for effect in catalogue() if (effect.loaded if state.loaded else effect.absolute)]

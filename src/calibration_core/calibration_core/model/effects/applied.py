@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.model.effects import catalogue
+from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.recordings import RECORDING, in_recording
 from calibration_core.model.effects.state import State
@@ -43,7 +43,7 @@ def restored(effect: AppliedEffect, state: State) -> Candidate:
     """
     number = effect.location.get(RECORDING)
     bare = {key: value for key, value in effect.location.items() if key != RECORDING}
-    entry = next(entry for entry in catalogue() if entry.name == effect.effect)
+    entry = effect_named(effect.effect)
     found = entry.restored(dataclasses.replace(effect, location=bare), state)
     if found is None:
         msg = f"{effect.effect} ({effect.variant}) at {dict(effect.location)} cannot be evaluated on this recording"

@@ -25,7 +25,6 @@ class Parameter:
         name: As in result.json.
         unit: Its unit.
         typical: Size that is typical for a robot of this class; the prior is normal about zero with three times this.
-        sign: Factor from the fitted coefficient to the reported parameter (most are the coefficient itself).
         positive: Whether physics allows no negative value; the prior is then the positive half of the normal.
         reach: How many times the candidate's first parameter it may be at most: beyond, the law is no longer linear in
             it, and another variant is offered there.
@@ -35,7 +34,6 @@ class Parameter:
     name: str
     unit: str
     typical: float
-    sign: float = 1.0
     positive: bool = False
     reach: float = math.inf
     most: float = math.inf

@@ -14,7 +14,7 @@ from calibration_core.model.kinematics import Posture, cross, linear_jacobian, t
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import Load, gravity_torque, load_torque
 from calibration_core.model.virtual_joints import ExternalWrench, VirtualJoints
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, FloatND, Int1D, Readings
 
 UNLOADED = 1e-6  # N*m: a joint that carries less carries nothing
 
@@ -174,16 +174,17 @@ class State:
         load = ExternalWrench(self.force, self.moment, self.where, self.follows)
         return VirtualJoints(self.chain, self.at, self.point, load, self.answer * self.compliance[:, None])
 
-    def along_steps(self, values: Float1D, operator: Callable[[Float2D], Float2D]) -> Float1D:
-        """Apply a history operator along the steps of every configuration and point.
+    def along_steps(self, values: Float1D, operator: Callable[[Float2D], FloatND]) -> FloatND:
+        """Apply a history operator along the steps of every configuration and point; return (m,) or (m, r).
 
         Args:
             values: (m,).
-            operator: Maps (sequences, steps) to the same shape; steps in the order of time.
+            operator: Maps (sequences, steps) to the same shape, or with r answers each; steps in the order of time.
         """
-        result = np.empty(self.m)
-        for index in self.sequences():
-            result[index] = operator(values[index])
+        found = [(index, operator(values[index])) for index in self.sequences()]
+        result = np.empty((self.m, *found[0][1].shape[2:]))
+        for index, answer in found:
+            result[index] = answer
         return result
 
     def sequences(self) -> list[Int1D]:

@@ -9,9 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
-import numpy as np
-
-from calibration_core.model.chain import pose_matrix, rpy_of
+from calibration_core.model.chain import pose_matrix, xyz_rpy
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float2D
 
@@ -119,13 +117,13 @@ def _index(names: tuple[str, ...], name: str) -> int:
 
 
 def _of_pose(pose: Float2D, part: str) -> float:
-    return float(np.concatenate([pose[:3, 3], rpy_of(pose[:3, :3])])[_index(POSE, part)])
+    return float(xyz_rpy(pose)[_index(POSE, part)])
 
 
 def _changed_pose(pose: Float2D, values: Mapping[str, float]) -> Float2D:
     if not values:
         return pose
-    numbers = np.concatenate([pose[:3, 3], rpy_of(pose[:3, :3])])
+    numbers = xyz_rpy(pose)
     for part, value in values.items():
         numbers[_index(POSE, part)] = value
     return pose_matrix(numbers[:3], numbers[3:])

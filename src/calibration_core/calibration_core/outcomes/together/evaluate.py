@@ -13,7 +13,7 @@ from calibration_core.identification.result.estimate import Anomaly, Identificat
 from calibration_core.identification.result.together import Contribution, Together
 from calibration_core.identification.stiffness.known_effects import without_effects
 from calibration_core.identification.stiffness.loaded import Options
-from calibration_core.model.chain import rpy_of
+from calibration_core.model.chain import xyz_rpy
 from calibration_core.model.identified.calibrated import ValidRange
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.given import GivenModel
@@ -206,7 +206,7 @@ def _pose(found: Identification, prepared: Prepared, k: int) -> tuple[float, ...
     pose: Float2D = prepared.alone[k].model.tracker
     if found.model.setups is not None:
         pose = found.model.tracker @ found.model.setups[k] @ pose
-    return tuple(float(x) for x in (*pose[:3, 3], *rpy_of(pose[:3, :3])))
+    return tuple(float(x) for x in xyz_rpy(pose))
 
 
 def _preconditions(found: Identification, prepared: Prepared) -> tuple[Precondition, ...]:

@@ -17,7 +17,7 @@ import numpy as np
 from calibration_core.cell import Cell, Pose
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.stiffness.predict import from_step_zero
-from calibration_core.model.chain import rpy_of
+from calibration_core.model.chain import xyz_rpy
 from calibration_core.model.kinematics import posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
@@ -207,7 +207,7 @@ def _cell(members: Sequence[Member], alone: Sequence[Identification], first: int
 
 def pose_of(pose: Float2D) -> Pose:
     """Return a (4, 4) pose as the cell file has it."""
-    (x, y, z), (roll, pitch, yaw) = pose[:3, 3], rpy_of(pose[:3, :3])
+    x, y, z, roll, pitch, yaw = xyz_rpy(pose)
     return Pose(xyz=(float(x), float(y), float(z)), rpy=(float(roll), float(pitch), float(yaw)))
 
 

@@ -10,6 +10,7 @@ from calibration_core.model.instruments import tracker_covariance
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
+from calibration_core.observations.covariance import coordinate_std
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.report.arcs import describe_arc
 from calibration_core.timeseries import Float2D
@@ -34,4 +35,4 @@ def _sigma(q: Float2D, cell: Cell) -> float:
     at = posture(chain_of(cell), q)
     places = np.concatenate([at.point(point).T for point in model.points.values()])
     seen = (places - model.tracker[:3, 3]) @ model.tracker[:3, :3]
-    return float(np.sqrt(np.einsum("mii->m", tracker_covariance(cell, seen)).mean() / 3))
+    return coordinate_std(tracker_covariance(cell, seen))

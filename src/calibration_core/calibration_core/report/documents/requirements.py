@@ -13,6 +13,7 @@ from calibration_core.identification.checks.preconditions import (
 from calibration_core.identification.result.estimate import OperatingSpace, Precondition
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.instruments import tracker_covariance
+from calibration_core.observations.covariance import coordinate_std
 from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 from calibration_core.planning.route import WORKING_DAY
 from calibration_core.report.rounding import counted, spread
@@ -99,7 +100,7 @@ def _uncertainty_ratio(cell: Cell, space: OperatingSpace) -> tuple[Precondition,
         return ()
     pose = np.eye(4) if frame is None else pose_matrix(np.array(frame.xyz), np.array(frame.rpy))
     points = (np.concatenate(list(space.points.values())) - pose[:3, 3]) @ pose[:3, :3]
-    sigma = float(np.sqrt(np.mean(np.einsum("mii->m", tracker_covariance(cell, points))) / 3))
+    sigma = coordinate_std(tracker_covariance(cell, points))
     size = float(np.sqrt(np.mean(np.sum(space.deflection**2, axis=1))))
     ratio = size / (2 * np.sqrt(2) * sigma)
     found = f"1:{ratio:.0f} (expected deflection {spread(1e3 * size)} mm rms under the full pull)"

@@ -10,10 +10,11 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.circle_point.joint_axes import AxisGeometry
 from calibration_core.identification.geometry.identifiability import candidates
-from calibration_core.identification.geometry.parameter_table import POSE, UNITS
+from calibration_core.identification.geometry.parameter_table import UNITS
 from calibration_core.identification.geometry.terms import AXES
 from calibration_core.identification.result.standard_methods import StandardGeometry
-from calibration_core.model.chain import rpy_of
+from calibration_core.model.chain import xyz_rpy
+from calibration_core.model.identified.named_values import POSE
 
 NOT_SEEN = 1e-12  # m and rad: a correction that is this certain is zero by the base frame's definition
 
@@ -41,7 +42,7 @@ def standard_rows(found: StandardGeometry, cell: Cell) -> tuple[StandardRow, ...
     """Return what was found: tracker pose in the base frame, corrections to the geometry, wrist centre (flange)."""
     rows = []
     if found.base is not None:
-        pose = np.concatenate([found.base.tracker[:3, 3], rpy_of(found.base.tracker[:3, :3])])
+        pose = xyz_rpy(found.base.tracker)
         for name, value, std, unit in zip(POSE, pose, found.base.std, UNITS, strict=True):
             rows.append(StandardRow("base_frame", f"tracker {name}", float(value), float(std), unit))
     if found.axes is not None:

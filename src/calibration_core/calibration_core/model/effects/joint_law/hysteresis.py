@@ -20,7 +20,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Float1D, Float2D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, FloatND
 
 RADII = (0.02, 0.06, 0.15, 0.4)  # of the largest torque
 CHANCE = 0.25  # standard deviation of what elements carry on arrival, of what they carry at most at the typical size
@@ -29,18 +29,21 @@ MOST = 60  # configurations, beyond which chance is left out: its columns would 
 STARTS = {"virgin start": 0.0, "centred start": 1.0, "from the weight": None}
 
 
-def stop(torque: Float2D, radius: float, start: float | None) -> Float2D:
-    """Return the stop operator along the steps, (s, k): what an element of strength `radius` carries.
+def stop(torque: Float2D, radius: float | Float1D, start: float | None) -> FloatND:
+    """Return the stop operator along the steps, (s, k) or (s, k, r): what elements of strength `radius` carry.
 
     Args:
         torque: (s, k) N*m, steps in the order of time.
-        radius: Strength, N*m.
-        start: What the element carries at step 0, as a fraction of its strength, against the first change of torque;
+        radius: Strength, N*m; (r,) of several elements.
+        start: What an element carries at step 0, as a fraction of its strength, against the first change of torque;
             None: the torque there, as far as it can.
     """
-    direction = np.sign(torque[:, 1:2] - torque[:, :1]) if torque.shape[1] > 1 else np.zeros((len(torque), 1))
-    friction = np.clip(torque[:, 0], -radius, radius) if start is None else -start * radius * direction[:, 0]
-    result = np.empty_like(torque)
+    radius = np.asarray(radius, dtype=np.float64)
+    turned = np.sign(np.diff(torque[:, :2], axis=1)).sum(axis=1)  # 0 where there is one step alone
+    torque = torque.reshape(*torque.shape, *(1 for _ in radius.shape))
+    direction = turned.reshape(-1, *(1 for _ in radius.shape))
+    friction = np.clip(torque[:, 0], -radius, radius) if start is None else -start * radius * direction
+    result = np.empty((*torque.shape[:2], *radius.shape))
     result[:, 0] = friction
     for k in range(1, torque.shape[1]):
         friction = np.clip(friction + torque[:, k] - torque[:, k - 1], -radius, radius)
@@ -48,9 +51,9 @@ def stop(torque: Float2D, radius: float, start: float | None) -> Float2D:
     return result
 
 
-def _element(state: State, joint: int, radius: float, start: float | None) -> Float1D:
-    """Return what an element carries, (m,), in parts of its strength, which is `radius` of the largest torque."""
-    strength = radius * state.largest_torque(joint)
+def _elements(state: State, joint: int, radii: tuple[float, ...], start: float | None) -> Float2D:
+    """Return what elements carry, (m, r), in parts of their strengths, which are `radii` of the largest torque."""
+    strength = np.array(radii) * state.largest_torque(joint)
     return state.along_steps(state.torque[joint], partial(stop, radius=strength, start=start)) / strength
 
 
@@ -58,7 +61,7 @@ def _columns(
     state: State, joint: int, radii: tuple[float, ...], start: float | None, *, growing: bool = False
 ) -> Float3D:
     pressed = _pressed(state, joint) if growing else 1.0
-    return stacked(*(-state.joint_column(joint, pressed * _element(state, joint, radius, start)) for radius in radii))
+    return stacked(*(-state.joint_column(joint, pressed * one) for one in _elements(state, joint, radii, start).T))
 
 
 def _pressed(state: State, joint: int) -> Float1D:
@@ -70,7 +73,7 @@ def _chances(state: State, joint: int, size: float, *, growing: bool) -> Float3D
 
     Per standard deviation, which is CHANCE of elements of half width `size` that carry all they can.
     """
-    more, less = (np.mean([_element(state, joint, r, start) for r in RADII], axis=0) for start in (1.0, -1.0))
+    more, less = (_elements(state, joint, RADII, start).mean(axis=1) for start in (1.0, -1.0))
     lag = CHANCE * size * 0.5 * (more - less)
     moved = state.joint_column(joint, _pressed(state, joint) * lag if growing else lag)
     places = np.unique(state.configuration)
