@@ -23,7 +23,7 @@ from calibration_core.commands.evaluation.candidate_measurements import offers_f
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import design_at, loaded_state
 from calibration_core.diagnosis.loaded import diagnose_loaded
-from calibration_core.diagnosis.proposals.candidates import Offer, alternating
+from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
@@ -111,7 +111,7 @@ def case_of(scenario: Scenario, folder: Path) -> Case | None:
 def by_lot(offers: Sequence[Offer], seed: int) -> list[Offer]:
     """Draw what could have been proposed: every second with the steps of the recording, the others to and fro."""
     drawn = np.random.default_rng(seed).choice(len(offers), REPEATS * RANDOM, replace=False)
-    return [alternating(offers[index]) if k % 2 else offers[index] for k, index in enumerate(drawn)]
+    return [offers[index].alternating if k % 2 else offers[index] for k, index in enumerate(drawn)]
 
 
 def is_truth(place: Place, label: Mapping[str, Any]) -> bool:

@@ -9,6 +9,7 @@ axes, signs and units belong together at all, and an answer of a few percent doe
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -60,16 +61,16 @@ class Motion:
         """Number of independent coordinates."""
         return 3 * (len(self.group) - int(self.group.max()) - 1)
 
-    @property
+    @functools.cached_property
     def independent(self) -> float:
         """Number of coordinates that physics beside the joints leaves independent.
 
         Steps along one direction of pull repeat each other, and a direction of pull moves a rigid tool by six.
         """
         load = centred(self.force if np.any(self.force) else self.torque, self.group)
-        pulls = [np.linalg.svd(load[self.group == g], compute_uv=False) for g in range(int(self.group.max()) + 1)]
-        largest = max(float(each[0]) for each in pulls)
-        directions = sum(int(np.sum(each > DIRECTION * largest)) for each in pulls)
+        squares = _sums((load[:, :, None] * load[:, None, :]).reshape(-1, 9), self.group).reshape(-1, 3, 3)
+        pulls = np.sqrt(np.clip(np.linalg.eigvalsh(squares), 0.0, None))
+        directions = int(np.sum(pulls > DIRECTION * pulls.max()))
         return min(3.0 * directions * min(1.0, 2.0 / len(self.names)), float(self.freedom))
 
 
@@ -165,15 +166,22 @@ def columns_of(motion: Motion, at: Posture, force: Float2D, torque: Float2D, rea
     load = Load(force.T, torque.T, reading.point, reading.rotation)
     turning = load_torque(at, load)
     lever = linear_jacobian(at, at.point(motion.points[motion.point].T))
-    parts = [(column * turning[i]).T for i, column in enumerate(lever)]
-    return np.column_stack([centred(part, motion.group).reshape(-1) for part in parts])
+    parts = (lever * turning[:, None]).transpose(2, 1, 0)  # (m, 3, n)
+    m, _, n = parts.shape
+    return centred(parts.reshape(m, 3 * n), motion.group).reshape(3 * m, n)
 
 
 def centred(values: Float2D, group: Int1D) -> Float2D:
     """Take the mean of its group off each row of (m, k) values."""
-    count = np.bincount(group)
-    means = np.column_stack([np.bincount(group, column) / count for column in values.T])
+    means = _sums(values, group) / np.bincount(group)[:, None]
     return np.asarray(values - means[group])
+
+
+def _sums(values: Float2D, group: Int1D) -> Float2D:
+    """Return the sum of the rows of each group, (g, k), of (m, k) values; groups are numbered from 0, none is empty."""
+    order = np.argsort(group, kind="stable")
+    starts = np.searchsorted(group[order], np.arange(int(group.max()) + 1))
+    return np.asarray(np.add.reduceat(values[order], starts, axis=0))
 
 
 def posture_of(motion: Motion) -> Posture:

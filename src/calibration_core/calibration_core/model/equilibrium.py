@@ -55,7 +55,9 @@ class Equilibrium:
         return np.asarray(np.einsum("anm,njm->ajm", self.point_jacobian(point), self.amplification))
 
 
-def solve_equilibrium(chain: Chain, q: Float2D, compliance: Float1D, load: Load | None) -> Equilibrium:
+def solve_equilibrium(
+    chain: Chain, q: Float2D, compliance: Float1D, load: Load | None, near: Float2D | None = None
+) -> Equilibrium:
     """Find the equilibrium by fixed-point iteration (contraction: load times lever over stiffness, about 0.3 %).
 
     Near the equilibrium the steps are Newton's, with the amplification there.
@@ -65,11 +67,12 @@ def solve_equilibrium(chain: Chain, q: Float2D, compliance: Float1D, load: Load 
         q: (m, n) rad, encoder angles.
         compliance: (n,) rad/(N*m).
         load: External load; None for the robot under its own weight.
+        near: (n, m) N*m, torques at nearly the same equilibrium, to begin with; None: nothing is known.
 
     Raises:
         EquilibriumError: It does not converge: the load is beyond what these springs carry.
     """
-    deflection = np.zeros((chain.n, len(q)))
+    deflection = np.zeros((chain.n, len(q))) if near is None else compliance[:, None] * near
     amplification: Float3D | None = None
     change = np.inf
     for iteration in range(1, MAX_ITERATIONS + 1):

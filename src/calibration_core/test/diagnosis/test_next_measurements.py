@@ -12,7 +12,7 @@ from robots import loaded_readings, write_cell
 from calibration_core.cell import Cell
 from calibration_core.commands.evaluation.candidate_measurements import offers_for, proposed_plan
 from calibration_core.diagnosis.loaded import diagnose_loaded
-from calibration_core.diagnosis.proposals.candidates import Offer, alternating
+from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.stiffness.problem import build_problem
@@ -116,7 +116,7 @@ def test_an_alternating_offer_goes_to_and_fro_between_its_extremes(
 ) -> None:
     force = np.array([100.0, -300.0, 50.0])
     offer = Offer(1, np.arange(6.0), wrench_steps(force, levels))
-    other = alternating(offer)
+    other = offer.alternating
     np.testing.assert_array_equal(other.steps, wrench_steps(force, expected))
     np.testing.assert_array_equal(other.q, offer.q)
 

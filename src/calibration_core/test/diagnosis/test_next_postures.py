@@ -166,3 +166,13 @@ def test_without_a_posture_to_measure_it_says_so(cell: Cell) -> None:
     readings = recorded(cell, random_angles(SEED, CONFIGURATIONS, 6), 2)
     found = diagnose(readings, cell, offers=Offers.of((), readings, cell))
     assert (found.next_measurements, found.next_text) == ((), NO_POSTURE)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_postures_that_would_not_fix_the_frames_by_themselves_are_offers_all_the_same(cell: Cell, count: int) -> None:
+    readings = recorded(cell, random_angles(SEED, CONFIGURATIONS, 6), 3)
+    known = known_of(cell, readings, ("transmission_error", "joint_2", "order 4"))
+    offers = offers_for(readings, cell)
+    assert offers
+    found = propose_postures(known, cell, Offers.of(offers.each[:count], readings, cell))
+    assert 0 < len(found.measurements) <= count

@@ -100,7 +100,7 @@ def test_friction_of_another_law_that_begins_anywhere_is_friction(
     largest = state.largest_torque(JOINT)
     begun = np.random.default_rng(seed).uniform(-1.0, 1.0, 1 + int(state.configuration.max()))
     lag = np.empty(state.m)
-    for index in state.sequences():
+    for index in state.sequences:
         torque, sliding = state.torque[JOINT][index], begun[state.configuration[index[:, 0]]]
         for k in range(index.shape[1]):
             change = torque[:, k] - torque[:, max(k - 1, 0)]

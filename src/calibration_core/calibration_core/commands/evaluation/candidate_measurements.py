@@ -20,9 +20,9 @@ from calibration_core.planning.plans.planned_robot import planned_robot
 from calibration_core.timeseries import Readings
 
 POSTURES = 400  # that are offered without loads
-LOADED_POSTURES = 200
+LOADED_POSTURES = 100
 DIRECTIONS = 3  # of the load in each of these
-BATCH, BATCHES = 4000, 30
+BATCH, BATCHES = 1000, 120
 
 
 def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> Offers | None:

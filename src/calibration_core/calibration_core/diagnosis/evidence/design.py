@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -88,9 +88,10 @@ def build_design(
     discrepancy: Float3D | None = None,
     used: Int1D | None = None,
     *,
+    among: Collection[int] | None = None,
     chance: bool = True,
 ) -> Design:
-    """Evaluate every candidate's columns on all m readings (history needs them all), and whiten those used.
+    """Evaluate candidates' columns on all m readings (history needs them all), and whiten those used.
 
     Args:
         state: The null model.
@@ -100,19 +101,21 @@ def build_design(
         candidates: The hypotheses.
         discrepancy: (m, 3, k) m per expected size; None where there are none.
         used: Indices of the readings used; None: all.
+        among: Indices of the hypotheses that are evaluated, the others have no columns; None: all.
         chance: Whether to evaluate what candidates leave to chance; offers, of which there are thousands, do without.
     """
     blocks, prior, columns, start = [], [], [], 0
-    for candidate in candidates:
-        k = len(candidate.parameters)
-        scale = PRIOR_WIDTH * np.array([parameter.typical for parameter in candidate.parameters])
-        columns.append(candidate.columns(state) * scale)
-        prior.append(scale)
+    evaluated = frozenset(range(len(candidates)) if among is None else among)
+    for index, candidate in enumerate(candidates):
+        if index in evaluated:
+            scale = PRIOR_WIDTH * np.array([parameter.typical for parameter in candidate.parameters])
+            columns.append(candidate.columns(state) * scale)
+            prior.append(scale)
+        k = len(candidate.parameters) if index in evaluated else 0
         blocks.append(slice(start, start + k))
         start += k
     extra = np.zeros((len(residual), 3, 0)) if discrepancy is None else discrepancy
-    offered = candidates if chance else tuple(dataclasses.replace(one, chances=None) for one in candidates)
-    random, places = _chances(state, offered, start + extra.shape[2])
+    random, places = _chances(state, candidates, evaluated if chance else frozenset(), start + extra.shape[2])
     columns += [extra, *random]
     more = sum(part.shape[2] for part in (extra, *random))
     prior.append(np.ones(more))
@@ -133,11 +136,14 @@ def build_design(
     )
 
 
-def _chances(state: State, candidates: tuple[Candidate, ...], start: int) -> tuple[list[Float3D], tuple[slice, ...]]:
+def _chances(
+    state: State, candidates: tuple[Candidate, ...], evaluated: frozenset[int], start: int
+) -> tuple[list[Float3D], tuple[slice, ...]]:
     """Return the columns of what is left to chance, once for all with the same function, and whose they are."""
-    functions = dict.fromkeys(candidate.chances for candidate in candidates if candidate.chances is not None)
+    several = [candidate.chances if index in evaluated else None for index, candidate in enumerate(candidates)]
+    functions = dict.fromkeys(function for function in several if function is not None)
     columns = [function(state) for function in functions]
     ends = list(itertools.accumulate((part.shape[2] for part in columns), initial=start))
     own = dict(zip(functions, itertools.starmap(slice, itertools.pairwise(ends)), strict=True))
     nothing = slice(start, start)
-    return columns, tuple(nothing if one.chances is None else own[one.chances] for one in candidates)
+    return columns, tuple(nothing if function is None else own[function] for function in several)

@@ -24,12 +24,13 @@ def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | float 
     Args:
         design: The whitened model.
         accepted: Candidates in the model.
-        share: (p,) signal-to-noise ratio of every candidate's place in the covariance, or one of all.
+        share: (c,) signal-to-noise ratio of every candidate's place in the covariance, or one of all.
     """
     n, gram = design.n, design.gram()
     weights = np.zeros(len(design.prior))
     if np.any(share):
-        weights[: design.discrepancy.start] = np.minimum(share * _unit(design, gram), MOST / PRIOR_WIDTH)
+        each = np.repeat(np.broadcast_to(share, len(design.blocks)), [b.stop - b.start for b in design.blocks])
+        weights[: design.discrepancy.start] = np.minimum(each * _unit(design, gram), MOST / PRIOR_WIDTH)
     own = [c for i in accepted for c in range(design.blocks[i].start, design.blocks[i].stop)]
     for i in accepted:
         weights[design.chances[i]] = 1.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -38,7 +38,7 @@ class ExtendedLoadedModel:
         used: Indices of the readings used.
         state: Null model at the final compliances, all readings.
         rows: Grouping and noise as seen, of the readings used.
-        design: Whitened there.
+        design: Whitened there; of the catalogue only what the selection asks for has columns.
         accepted: Candidates in the model.
         base_compliance: (n,) rad/(N*m), about which the design is linear.
         compliance: (n,) rad/(N*m), fitted.
@@ -99,12 +99,13 @@ def design_at(
     used: Int1D,
     hypotheses: tuple[Candidate, ...],
     frames: FrameFit | None,
+    among: Collection[int] | None = None,
 ) -> tuple[State, Design]:
     """Return state (all readings) and whitened model (those used) at the given compliances, (n,) rad/(N*m)."""
     state = loaded_state(problem, cell, compliance)
     linear = problem.linearise(compliance)
     extra = structured_discrepancy(state, frames)
-    return state, build_design(state, rows, linear.residual, linear.columns, hypotheses, extra, used)
+    return state, build_design(state, rows, linear.residual, linear.columns, hypotheses, extra, used, among=among)
 
 
 def extend(
@@ -143,7 +144,7 @@ def extend(
         if round_number < ROUNDS - 1:
             compliance = compliance + change
     linear = problem.linearise(compliance)
-    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, frames)
+    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, frames, selection.asked)
     shift = np.concatenate([np.zeros((state.m, 3, 0)), *(one.columns(state) for one in chosen)], axis=2) @ value[n:]
     raw = linear.residual - shift - np.einsum("mij,j->mi", linear.columns, value[:n])
     raw = raw - _by_chance(whole, accepted, value, state)

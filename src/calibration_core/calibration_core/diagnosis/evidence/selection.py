@@ -57,8 +57,8 @@ class LoadedSelection:
         choices: In the order of evidence.
         accepted: All accepted candidates, refinements included.
         level: Signal-to-noise ratio of the small effects that remain, each.
-        unsure: For each accepted candidate the (p,) signal-to-noise ratios that it lends to every column's place: its
-            law is known to a share only, and the places that are confounded with it may hold the rest.
+        unsure: For each accepted candidate the (c,) signal-to-noise ratios that it lends to every candidate's place:
+            its law is known to a share only, and the places that are confounded with it may hold the rest.
     """
 
     choices: tuple[Choice, ...]
@@ -68,8 +68,17 @@ class LoadedSelection:
 
     @property
     def share(self) -> Float1D:
-        """(p,) signal-to-noise ratio of every column's place in the covariance of the estimate, or one of all."""
+        """(c,) signal-to-noise ratio of every candidate's place in the covariance of the estimate, or one of all."""
         return np.maximum(self.level, np.max(np.array(self.unsure), axis=0, initial=0.0))
+
+    @property
+    def asked(self) -> frozenset[int] | None:
+        """Candidates of which more is asked: accepted, equivalent, or in the covariance; None: all."""
+        share = self.share
+        if not share.ndim and share:
+            return None
+        equivalent = (index for choice in self.choices for index, _ in choice.equivalents)
+        return frozenset((*self.accepted, *equivalent, *np.flatnonzero(share).tolist()))
 
     def without(self, left_out: Sequence[Choice]) -> LoadedSelection:
         """Return the selection without some of its choices."""
@@ -176,13 +185,9 @@ def _is_refinement(design: Design, choice: Choice, candidate: int, gain: float) 
 
 
 def _lent(design: Design, search: Search, accepted: Accepted, index: int) -> Float1D:
-    """Return the signal-to-noise ratios, (p,), that an accepted hypothesis lends to what is confounded with it."""
+    """Return the signal-to-noise ratios, (c,), that an accepted hypothesis lends to what is confounded with it."""
     others = tuple(i for i in accepted if i != index)
     without_small_effects = search.fitted(others)[:1]
     seen = visible(without_small_effects, search.field.blocks((index,))[0])[1]
     own = design.candidates[search.field.offered.hypotheses[index].members[0]]
-    lent = np.zeros(design.discrepancy.start)
-    for candidate, block in zip(design.candidates, design.blocks, strict=True):
-        if are_confounded(own, candidate, design.joints):
-            lent[block] = KNOWN * seen
-    return lent
+    return np.array([KNOWN * seen * are_confounded(own, one, design.joints) for one in design.candidates])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -36,6 +37,18 @@ class Offer:
     def full(self) -> Float1D:
         """(6,) N and N*m, the largest load."""
         return np.asarray(self.steps[int(np.argmax(np.linalg.norm(self.steps[:, :3], axis=1)))])
+
+    @functools.cached_property
+    def alternating(self) -> Offer:
+        """The offer with as many steps, that after the first go to and fro between its extreme loads.
+
+        What grows with the load shows most between extremes, what depends on its path or size in between does not:
+        which of the two tells more has to be judged.
+        """
+        levels = self.steps[:, :3] @ self.full[:3]
+        highest, lowest = self.steps[int(np.argmax(levels))], self.steps[int(np.argmin(levels))]
+        turns = np.arange(1, len(self.steps)) % 2 == 1
+        return dataclasses.replace(self, steps=np.vstack([self.steps[:1], np.where(turns[:, None], highest, lowest)]))
 
 
 Expected = Callable[[Sequence[Offer], ModelParameters], Readings]
@@ -80,15 +93,3 @@ def _of_points(readings: Readings, recorded: Readings) -> Readings:
     some = readings.select(kept)
     index = np.array([recorded.points.index(readings.points[k]) for k in some.point])
     return dataclasses.replace(some, points=recorded.points, point=index)
-
-
-def alternating(offer: Offer) -> Offer:
-    """Return an offer with as many steps, that after the first go to and fro between its extreme loads.
-
-    What grows with the load shows most between extremes, what depends on its path or size in between does not: which
-    of the two tells more has to be judged.
-    """
-    levels = offer.steps[:, :3] @ offer.full[:3]
-    highest, lowest = offer.steps[int(np.argmax(levels))], offer.steps[int(np.argmin(levels))]
-    turns = np.arange(1, len(offer.steps)) % 2 == 1
-    return dataclasses.replace(offer, steps=np.vstack([offer.steps[:1], np.where(turns[:, None], highest, lowest)]))

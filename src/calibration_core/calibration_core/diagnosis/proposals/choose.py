@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.proposals.candidates import Offer, alternating
+from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
 from calibration_core.diagnosis.result.evidence_words import odds_words
 from calibration_core.diagnosis.result.finding import ProposedMeasurement
@@ -62,10 +62,17 @@ class OfferTable:
         """Return the (k, d, p) columns under some hypotheses together."""
         return np.concatenate([self.null, *(self.own[index] for index in chosen), self.always], axis=2)
 
-    def only(self, k: int) -> OfferTable:
-        """Return the table of one offer."""
-        own = {index: columns[[k]] for index, columns in self.own.items()}
-        return OfferTable((self.offers[k],), self.null[[k]], own, self.always[[k]])
+    def select(self, rows: Sequence[int]) -> OfferTable:
+        """Return the table of some of the offers."""
+        rows = list(rows)
+        own = {index: columns[rows] for index, columns in self.own.items()}
+        return OfferTable(tuple(self.offers[k] for k in rows), self.null[rows], own, self.always[rows])
+
+    def and_also(self, more: OfferTable) -> OfferTable:
+        """Return the table of these offers and of more."""
+        own = {index: np.concatenate([columns, more.own[index]]) for index, columns in self.own.items()}
+        null, always = np.concatenate([self.null, more.null]), np.concatenate([self.always, more.always])
+        return OfferTable((*self.offers, *more.offers), null, own, always)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,6 +155,7 @@ class _Choice:
     def __init__(self, known: Knowledge, offers: tuple[Offer, ...]) -> None:
         self.known, self.offers = known, offers
         self.rough = known.table(tuple(map(_rough, offers)))
+        self.full: OfferTable | None = None
         self.taken: list[OfferTable] = []
 
     def made(self) -> Proposals:
@@ -180,12 +188,23 @@ class _Choice:
         if not len(order):
             return None
         chosen = [self.offers[k] for k in order]
-        chosen += [alternating(offer) for offer in chosen if len(offer.steps) > 1]
-        table = self.known.table((*chosen, *self.offers[:JUDGED]))
+        chosen += [offer.alternating for offer in chosen if len(offer.steps) > 1]
+        table = self._in_full([*chosen, *self.offers[:JUDGED]])
         full = judge(table)
         best = int(np.argmax(full.score[: len(chosen)]))
-        self.taken.append(table.only(best))
+        self.taken.append(table.select([best]))
         return table.offers[best], float(full.gain[best]), float(np.median(full.gain[len(chosen) :]))
+
+    def _in_full(self, several: Sequence[Offer]) -> OfferTable:
+        """Return the table of some offers with all their steps; what was asked before is not computed again."""
+        known = {} if self.full is None else {offer: k for k, offer in enumerate(self.full.offers)}
+        new = tuple(offer for offer in dict.fromkeys(several) if offer not in known)
+        if new:
+            known |= {offer: len(known) + k for k, offer in enumerate(new)}
+            more = self.known.table(new)
+            self.full = more if self.full is None else self.full.and_also(more)
+        assert self.full is not None  # noqa: S101 - some offers were asked for
+        return self.full.select([known[offer] for offer in several])
 
     def _posterior(self, chosen: Sequence[int], truth: Sequence[int]) -> HypothesisPosterior:
         """Return what is known under hypotheses, the offers taken already measured as the truth predicts them."""

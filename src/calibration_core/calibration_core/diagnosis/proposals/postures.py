@@ -19,7 +19,7 @@ from calibration_core.estimation.field import Field
 from calibration_core.estimation.hypotheses import Hypothesis, typical_sizes
 from calibration_core.estimation.rows import NullModel, state_at
 from calibration_core.estimation.shifts import FAMILY
-from calibration_core.identification.geometry.problem import absolute_problem
+from calibration_core.identification.geometry.problem import problem_of
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
@@ -119,9 +119,7 @@ class _Postures(Knowledge):
         """Return the null model of the readings that offers would give."""
         model, parameters = self.known.model, self.known.model.parameters
         seen = self.expected(offers, parameters)
-        problem = absolute_problem(
-            seen, self.cell, chain_of(self.cell), parameters, position_covariance(seen, self.cell)
-        )
+        problem = problem_of(seen, self.cell, chain_of(self.cell), parameters, position_covariance(seen, self.cell))
         names = model.problem.names
         point = np.array([names.index(seen.points[p]) for p in seen.point]) if len(names) > 1 else None
         problem = dataclasses.replace(problem, names=names, point=point)

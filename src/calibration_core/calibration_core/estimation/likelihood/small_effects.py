@@ -7,7 +7,8 @@ The whole catalogue enters the covariance of the rows, flat columns projected ou
 each place with the same signal-to-noise ratio c, and a finding must stand out from it.  c is not fixed beforehand: a
 hypothesis is judged at the level that suits it best, against what was accepted at the level that suits that best, so
 that neither can a crowd of small effects pass for a large one, nor a large one raise the level and hide in the crowd.
-With G = A'A everything follows from Gram matrices: at a level G becomes G - G W (I + W G W)^(-1) W G.
+With G = A'A everything follows from Gram matrices: at a level G becomes G - G W M^(-1) W G with M = I + W G W, which
+is W^(-1) (I - M^(-1)) W^(-1) among the columns that have small effects, and G W M^(-1) W^(-1) between others and these.
 Source: Kennedy and O'Hagan 2001 with a physical kernel; Kass and Raftery 1995 (Bayes factors).
 """
 
@@ -18,7 +19,8 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky
+from scipy.linalg.lapack import dpotri
 
 from calibration_core.estimation.hypotheses import Offered
 from calibration_core.estimation.likelihood.gains import LEAST_LEFT, Gains, Seen, beside, gains
@@ -82,17 +84,22 @@ class SmallEffects:
     def at(self, level: float) -> tuple[Gram, float]:
         """Return the rows beside small effects of a level, and what these add to the log likelihood."""
         if level not in self._known:
-            weight = np.minimum(level * self._unit, MOST)
-            kept = np.flatnonzero(weight)
-            half = weight[kept, None] * self.gram.matrix[kept]
-            lower = cholesky(np.eye(len(kept)) + half[:, kept] * weight[kept], lower=True, overwrite_a=True)
-            both = np.column_stack([half, weight[kept] * self.gram.vector[kept]])
-            through = solve_triangular(lower, both, lower=True, overwrite_b=True, check_finite=False)
-            own, along = through[:, :-1], through[:, -1]
-            left = Gram(
-                self.gram.matrix - own.T @ own, self.gram.vector - own.T @ along,
-                self.gram.square - float(along @ along), self.gram.freedom,
-            )  # fmt: skip
+            size = np.minimum(level * self._unit, MOST)
+            small, other = np.flatnonzero(size), np.flatnonzero(size == 0)
+            weight, one = size[small], np.eye(len(small))
+            matrix, vector = self.gram.matrix.copy(), self.gram.vector.copy()
+            lower = cholesky(one + weight[:, None] * matrix[np.ix_(small, small)] * weight, lower=True)
+            inverse = np.tril(dpotri(lower, lower=True)[0])
+            inverse += np.tril(inverse, -1).T
+            beside = matrix[np.ix_(other, small)] * weight
+            through, along = beside @ inverse, inverse @ (weight * vector[small])
+            matrix[np.ix_(small, small)] = (one - inverse) / np.outer(weight, weight)
+            matrix[np.ix_(other, small)] = through / weight
+            matrix[np.ix_(small, other)] = (through / weight).T
+            matrix[np.ix_(other, other)] -= through @ beside.T
+            square = self.gram.square - float(weight * vector[small] @ along)
+            vector[small], vector[other] = along / weight, vector[other] - beside @ along
+            left = Gram(matrix, vector, square, self.gram.freedom)
             self._known[level] = left, -float(np.log(np.diag(lower)).sum())
         return self._known[level]
 

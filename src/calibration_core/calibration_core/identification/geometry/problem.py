@@ -37,6 +37,13 @@ def absolute_problem(
         CellError: A wrench was recorded and the cell file does not say where the sensor is.
     """
     _require_positions(readings, cell)
+    return problem_of(readings, cell, chain, nominal, covariance)
+
+
+def problem_of(
+    readings: Readings, cell: Cell, chain: Chain, nominal: ModelParameters, covariance: Float3D
+) -> AbsoluteProblem:
+    """Return the same of readings that need not fix the frames, as those of a single posture."""
     present, point = np.unique(readings.point, return_inverse=True)
     names = tuple(readings.points[index] for index in present)
     loaded = readings.wrench is not None and bool(np.any(readings.wrench))

@@ -58,6 +58,7 @@ class LoadedProblem:
         wrench_root: (m, 6, w) square root of the covariance of the wrench as recorded.
         configuration: (m,) index of the configuration of each reading.
         method: `equilibrium`, or `linear` for equations (6) and (7) of the standard as they stand.
+        torque: (n, m) N*m, of the joints at an equilibrium of these readings that was found before; None: none was.
         solved: The last equilibria, by the bytes of the compliances.
         linearised: What `linearise` has returned last, likewise.
     """
@@ -72,6 +73,7 @@ class LoadedProblem:
     wrench_root: Float3D
     configuration: Int1D
     method: Method
+    torque: Float2D | None = None
     solved: dict[bytes, Equilibrium] = dataclasses.field(default_factory=dict, init=False, repr=False)
     linearised: dict[bytes, Linearised] = dataclasses.field(default_factory=dict, init=False, repr=False)
 
@@ -81,6 +83,7 @@ class LoadedProblem:
             self,
             readings=self.readings.select(rows),
             load=self.load.rows(rows),
+            torque=None if (torque := self._torque()) is None else torque[:, rows],
             **{
                 name: getattr(self, name)[rows]
                 for name in ("unloaded", "measured", "noise", "wrench_root", "configuration")
@@ -97,15 +100,20 @@ class LoadedProblem:
         Raises:
             EquilibriumError: The load is beyond what the joints can carry.
         """
-        return _remembered(
-            self.solved, compliance, lambda at: solve_equilibrium(self.chain, self.readings.q, at, self.load)
-        )
+        return _remembered(self.solved, compliance, self._rest)
 
     def residual(self, compliance: Float1D) -> Float2D:
         """Return measured minus predicted, (m, 3) m, base axes, at these compliances, (n,) rad/(N*m)."""
         if self.method == "linear":
             return self.measured - self._linear(compliance)[0]
         return self.measured - self.rest(compliance).at.point(self._points()).T
+
+    def _rest(self, compliance: Float1D) -> Equilibrium:
+        return solve_equilibrium(self.chain, self.readings.q, compliance, self.load, self._torque())
+
+    def _torque(self) -> Float2D | None:
+        """Return the torques at the equilibrium found last, which differ little from those at other compliances."""
+        return next(reversed(self.solved.values())).torque if self.solved else self.torque
 
     def _linearise(self, compliance: Float1D) -> Linearised:
         if self.method == "linear":

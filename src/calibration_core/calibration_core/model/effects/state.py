@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 
 import numpy as np
 
@@ -103,7 +103,7 @@ class State:
         """Number of readings."""
         return self.point.shape[1]
 
-    @property
+    @functools.cached_property
     def torque(self) -> Float2D:
         """(n, m) N*m, load and gravity."""
         return self.load_torque + self.gravity_torque
@@ -181,27 +181,35 @@ class State:
             values: (m,).
             operator: Maps (sequences, steps) to the same shape, or with r answers each; steps in the order of time.
         """
-        found = [(index, operator(values[index])) for index in self.sequences()]
+        found = [(index, operator(values[index])) for index in self.sequences]
         result = np.empty((self.m, *found[0][1].shape[2:]))
         for index, answer in found:
             result[index] = answer
         return result
 
-    def sequences(self) -> list[Int1D]:
-        """Return index arrays (s, k): rows of one configuration and point in the order of steps, by length."""
-        return self._sequences
-
     @functools.cached_property
-    def _sequences(self) -> list[Int1D]:
+    def sequences(self) -> list[Int1D]:
+        """Index arrays (s, k): rows of one configuration and point in the order of steps, by length."""
         order = np.lexsort((self.step, self.point_index, self.configuration))
         key = self.configuration[order] * (int(self.point_index.max()) + 1) + self.point_index[order]
         _, starts, counts = np.unique(key, return_index=True, return_counts=True)
         return [order[starts[counts == k][:, None] + np.arange(k)] for k in np.unique(counts)]
 
+    def once(self, function: Callable[..., FloatND], *arguments: Hashable) -> FloatND:
+        """Return `function(state, *arguments)`, which several hypotheses ask for: it is evaluated once."""
+        key = (function, *arguments)
+        if key not in self._known:
+            self._known[key] = function(self, *arguments)
+        return self._known[key]
+
+    @functools.cached_property
+    def _known(self) -> dict[Hashable, FloatND]:
+        return {}
+
     def since_step_zero(self, values: Float2D) -> Float2D:
         """Return `values` (m, ...) minus those of the first step of the same configuration and point."""
         result = np.array(values)
-        for index in self.sequences():
+        for index in self.sequences:
             result[index] = values[index] - values[index[:, :1]]
         return result
 

@@ -33,7 +33,7 @@ def relaxed(state: State, torque: Float1D, constant: float, *, remembered: bool 
         remembered: Whether a configuration begins with what those before it left, instead of at rest.
     """
     result = np.empty(state.m)
-    for index in _in_time(state) if remembered else state.sequences():
+    for index in _in_time(state) if remembered else state.sequences:
         values, time = torque[index.T], state.time[index.T]  # (k, s), step after step
         passed = np.clip(np.diff(time, axis=0), 0.0, None) / constant
         decay, more = np.exp(-passed), np.diff(values, axis=0) * np.exp(-passed / 2)

@@ -51,9 +51,9 @@ def stop(torque: Float2D, radius: float | Float1D, start: float | None) -> Float
     return result
 
 
-def _elements(state: State, joint: int, radii: tuple[float, ...], start: float | None) -> Float2D:
-    """Return what elements carry, (m, r), in parts of their strengths, which are `radii` of the largest torque."""
-    strength = np.array(radii) * state.largest_torque(joint)
+def _elements(state: State, joint: int, start: float | None) -> Float2D:
+    """Return what elements carry, (m, r), in parts of their strengths, which are RADII of the largest torque."""
+    strength = np.array(RADII) * state.largest_torque(joint)
     return state.along_steps(state.torque[joint], partial(stop, radius=strength, start=start)) / strength
 
 
@@ -61,7 +61,8 @@ def _columns(
     state: State, joint: int, radii: tuple[float, ...], start: float | None, *, growing: bool = False
 ) -> Float3D:
     pressed = _pressed(state, joint) if growing else 1.0
-    return stacked(*(-state.joint_column(joint, pressed * one) for one in _elements(state, joint, radii, start).T))
+    carried = dict(zip(RADII, state.once(_elements, joint, start).T, strict=True))
+    return stacked(*(-state.joint_column(joint, pressed * carried[radius]) for radius in radii))
 
 
 def _pressed(state: State, joint: int) -> Float1D:
@@ -73,7 +74,7 @@ def _chances(state: State, joint: int, size: float, *, growing: bool) -> Float3D
 
     Per standard deviation, which is CHANCE of elements of half width `size` that carry all they can.
     """
-    more, less = (_elements(state, joint, RADII, start).mean(axis=1) for start in (1.0, -1.0))
+    more, less = (state.once(_elements, joint, start).mean(axis=1) for start in (1.0, -1.0))
     lag = CHANCE * size * 0.5 * (more - less)
     moved = state.joint_column(joint, _pressed(state, joint) * lag if growing else lag)
     places = np.unique(state.configuration)

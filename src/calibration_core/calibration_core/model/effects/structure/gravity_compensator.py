@@ -11,6 +11,7 @@ Source: Klimchik, Pashkevich et al. on heavy robots with gravity compensators.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import re
 from collections.abc import Iterator
@@ -94,11 +95,16 @@ def spring(state: State, joint: int, triangle: Triangle) -> Candidate:
 
 def spring_torque(angle: Float1D, flatness: float, preload: float) -> Float1D:
     """Return the torque at angles alpha - q2, (m,) rad, in units of the largest."""
+    return _torque(angle, flatness, preload) / _largest(flatness, preload)
 
-    def torque(beta: Float1D) -> Float1D:
-        return np.asarray(np.sin(beta) * (1 - preload / np.sqrt(1 + flatness * np.cos(beta))))
 
-    return np.asarray(torque(angle) / np.abs(torque(ALL_ROUND)).max())
+def _torque(angle: Float1D, flatness: float, preload: float) -> Float1D:
+    return np.asarray(np.sin(angle) * (1 - preload / np.sqrt(1 + flatness * np.cos(angle))))
+
+
+@functools.lru_cache(maxsize=256)
+def _largest(flatness: float, preload: float) -> float:
+    return float(np.abs(_torque(ALL_ROUND, flatness, preload)).max())
 
 
 def pull(state: State, joint: int, triangle: Triangle) -> Float3D:
