@@ -53,12 +53,12 @@ class Rows:
 
     @functools.cached_property
     def groups(self) -> tuple[tuple[Int1D, Int1D, Float3D, Float3D], ...]:
-        """Configurations of equal shape: their indices (b,), their rows (b, m), and as `_whiten` of these."""
+        """Configurations of equal size: their indices (b,), their rows (b, m), and as `_whiten` of these."""
         return tuple((group, index, *_whiten(self, index)) for group, index in _groups(self))
 
     @functools.cached_property
     def contrasts(self) -> tuple[tuple[Int1D, Int1D, Float3D], ...]:
-        """Configurations of equal shape: their indices (b,), their rows (b, m), and what whitens these, (b, r, m d).
+        """Configurations of equal size: their indices (b,), their rows (b, m), and what whitens these, (b, r, m d).
 
         The designs of one search share their rows, so that this is found once.
         """
@@ -157,7 +157,7 @@ def deleted(rows: Rows, residual: Float2D) -> tuple[Float1D, Float2D, Float3D]:
         score = (projected.transpose(0, 2, 1) @ (projected @ flat)).reshape(b, m, d)
         per_row = np.ascontiguousarray(projected.reshape(b, m * d, m, d).transpose(0, 2, 3, 1))
         own = per_row @ per_row.transpose(0, 1, 3, 2)
-        scale = 1.0 / np.einsum("bmdd->bm", np.linalg.inv(rows.noise[index]))
+        scale = np.einsum("bmdd->bm", rows.noise[index]) / d**2
         known = np.linalg.eigvalsh(own).min(-1) * scale > 1e-9
         inverse = np.linalg.inv(np.where(known[..., None, None], own, np.eye(d)))
         predicted = np.einsum("bmij,bmj->bmi", inverse, score)
@@ -183,14 +183,14 @@ def deletion_limit(squared: Float1D, readings: int) -> float:
 
 
 def _groups(rows: Rows) -> Iterator[tuple[Int1D, Int1D]]:
-    """Yield configurations of equal shape together: their indices (b,) and their rows (b, m)."""
+    """Yield configurations with equally many rows and offsets together: their indices (b,) and their rows (b, m)."""
     order = np.argsort(rows.configuration, kind="stable")
     present, starts, counts = np.unique(rows.configuration[order], return_index=True, return_counts=True)
-    shapes: dict[tuple[int, bytes], list[int]] = {}
+    sizes: dict[tuple[int, int], list[int]] = {}
     for i, (start, count) in enumerate(zip(starts, counts, strict=True)):
-        offsets = rows.offset[order[start : start + count]]
-        shapes.setdefault((count, offsets.tobytes()), []).append(i)
-    for (count, _), members in shapes.items():
+        offsets = set(rows.offset[order[start : start + count]].tolist())
+        sizes.setdefault((int(count), len(offsets)), []).append(i)
+    for (count, _), members in sizes.items():
         index = order[starts[members][:, None] + np.arange(count)[None, :]]
         yield present[members], index
 
@@ -217,11 +217,21 @@ def _whiten(rows: Rows, index: Int1D) -> tuple[Float3D, Float3D]:
             rows.noise[index[group[:, None], place]], rows.shared[index[group[:, None], place]]
         )
     white = factor.reshape(b, m * d, m * d)
-    kinds, position = np.unique(rows.offset[index[0]], return_inverse=True)
-    incidence = np.zeros((m, d, len(kinds), d))
-    incidence[np.arange(m), :, position, :] = np.eye(d)
-    basis, _ = np.linalg.qr(white @ incidence.reshape(m * d, -1))
+    place = _ranks(rows.offset[index])
+    incidence = np.zeros((b, m, d, int(place.max()) + 1, d))
+    incidence[np.arange(b)[:, None], np.arange(m), :, place, :] = np.eye(d)
+    basis, _ = np.linalg.qr(white @ incidence.reshape(b, m * d, -1))
     return white, basis
+
+
+def _ranks(values: Int2D) -> Int2D:
+    """Return for (b, m) values which of the different ones in its line each is, counted from 0 in rising order."""
+    order = np.argsort(values, axis=1, kind="stable")
+    ordered = np.take_along_axis(values, order, axis=1)
+    ranks = np.zeros_like(values)
+    rising = np.cumsum(ordered[:, 1:] != ordered[:, :-1], axis=1)
+    np.put_along_axis(ranks, order[:, 1:], rising, axis=1)
+    return ranks
 
 
 def _sharing(load: Int2D) -> Iterator[tuple[Int1D, Int2D]]:
