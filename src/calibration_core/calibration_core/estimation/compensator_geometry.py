@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import WAVE
@@ -61,6 +60,8 @@ def fit_compensator_geometry(
 
 
 def _shape(field: Field, others: Accepted, state: State, joint: int, weigh: Callable[[Float3D], Float2D]) -> Candidate:
+    from scipy.optimize import least_squares  # slow to load, and few recordings show a compensator
+
     basis, residual = _without(field, others)
 
     def left(x: Float1D) -> Float1D:
