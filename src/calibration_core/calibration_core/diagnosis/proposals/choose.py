@@ -20,7 +20,6 @@ from calibration_core.diagnosis.result.finding import ProposedMeasurement
 from calibration_core.timeseries import Float1D, Float3D
 
 PROPOSED = 3
-ROUGH = 5  # steps by which all offers are judged
 JUDGED = 24  # offers that are judged in full
 SEPARABLE = 0.5  # nats: an offer that is expected to give less separates nothing
 NO_GAIN = "Further measurements of this kind would gain nothing worth the time."
@@ -284,8 +283,9 @@ class _Choice:
 
 
 def _rough(offer: Offer) -> Offer:
-    """Return an offer with few steps, enough to judge it roughly."""
-    rows = np.unique(np.linspace(0, len(offer.steps) - 1, ROUGH).round().astype(int))
+    """Return an offer with the first step, that of the largest load and the last, enough to judge it roughly."""
+    full = int(np.argmax(np.linalg.norm(offer.steps[:, :3], axis=1)))
+    rows = np.unique([0, full, len(offer.steps) - 1])
     return dataclasses.replace(offer, steps=offer.steps[rows])
 
 
