@@ -41,6 +41,19 @@ class Blocks:
         return Blocks(self.kind, np.unique(self.label[rows], return_inverse=True)[1].reshape(-1).astype(np.int64))
 
 
+def rows_of(label: Int1D, block: int) -> slice | Int1D:
+    """Return the rows of one block; those that follow each other as a slice, which copies nothing.
+
+    Args:
+        label: (r,) block of every row.
+        block: Its number.
+    """
+    rows = np.flatnonzero(label == block)
+    if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
+
+
 def time_blocks(configuration: Int1D, most: int = MOST) -> Blocks:
     """Part the configurations, in the order in which they were read, into blocks of equal number.
 

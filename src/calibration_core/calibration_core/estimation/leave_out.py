@@ -6,10 +6,10 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from calibration_core.estimation.blocks import STAYS, Blocks
+from calibration_core.estimation.blocks import STAYS, Blocks, rows_of
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 RIDGE = 1e-10  # of columns of length one: keeps a block that alone shows a parameter solvable
@@ -19,41 +19,40 @@ LEAST_NATS = 3.0  # that a hypothesis must gain on blocks left out
 
 
 def left_out(
-    columns: Float2D,
+    columns: Sequence[Float2D],
     residual: Float1D,
     partition: Blocks,
-    ridge: Float2D,
+    normal: tuple[Float2D, Float1D],
     used: Bool1D | None = None,
-    own: tuple[Float2D, Float1D] | None = None,
+    own: tuple[Sequence[Float2D], Float1D] | None = None,
+    fixed: Float2D | None = None,
 ) -> Float1D:
     """Return what a linear model leaves of every row when its block is left out, (3 m,).
 
     Args:
-        columns: (3 m, p) of length about one.
+        columns: Arrays of 3 m rows, whose columns, p together, stand side by side.
         residual: (3 m,).
-        partition: Of the m readings.
-        ridge: (p, p) prior precision times the noise variance.
+        partition: Of the m readings, all of which are in a block.
+        normal: (p, p) and (p,), the normal equations of all rows that are fitted, priors included.
         used: (m,) readings that may be fitted; the others are predicted only.  None: all.
         own: The same columns and residual in other units, in which the answer is wanted; None: as fitted.
+        fixed: (h, p) combinations of the parameters that stay zero; None: none.
     """
-    shown, target_of = (columns, residual) if own is None else own
-    label = np.repeat(partition.label, 3)
-    fitted = np.ones(len(label), dtype=bool) if used is None else np.repeat(used, 3)
-    shrinkage = RIDGE * np.eye(len(ridge)) + ridge
-    several = [np.flatnonzero(label == block) for block in range(partition.count)]
-    kept = [rows[fitted[rows]] for rows in several]
-    grams, rights = [], []
-    for rows in kept:  # every row once: they add up to those of all
-        there = columns[rows]
-        grams.append(there.T @ there)
-        rights.append(there.T @ residual[rows])
-    stays = np.flatnonzero(fitted & (label == STAYS))
-    whole = sum(grams, columns[stays].T @ columns[stays])
-    right = sum(rights, columns[stays].T @ residual[stays])
-    result = np.empty_like(residual)
-    for rows, gram, vector in zip(several, grams, rights, strict=True):
-        solved = np.linalg.solve(whole - gram + shrinkage, right - vector)
-        result[rows] = target_of[rows] - shown[rows] @ solved
+    label, (whole, right) = np.repeat(partition.label, 3), normal
+    result = np.full_like(residual, np.nan)
+    for block in range(partition.count):
+        rows = rows_of(label, block)
+        there, seen = np.concatenate([part[rows] for part in columns], axis=1), residual[rows]
+        aside = np.zeros(0, dtype=np.int64) if used is None else np.flatnonzero(~np.repeat(used, 3)[rows])
+        kept, others = np.delete(there, aside, axis=0) if len(aside) else there, np.delete(seen, aside)
+        factor = cho_factor(whole - kept.T @ kept, lower=True, overwrite_a=True, check_finite=False)
+        solved = cho_solve(factor, right - others @ kept, check_finite=False)
+        if fixed is not None and len(fixed):
+            held = cho_solve(factor, fixed.T)
+            solved -= held @ np.linalg.solve(fixed @ held, fixed @ solved)
+        if own is not None:
+            there, seen = np.concatenate([part[rows] for part in own[0]], axis=1), own[1][rows]
+        result[rows] = seen - there @ solved
     return result
 
 

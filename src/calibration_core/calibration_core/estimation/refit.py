@@ -15,20 +15,21 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import null_space
+from scipy.linalg import cho_solve, cholesky
+from scipy.linalg.lapack import dtrtri
 
-from calibration_core.estimation.blocks import STAYS, Blocks
+from calibration_core.estimation.blocks import Blocks, rows_of
 from calibration_core.estimation.hypotheses import is_axial
 from calibration_core.estimation.leave_out import RIDGE, left_out
 from calibration_core.estimation.noise.whitening import Whitening
-from calibration_core.estimation.rows import NullModel, unweighted
+from calibration_core.estimation.rows import Columns, Linear, NullModel, unweighted
 from calibration_core.identification.geometry.fit import moved
 from calibration_core.identification.geometry.terms import names_of
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.possible import nearest
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Float1D, Float2D, Int1D
+from calibration_core.timeseries import Float1D, Float2D
 
 ROUNDS = 3
 SETTLING = 3  # rounds
@@ -36,7 +37,6 @@ STEP = 2.0  # factor by which a compliance may move in one round
 APART = 4.0  # factor between a compliance and what was believed of it
 CONVERGED = 1e-6  # m and rad
 STILL = 0.01  # of a compliance
-STAY = 1e-3  # of a compliance: by which it may move before columns of effects are written anew
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -68,14 +68,14 @@ class Extended:
         value: (p,) their parameters.
         held: (p,) which of it the model's compliances hold already: sag acts on the deformed robot.
         covariance: (f + p, f + p) of everything, units of the parameters.
-        own: (3 m, f + p) columns in units of the claimed noise, of length one.
-        residual: (3 m,) likewise, at the solution.
-        columns: (3 m, f + p) the same as independent rows.
-        gram: (f + p, f + p) products of those of the readings used.
+        linear: Columns of everything, per unit of the parameters.
+        length: (f + p,) lengths of the columns as independent rows of the readings used.
+        residual: (3 m,) at the solution, in units of the claimed noise.
+        gram: (f + p, f + p) products of the columns, as independent rows of the readings used, of length one.
         rest: (3 m,) the residual as independent rows.
-        ridge: (f + p,) precision of the priors times the variance.
+        ridge: (f + p,) precision of the priors times the variance, of columns of length one.
         variance: Of an independent row.
-        free: (f + p, k) directions in which physics lets the solution move, in lengths of the columns; None: in all.
+        fixed: (h, f + p) combinations of the parameters that physics holds at zero.
     """
 
     model: NullModel
@@ -84,14 +84,14 @@ class Extended:
     value: Float1D
     held: Float1D
     covariance: Float2D
-    own: Float2D
+    linear: Linear
+    length: Float1D
     residual: Float1D
-    columns: Float2D
     gram: Float2D
     rest: Float1D
     ridge: Float1D
     variance: float
-    free: Float2D | None
+    fixed: Float2D
 
     @property
     def parameters(self) -> ModelParameters:
@@ -101,7 +101,7 @@ class Extended:
     @property
     def flat(self) -> int:
         """Number of columns of the null model."""
-        return self.own.shape[1] - len(self.value)
+        return len(self.length) - len(self.value)
 
     @property
     def left(self) -> Float2D:
@@ -110,12 +110,14 @@ class Extended:
 
     def held_out(self, partition: Blocks) -> Float2D:
         """Return (m, 3) m: the same for every reading when its block is left out of the fit."""
-        mean = self.value * self._length[self.flat :]  # left out, an effect falls back to its prior, not to this
-        rest, residual = (one + wide[:, self.flat :] @ mean for one, wide in self._both)
-        columns, own, ridge = self.columns, self.own, np.diag(self.ridge)
-        if self.free is not None:
-            columns, own, ridge = columns @ self.free, own @ self.free, self.free.T @ ridge @ self.free
-        at = left_out(columns, rest, partition, ridge, self.model.used, own=(own, residual))
+        own, white = self.linear.own, self.linear.white
+        rest = self.rest + white.effects @ self.value  # left out, an effect falls back to its prior, not to this
+        whole = (self.gram + np.diag(self.ridge + RIDGE)) * np.outer(self.length, self.length)
+        normal = whole, white.against(np.where(np.repeat(self.model.used, 3), rest, 0.0))
+        other = None
+        if own is not white:
+            other = (own.flat, own.effects), self.residual + own.effects @ self.value
+        at = left_out((white.flat, white.effects), rest, partition, normal, self.model.used, other, self.fixed)
         return self._metres(self.whitening.without_offsets(at))
 
     def block(self, index: int) -> slice:
@@ -145,69 +147,18 @@ class Extended:
         """Return (m, 3) m: what parts move the points beyond what the null model would take up instead."""
         if not chosen:
             return np.zeros((len(self.model.readings), 3))
-        index = np.concatenate([np.arange(self.block(i).start, self.block(i).stop) for i in chosen])
-        moved_own = self.own[:, self.flat + index] @ (self.value[index] * self._length[self.flat + index])
-        null = self.columns[:, : self.flat]
-        white = self.columns[:, self.flat + index] @ (self.value[index] * self._length[self.flat + index])
-        normal = null.T @ null + RIDGE * np.eye(self.flat)
-        taken = np.linalg.solve(normal, null.T @ white)
-        return self._metres(self.whitening.without_offsets(moved_own - self.own[:, : self.flat] @ taken))
-
-    @property
-    def _both(self) -> tuple[tuple[Float1D, Float2D], tuple[Float1D, Float2D]]:
-        return (self.rest, self.columns), (self.residual, self.own)
-
-    @property
-    def _length(self) -> Float1D:
-        return np.sqrt(self.scale)
-
-    scale: Float1D = dataclasses.field(default_factory=lambda: np.zeros(0))
+        value = np.zeros(len(self.value))
+        for index in chosen:
+            value[self.block(index)] = self.value[self.block(index)]
+        own, white = self.linear.own, self.linear.white
+        effect = own.effects @ value
+        null = white.flat / self.length[: self.flat]
+        seen = null.T @ (effect if own is white else white.effects @ value)
+        taken = np.linalg.solve(null.T @ null + RIDGE * np.eye(self.flat), seen) / self.length[: self.flat]
+        return self._metres(self.whitening.without_offsets(effect - own.flat @ taken))
 
     def _metres(self, values: Float1D) -> Float2D:
         return unweighted(self.model.problem, self.parameters, values)
-
-
-class _Columns:
-    """Columns of everything, (3 m, f + p), at one linearisation, and their products over all readings.
-
-    Those of the null model are written anew at every linearisation.  Those of effects stay as long as the compliances
-    do: by what frames and geometry are corrected they change in the fourth digit.
-
-    Attributes:
-        own: In units of the claimed noise, per unit of the parameters.
-        white: The same as independent rows; the same array where the rows are independent as they are.
-        gram: (f + p, f + p) of `white`.
-    """
-
-    def __init__(self, model: NullModel, whitening: Whitening, parts: Sequence[Part], known: Extended | None) -> None:
-        self._everything = np.arange(len(model.readings))
-        self._whitening, self._candidates = whitening, [part.candidate for part in parts]
-        if known is None:
-            self._at: Float1D | None = None
-            return
-        self._at, length = known.model.parameters.compliance, np.sqrt(known.scale)
-        self.own = known.own * length
-        self.white = self.own if known.own is known.columns else known.columns * length
-        aside = known.columns[_aside(known.model)]
-        self.gram = (known.gram + aside.T @ aside) * np.outer(length, length)
-
-    def at(self, model: NullModel) -> Float1D:
-        """Linearise about a model, and return the residual of all rows there, (3 m,), in units of the claimed noise."""
-        flat, residual = model.flat(self._everything)
-        f, compliance = flat.shape[1], model.parameters.compliance
-        if self._at is None or np.any(np.abs(compliance - self._at) > STAY * self._at):
-            self._at = compliance
-            self.own = model.moves(self._candidates, self._everything, flat)
-            self.white = self._whitening(self.own)
-            self.gram = self.white.T @ self.white
-            return residual
-        independent = self.white is self.own
-        self.own[:, :f] = flat
-        if not independent:
-            self.white[:, :f] = self._whitening(flat)
-        cross = self.white.T @ self.white[:, :f]
-        self.gram[:, :f], self.gram[:f] = cross, cross.T
-        return residual
 
 
 def refit(
@@ -231,42 +182,32 @@ def refit(
     """
     held, value = _held(model, parts), np.zeros(sum(len(part.candidate.parameters) for part in parts))
     prior = np.concatenate([np.zeros(0), *(part.prior for part in parts)])
-    fitted, aside = np.repeat(model.used, 3), _aside(model)
+    fitted = np.repeat(model.used, 3)
+    aside, count = np.flatnonzero(~fitted), int(fitted.sum())
     n = len(names_of(model.terms))
     f = n + len(model.fitted_compliances)
-    linear = _Columns(model, whitening, parts, known)
+    linear = None if known is None else known.linear
     turn = 0
     while True:
         turn += 1
-        residual = linear.at(model)
-        residual = residual - linear.own[:, f:] @ (value - held)
+        linear, residual = Linear.at(model, whitening, [part.candidate for part in parts], linear)
+        own, white = linear.own, linear.white
+        residual = residual - own.effects @ (value - held)
         rest = whitening(residual[:, None])[:, 0]
-        unused = linear.white[aside]
-        normal = linear.gram - unused.T @ unused
-        right = rest @ linear.white - rest[aside] @ unused
-        square = np.diag(normal)
-        length = np.sqrt(np.where(square > 0, square, 1.0))
+        kept = np.where(fitted, rest, 0.0)
+        normal, right, square = linear.normal(aside), white.against(kept), float(kept @ kept)
+        length = np.sqrt(np.where(np.diag(normal) > 0, np.diag(normal), 1.0))
         normal, right = normal / np.outer(length, length), right / length
-        variance = float(rest[fitted] @ rest[fitted]) / max(int(fitted.sum()) - f, 1)
+        variance = square / max(count - f, 1)
         precision = np.concatenate([np.zeros(f), 1 / (prior * length[f:]) ** 2])
         lacking = np.concatenate([np.zeros(f), value * length[f:]])
-        settling = 0
-        while True:  # the variance of the rows and the solution settle together
-            settling += 1
-            ridge = variance * precision
-            inverse = np.asarray(np.linalg.inv(normal + np.diag(ridge + RIDGE)), dtype=np.float64)
-            change = inverse @ (right - ridge * lacking)
-            left = rest - linear.white @ (change / length)
-            effective = float(np.einsum("ij,ji->", inverse, normal))
-            variance = float(left[fitted] @ left[fitted]) / max(int(fitted.sum()) - effective, 1.0)
-            if settling == SETTLING:
-                break
+        settled = _settled(normal, right, precision, lacking, variance, (square, count))
+        ridge, change, variance = settled.ridge, settled.change, settled.variance
+        inverse = settled.root.T @ settled.root
         spread = variance * inverse[f:, f:] / np.outer(length[f:], length[f:])
         allowed = nearest([part.candidate.parameters for part in parts], value + change[f:] / length[f:], spread)
         if len(allowed.held):  # the effects as physics allows them, everything else the best beside them
             change = _beside(normal, right, (allowed.value - value) * length[f:])
-            left = rest - linear.white @ (change / length)
-            variance = float(left[fitted] @ left[fitted]) / max(int(fitted.sum()) - effective, 1.0)
         step = change / length
         softer = step[n:f] / np.maximum(_fitted(model), 1e-300)
         still = np.abs(step[:n]).max(initial=0.0) < CONVERGED and np.abs(softer).max(initial=0.0) < STILL
@@ -278,24 +219,64 @@ def refit(
         model = model.at(_sagging(parameters, parts, value))
         held = _held(model, parts)
     value = value + step[f:]
-    own, columns = linear.own, linear.white
-    residual = residual - own @ step
-    columns /= length
-    if own is not columns:
-        own /= length
-    covariance = variance * inverse @ (normal + np.diag(ridge)) @ inverse
-    label = np.repeat(np.where(model.used, partition.label, STAYS), 3)
-    widened = _widened(covariance, inverse, columns, left, label)
-    covariance = widened / np.outer(length, length)
+    residual = residual - own.moved(step)
+    rest = residual if own is white else rest - white.moved(step)
+    kept = np.where(fitted, rest, 0.0)
+    variance = float(kept @ kept) / max(count - settled.effective, 1.0)
+    covariance = variance * (inverse - RIDGE * (inverse @ inverse.T))
+    covariance = _widened(covariance, inverse / length, white, kept, partition) / np.outer(length, length)
+    fixed = np.concatenate([np.zeros((len(allowed.held), f)), allowed.held], axis=1)
     return Extended(
-        model, whitening, tuple(parts), value, held, covariance, own, residual, columns, normal, left, ridge, variance,
-        free=_directions(allowed.held, length[f:], f), scale=length**2,
+        model, whitening, tuple(parts), value, held, covariance, linear, length, residual, normal, rest, ridge,
+        variance, fixed,
     )  # fmt: skip
 
 
-def _aside(model: NullModel) -> Int1D:
-    """Return the rows that are not fitted; these are few."""
-    return np.flatnonzero(~np.repeat(model.used, 3))
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Settled:
+    """A solution and the variance of the rows that belongs to it.
+
+    Attributes:
+        ridge: (f + p,) precision of the priors times the variance before.
+        root: (f + p, f + p) R with R'R the inverse of the normal matrix, priors included.
+        change: (f + p,) the solution.
+        effective: Number of parameters, those held by their priors counted in part.
+        variance: Of a row.
+    """
+
+    ridge: Float1D
+    root: Float2D
+    change: Float1D
+    effective: float
+    variance: float
+
+
+def _settled(
+    normal: Float2D, right: Float1D, precision: Float1D, lacking: Float1D, variance: float, rows: tuple[float, int]
+) -> _Settled:
+    """Solve, and let the variance of the rows and the solution settle together.
+
+    Args:
+        normal: (f + p, f + p) of columns of length one.
+        right: (f + p,).
+        precision: (f + p,) of the priors.
+        lacking: (f + p,) where the solution begins, in the priors' eyes.
+        variance: To begin with.
+        rows: Squared residual and number of the rows.
+    """
+    square, count = rows
+    turn = 0
+    while True:
+        turn += 1
+        ridge = variance * precision
+        lower = cholesky(normal + np.diag(ridge + RIDGE), lower=True, overwrite_a=True, check_finite=False)
+        change = cho_solve((lower, True), right - ridge * lacking, check_finite=False)
+        root = np.asarray(dtrtri(lower, lower=True, overwrite_c=True)[0])
+        effective = len(right) - float((ridge + RIDGE) @ np.einsum("ij,ij->j", root, root))
+        left = square - float(change @ (2 * right - normal @ change))
+        variance = max(left, 0.0) / max(count - effective, 1.0)
+        if turn == SETTLING:
+            return _Settled(ridge, root, change, effective, variance)
 
 
 def _beside(normal: Float2D, right: Float1D, effects: Float1D) -> Float1D:
@@ -303,20 +284,6 @@ def _beside(normal: Float2D, right: Float1D, effects: Float1D) -> Float1D:
     f = len(right) - len(effects)
     flat = np.linalg.solve(normal[:f, :f] + RIDGE * np.eye(f), right[:f] - normal[:f, f:] @ effects)
     return np.concatenate([flat, effects])
-
-
-def _directions(held: Float2D, length: Float1D, flat: int) -> Float2D | None:
-    """Return the directions, in lengths of the columns, in which nothing is held, (f + p, k); None: in all.
-
-    Args:
-        held: (h, p) combinations of the effects' parameters that stay zero.
-        length: (p,) of their columns.
-        flat: Number f of the columns before them.
-    """
-    if not len(held):
-        return None
-    fixed = np.concatenate([np.zeros((len(held), flat)), held / length], axis=1)
-    return np.asarray(null_space(fixed / np.linalg.norm(fixed, axis=1, keepdims=True)), dtype=np.float64)
 
 
 def _fitted(model: NullModel) -> Float1D:
@@ -362,18 +329,20 @@ def _sagging(parameters: ModelParameters, parts: Sequence[Part], value: Float1D)
     return parameters.replace(compliance=compliance)
 
 
-def _widened(covariance: Float2D, inverse: Float2D, columns: Float2D, rest: Float1D, label: Int1D) -> Float2D:
+def _widened(covariance: Float2D, inverse: Float2D, columns: Columns, rest: Float1D, partition: Blocks) -> Float2D:
     """Return the covariance with every standard deviation at least what the scatter of blocks shows.
 
     Args:
-        covariance: (p, p) of the solution.
-        inverse: (p, p) of its normal matrix.
-        columns: (r, p).
-        rest: (r,) what is left.
-        label: (r,) block of every row; `STAYS` where it was not fitted.
+        covariance: (p, p) of the solution, in lengths of the columns.
+        inverse: (p, p) of its normal matrix, over the columns' lengths.
+        columns: Of the m readings.
+        rest: (3 m,) what is left; 0 where it was not fitted.
+        partition: Blocks of the m readings.
     """
-    blocks = [np.flatnonzero(label == block) for block in np.unique(label[label != STAYS])]
-    scores = np.stack([rest[rows] @ columns[rows] for rows in blocks]) @ inverse
+    label = np.repeat(partition.label, 3)
+    blocks = [rows for block in range(partition.count) if np.any(rest[rows := rows_of(label, block)])]
+    parts = (columns.flat, columns.effects)
+    scores = np.stack([np.concatenate([rest[rows] @ part[rows] for part in parts]) for rows in blocks]) @ inverse.T
     seen = np.einsum("bi,bi->i", scores, scores) * (len(blocks) / max(len(blocks) - 1, 1))
     more = np.sqrt(np.maximum(seen / np.maximum(np.diag(covariance), 1e-300), 1.0))
     return np.asarray(covariance * np.outer(more, more))

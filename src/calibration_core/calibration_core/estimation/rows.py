@@ -12,14 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.identification.geometry.fit import AbsoluteProblem
 from calibration_core.identification.geometry.terms import Term, columns_of
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, FloatND, Int1D, Readings
 
+STAY = 1e-3  # of a compliance: by which it may move before columns of effects are written anew
 SEARCHED = 1_000  # configurations in the sample that is searched
 TOGETHER = 8  # candidates whose columns are written at once: one by one each row would be fetched as often
 
@@ -90,6 +92,80 @@ class NullModel:
             first, last = last, last + several.shape[2]
             result[:, first:last] = weighted(part, self.parameters, several)
         return result
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of the null model, f, and of the effects, p, that are never copied into one array: they are large.
+
+    Attributes:
+        flat: (3 m, f).
+        effects: (3 m, p).
+    """
+
+    flat: Float2D
+    effects: Float2D
+
+    def moved(self, step: Float1D) -> Float1D:
+        """Return the rows' movement, (3 m,), for values of the parameters, (f + p,)."""
+        f = self.flat.shape[1]
+        return self.flat @ step[:f] + self.effects @ step[f:]
+
+    def against(self, values: FloatND) -> FloatND:
+        """Return the columns' products, (f + p,) or (f + p, k), with rows, (3 m,) or (3 m, k)."""
+        return np.concatenate([self.flat.T @ values, self.effects.T @ values])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Linear:
+    """Columns of everything at one linearisation, per unit of the parameters.
+
+    Those of the null model are written anew at every linearisation.  Those of effects stay as long as the compliances
+    do: by what frames and geometry are corrected they change in the fourth digit.
+
+    Attributes:
+        compliance: (n,) at which those of the effects were written, rad/(N*m).
+        own: In units of the claimed noise.
+        white: The same as independent rows; the same object where the rows are independent as they are.
+        products: (p, p) of the effects in `white`, over all readings.
+    """
+
+    compliance: Float1D
+    own: Columns
+    white: Columns
+    products: Float2D
+
+    @staticmethod
+    def at(
+        model: NullModel, whitening: Whitening, candidates: Sequence[Candidate], known: Linear | None
+    ) -> tuple[Linear, Float1D]:
+        """Linearise about a model, and return the residual of all rows there, too, (3 m,), units of the claimed noise.
+
+        Args:
+            model: The null model.
+            whitening: Of all readings.
+            candidates: The effects.
+            known: The same about another model; None: not known.
+        """
+        everything, compliance = np.arange(len(model.readings)), model.parameters.compliance
+        flat, residual = model.flat(everything)
+        white_flat = whitening(flat)
+        if known is not None and not np.any(np.abs(compliance - known.compliance) > STAY * known.compliance):
+            own = Columns(flat, known.own.effects)
+            white = own if white_flat is flat else Columns(white_flat, known.white.effects)
+            return Linear(known.compliance, own, white, known.products), residual
+        own = Columns(flat, model.moves(candidates, everything))
+        white = own if white_flat is flat else Columns(white_flat, whitening(own.effects))
+        return Linear(compliance, own, white, white.effects.T @ white.effects), residual
+
+    def normal(self, aside: Int1D) -> Float2D:
+        """Return the products of all columns, (f + p, f + p), without some rows, which are few."""
+        f = self.own.flat.shape[1]
+        matrix = np.empty((f + len(self.products), f + len(self.products)))
+        matrix[:, :f] = self.white.against(self.white.flat)
+        matrix[:f, f:], matrix[f:, f:] = matrix[f:, :f].T, self.products
+        unused = np.concatenate([self.white.flat[aside], self.white.effects[aside]], axis=1)
+        return matrix - unused.T @ unused if len(aside) else matrix
 
 
 def state_at(problem: AbsoluteProblem, parameters: ModelParameters, readings: Readings, cell: Cell) -> State:

@@ -139,14 +139,14 @@ def corrections(extended: Extended, term: GeometryTerm, stated: ModelParameters)
     names = names_of(model.terms)
     first = names.index(term.names[0])
     rows = slice(first, first + len(term.names))
-    length = np.sqrt(extended.scale)[rows]
+    length = extended.length
     n = len(model.state.chain.joints)
     pairs = tuple((joint, kind) for joint in range(n) for kind in range(6))
     every = GeometryTerm(pairs, tuple(f"{CORRECTIONS[kind]} {joint}" for joint, kind in pairs))
     own_movement, _ = null_columns(model.problem, extended.parameters, [every])
     movement = np.array(extended.whitening(own_movement))
     movement[np.repeat(~model.used, 3)] = 0.0
-    right = extended.columns.T @ movement
+    right = extended.linear.white.against(movement) / length[:, None]
     solved = np.linalg.solve(extended.gram + np.diag(extended.ridge + RIDGE), right)
     frames = [k for k in range(len(names)) if not rows.start <= k < rows.stop]
     base = extended.gram[np.ix_(frames, frames)] + RIDGE * np.eye(len(frames))
@@ -155,8 +155,8 @@ def corrections(extended: Extended, term: GeometryTerm, stated: ModelParameters)
     return Corrections(
         value=np.array([change[pair] for pair in term.chosen]),
         covariance=extended.covariance[rows, rows],
-        answer=solved[rows] / length[:, None],
-        movement=own_movement - extended.own[:, frames] @ taken,
+        answer=solved[rows] / length[rows, None],
+        movement=own_movement - extended.linear.own.flat[:, frames] @ (taken / length[frames, None]),
         rated_load=model.state.rated_load,
     )
 
