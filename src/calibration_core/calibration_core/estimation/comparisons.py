@@ -67,7 +67,7 @@ class Scores:
 
 
 class Comparisons:
-    """Rows and hypotheses, and all that was asked of them."""
+    """Rows and hypotheses, and all that was asked of them; what was accepted is the same in whatever order."""
 
     def __init__(self, field: Field, demands: Demands) -> None:
         self.field, self.demands = field, demands
@@ -90,23 +90,26 @@ class Comparisons:
         return most_probable(self.fitted(accepted)).level
 
     def sizes(self, accepted: Accepted) -> Sizes:
-        """Return the sizes of hypotheses together."""
+        """Return the sizes of hypotheses together, those of smaller indices first."""
         return most_probable(self.fitted(accepted)).sizes
 
     def fitted(self, accepted: Accepted) -> tuple[LevelFit, ...]:
         """Return hypotheses together, beside small effects of the levels that come into question."""
+        accepted = tuple(sorted(accepted))
         if accepted not in self.fits:
             self.fits[accepted] = self.small.fits(self.field.blocks(accepted), self._start(accepted))
         return self.fits[accepted]
 
     def squares(self, accepted: Accepted) -> list[Float1D]:
         """Return the squares of blocks left out."""
+        accepted = tuple(sorted(accepted))
         if accepted not in self.held_out:
             self.held_out[accepted] = self.field.in_blocks(self.left_out(accepted).errors)
         return self.held_out[accepted]
 
     def left_out(self, accepted: Accepted) -> LeftOut:
         """Return the model of the accepted ones with every block left out; only the last few are kept."""
+        accepted = tuple(sorted(accepted))
         if accepted not in self._left_out:
             while len(self._left_out) >= KEPT:
                 self._left_out.pop(next(iter(self._left_out)))
@@ -115,6 +118,7 @@ class Comparisons:
 
     def scores(self, accepted: Accepted, *, narrow: bool = False) -> Scores:
         """Return how every judged hypothesis does beside the accepted ones; narrow: those of few columns alone."""
+        accepted = tuple(sorted(accepted))
         key = accepted, narrow
         if key not in self.known:
             if narrow and (accepted, False) in self.known:
@@ -133,6 +137,7 @@ class Comparisons:
 
     def score(self, accepted: Accepted, index: int) -> tuple[float, float, float]:
         """Return how one hypothesis does beside the accepted ones: nats, size and what is left, as `Scores`."""
+        accepted = tuple(sorted(accepted))
         k = self.place[index]
         for narrow in (False, True):
             known = self.known.get((accepted, narrow))
@@ -145,6 +150,7 @@ class Comparisons:
 
     def trial(self, accepted: Accepted, index: int) -> Trial:
         """Put one more hypothesis beside the accepted ones, at the size that suits it best."""
+        accepted = tuple(sorted(accepted))
         if (accepted, index) not in self.trials:
             self.trials[accepted, index] = self._trial(accepted, index)
         return self.trials[accepted, index]

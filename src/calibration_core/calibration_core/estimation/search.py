@@ -69,6 +69,7 @@ class Search(Comparisons):
         super().__init__(field, demands)
         self.control = control
         self.refused: dict[str, None] = {}
+        self.objections: dict[tuple[Accepted, int], str] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
         self.limit = max(chance_gain(field.gram, field.clear, field.blocks(self.judged)), demands.least)
 
@@ -266,10 +267,11 @@ class Search(Comparisons):
             few = (*few, best)
         while few and self.sizes((*others, *few)).value > whole - EQUIVALENT:
             beside = {i: (*others, *(j for j in few if j != i)) for i in few}
-            doubtful = [i for i, rest in beside.items() if not (self.trial(rest, i).proven and self._allowed(rest, i))]
-            if not doubtful:
+            asked = ((i, self.trial(beside[i], i).proven and self._allowed(beside[i], i)) for i in reversed(few))
+            doubtful = next((i for i, stands in asked if not stands), None)
+            if doubtful is None:
                 return few
-            few = tuple(i for i in few if i != doubtful[-1])
+            few = tuple(i for i in few if i != doubtful)
         return ()
 
     def result(self, accepted: Accepted) -> Selection:
@@ -277,10 +279,9 @@ class Search(Comparisons):
         accepted = tuple(sorted(accepted, key=lambda one: -self._beside(accepted, one)))  # whatever led to them
         trials = [self.trial(tuple(i for i in accepted if i != index), index) for index in accepted]
         gain = tuple(self._beside(accepted, index) for index in accepted)
-        proofs = tuple(trial.proofs for trial in trials)
-        return Selection(
-            accepted, self.sizes(accepted), gain, proofs, tuple(self.refused), self.level(accepted)
-        )  # fmt: skip
+        proofs, sizes = tuple(trial.proofs for trial in trials), self.sizes(accepted)
+        sizes = dataclasses.replace(sizes, size=sizes.size[np.argsort(np.argsort(accepted))])
+        return Selection(accepted, sizes, gain, proofs, tuple(self.refused), self.level(accepted))
 
     def _beside(self, accepted: Accepted, index: int) -> float:
         """Return what one of the accepted hypotheses gains beside the others, nats."""
@@ -352,7 +353,10 @@ class Search(Comparisons):
 
     def objection(self, trial: Trial) -> str:
         """Return what physics or the controls of its kind say against a hypothesis; empty if nothing."""
-        return impossible(trial) or self.control(trial)
+        key = trial.accepted, trial.index
+        if key not in self.objections:
+            self.objections[key] = impossible(trial) or self.control(trial)
+        return self.objections[key]
 
     def _allowed(self, accepted: Accepted, index: int) -> bool:
         """Say whether physics allows a hypothesis beside the accepted ones."""

@@ -13,8 +13,11 @@ Source: Box and Hill 1967; Atkinson and Fedorov 1975 (T-optimality).
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
+from scipy.linalg import cholesky
+from scipy.linalg.lapack import dtrtri
 
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -52,22 +55,32 @@ class HypothesisPosterior:
             residual: (r,).
             free: How many have no prior.
         """
-        length = np.linalg.norm(columns, axis=0)
+        return HypothesisPosterior.from_products(columns.T @ columns, columns.T @ residual, free)
+
+    @staticmethod
+    def from_products(matrix: Float2D, vector: Float1D, free: int) -> HypothesisPosterior:
+        """Learn the same from the products of the columns with each other, (p, p), and with the residual, (p,)."""
+        length = np.sqrt(np.diag(matrix))
         scale = np.where(length > 0, length, 1.0)
         prior = 1 / scale**2
         prior[:free] = FREE
-        scaled = columns / scale
-        return HypothesisPosterior(scale, scaled.T @ scaled + np.diag(prior), scaled.T @ residual)
+        return HypothesisPosterior(scale, matrix / np.outer(scale, scale) + np.diag(prior), vector / scale)
 
-    @property
+    @functools.cached_property
     def mean(self) -> Float1D:
         """(p,) in the units of the columns."""
-        return np.asarray(np.linalg.solve(self.matrix, self.vector) / self.scale)
+        return np.asarray(self._root.T @ (self._root @ self.vector) / self.scale)
 
-    @property
+    @functools.cached_property
     def covariance(self) -> Float2D:
         """(p, p) in the units of the columns."""
-        return np.asarray(np.linalg.inv(self.matrix) / np.outer(self.scale, self.scale))
+        root = self._root / self.scale
+        return np.asarray(root.T @ root)
+
+    @functools.cached_property
+    def _root(self) -> Float2D:
+        """(p, p) R with R'R the inverse of the matrix."""
+        return np.asarray(dtrtri(cholesky(self.matrix, lower=True), lower=True, overwrite_c=True)[0])
 
     def after(self, columns: Float2D, values: Float1D) -> HypothesisPosterior:
         """Return what is known after a measurement with these columns, (d, p), and values, (d,)."""
@@ -76,16 +89,20 @@ class HypothesisPosterior:
 
     def predict(self, columns: Float3D) -> Predictions:
         """Predict k measurements with columns (k, d, p)."""
-        spread = columns @ self.covariance @ columns.transpose(0, 2, 1)
+        spread = self._spread(columns) @ columns.transpose(0, 2, 1)
         return Predictions(columns @ self.mean, spread + np.eye(columns.shape[1]))
 
     def variances_after(self, columns: Float3D, chosen: list[int]) -> Float2D:
         """Return (k, c) the variances of the chosen parameters after each of k measurements with columns (k, d, p)."""
-        covariance = self.covariance
-        response = columns @ covariance[:, chosen]  # (k, d, c)
-        whole = columns @ covariance @ columns.transpose(0, 2, 1) + np.eye(columns.shape[1])
+        spread = self._spread(columns)
+        response = spread[:, :, chosen]  # (k, d, c)
+        whole = spread @ columns.transpose(0, 2, 1) + np.eye(columns.shape[1])
         gained = np.einsum("kdc,kdc->kc", response, np.linalg.solve(whole, response))
-        return np.asarray(np.diag(covariance)[chosen] - gained)
+        return np.asarray(np.diag(self.covariance)[chosen] - gained)
+
+    def _spread(self, columns: Float3D) -> Float3D:
+        """Return the columns, (k, d, p), times the covariance, in one product: one by one it would be read k times."""
+        return np.asarray(columns.reshape(-1, columns.shape[2]) @ self.covariance).reshape(columns.shape)
 
 
 def expected_log_bayes_factor(truth: Predictions, other: Predictions) -> Float1D:

@@ -91,9 +91,12 @@ class _Postures(Knowledge):
 
     def posterior(self, chosen: Sequence[int]) -> HypothesisPosterior:
         field, f = self.known.field, self.known.field.flat_count
-        own = (field.wide[:, f + self.known.of(i).columns] * self.known.sizes[i] for i in chosen)
-        columns = np.concatenate([field.wide[:, :f], *own], axis=1)
-        return HypothesisPosterior.of(columns / self.known.noise, field.residual / self.known.noise, f)
+        index = np.concatenate([np.arange(f), *(f + self.known.of(i).columns for i in chosen)])
+        sizes = [np.full(len(self.known.of(i).columns), self.known.sizes[i]) for i in chosen]
+        scale = np.concatenate([np.ones(f), *sizes]) / self.known.noise
+        matrix = field.products[np.ix_(index, index)] * np.outer(scale, scale)
+        vector = (field.residual @ field.wide)[index] * scale / self.known.noise
+        return HypothesisPosterior.from_products(matrix, vector, f)
 
     def table(self, offers: tuple[Offer, ...]) -> OfferTable:
         there, k = self._at(offers), len(offers)

@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg import cholesky
+from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dtrtri
 
 from calibration_core.timeseries import Float1D, Float2D, Int1D
@@ -34,7 +35,7 @@ FLATTEST = 0.02  # curvature, nats: a size of which the data say nothing moves l
 PRECISION, LEAST_SHARE = 1e-6, 0.1  # nats; share of what is expected of a step that it must reach
 JITTER = 1e-9  # of the diagonal: what projecting out loses in digits
 WIDE = 96  # columns of a block from which on its eigenvectors are kept
-BESIDE = 3  # times as wide as what stands beside it a block must be, for them to be of use
+BESIDE = 3  # times as wide as what stands beside it a block must be, for them to be of use at many sizes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -84,7 +85,7 @@ def price(size: Float1D) -> Float1D:
 
 
 def basis_serves(width: int, others: int) -> bool:
-    """Say whether the eigenvectors of a block of some width are of use beside some other columns."""
+    """Say whether the eigenvectors of a block of some width are of use at many sizes beside some other columns."""
     return width >= max(WIDE, BESIDE * others)
 
 
@@ -254,7 +255,8 @@ class _Arrow:
         wide = variance + size**2 * self.own
         shared = size[:, None] * self.beside * few
         through = shared / wide[:, None]
-        lower, root = _factor(variance * np.eye(len(few)) + few[:, None] * self.others * few - shared.T @ through)
+        half = shared / np.sqrt(wide)[:, None]
+        lower, root = _factor(variance * np.eye(len(few)) + few[:, None] * self.others * few - half.T @ half)
 
         def solve(right: Float2D) -> Float2D:
             own, others = right[self.order[:w]], right[self.order[w:]]
@@ -263,7 +265,7 @@ class _Arrow:
             solved[self.order] = np.concatenate([own / wide[:, None] - through @ of_others, of_others])
             return solved
 
-        back = through @ root.T
+        back = np.asarray(dtrmm(1.0, root, through, side=1, lower=1, trans_a=1))
         diagonal, right = np.empty(len(d)), np.empty(len(d))
         diagonal[self.order] = np.concatenate(
             [1 / wide + np.einsum("wa,wa->w", back, back), np.einsum("ij,ij->j", root, root)]
@@ -278,7 +280,7 @@ def _inner(gram: Gram, blocks: Sequence[Int1D]) -> _Dense | _Arrow:
     members = np.concatenate(blocks)
     widest = max(range(len(blocks)), key=lambda k: len(blocks[k]))
     w = len(blocks[widest])
-    if not basis_serves(w, len(members) - w):
+    if w < WIDE:
         matrix = gram.matrix[np.ix_(members, members)]
         return _Dense(matrix + JITTER * np.diag(np.diag(matrix)), gram.vector[members])
     own, turn = gram.basis(blocks[widest])
