@@ -159,13 +159,15 @@ class Comparisons:
         at = self.sizes(accepted)
         nats, own, left = self.score(accepted, index)
         sizes = Sizes(at.variance * left, np.append(at.size, own) * np.sqrt(left), float("nan"))
-        columns = self.field.columns((index,))
-        before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
-        if self.demands.by_density:
-            several = before.scores(sizes.variance), before.scores(sizes.variance, columns, ridge)
-            return Trial(self.field, accepted, index, sizes, nats, *several)
-        after = self.field.in_blocks(before.beside(columns, ridge))
-        return Trial(self.field, accepted, index, sizes, nats, self.squares(accepted), after)
+
+        def squares() -> tuple[list[Float1D], list[Float1D]]:
+            columns = self.field.columns((index,))
+            before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
+            if self.demands.by_density:
+                return before.scores(sizes.variance), before.scores(sizes.variance, columns, ridge)
+            return self.squares(accepted), self.field.in_blocks(before.beside(columns, ridge))
+
+        return Trial(self.field, accepted, index, sizes, nats, squares)
 
     def _start(self, accepted: Accepted) -> Sizes | None:
         """Return sizes to begin with: those of a fit with most of the same hypotheses, and what suits the new ones."""

@@ -60,7 +60,7 @@ class Controls:
             columns = np.pad(columns, ((0, len(trial.field.residual) - len(columns)), (0, 0)))
             ridge = np.full(columns.shape[1], trial.sizes.variance / float(trial.sizes.size[-1]) ** 2)
             other = trial.field.in_blocks(model.beside(columns, ridge))
-            for before, true, false in zip(trial.before, trial.after, other, strict=True):
+            for before, true, false in zip(*trial.left_out, other, strict=True):
                 kept = (before - false).sum() / max((before - true).sum(), 1e-12)
                 if kept > COLLAPSED:
                     return f"{100 * kept:.0f} % of its gain remains with gravity turned by 90 degrees"

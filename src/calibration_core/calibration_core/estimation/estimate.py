@@ -241,7 +241,7 @@ def partitions_of(model: NullModel, rows: np.ndarray, counts: dict[str, int]) ->
     """
     configuration, q = model.readings.configuration[rows], model.readings.q[rows]
     found = time_blocks(configuration, counts["time"]), posture_blocks(q, configuration, counts["posture"])
-    loaded = loaded_configurations(model.readings)
+    loaded = loaded_configurations(model.readings) if model.fitted_compliances else ()
     if len(loaded) >= LEFT_OUT or not model.fitted_compliances:
         return found
     stay = np.isin(configuration, loaded)

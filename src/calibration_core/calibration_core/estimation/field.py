@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -137,7 +137,8 @@ class Trial:
         index: The hypothesis.
         sizes: Of all of them, its own last.
         gain: Of the hypothesis beside the others, nats.
-        before, after: Squares of blocks left out, or -2 v times their log densities, per partition, (b,).
+        squares: Returns squares of blocks left out, or -2 v times their log densities, per partition, (b,), without the
+            hypothesis and with it; they cost more than everything else, and not every question needs them.
     """
 
     field: Field
@@ -145,8 +146,12 @@ class Trial:
     index: int
     sizes: Sizes
     gain: float
-    before: list[Float1D]
-    after: list[Float1D]
+    squares: Callable[[], tuple[list[Float1D], list[Float1D]]]
+
+    @functools.cached_property
+    def left_out(self) -> tuple[list[Float1D], list[Float1D]]:
+        """What `squares` returns."""
+        return self.squares()
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -156,7 +161,7 @@ class Trial:
     @property
     def proofs(self) -> tuple[Proof, ...]:
         """What blocks left out say, per partition."""
-        pairs = zip(self.before, self.after, strict=True)
+        pairs = zip(*self.left_out, strict=True)
         return tuple(proof(one, other, self.sizes.variance) for one, other in pairs)
 
     @property

@@ -56,9 +56,10 @@ def what_remains(found: Estimate, readings: Readings, claimed: float) -> Rest:
     freedom = max(3 * int(used.sum()) - extended.flat, 1)
     shared = extended.whitening.shared
     seen = claimed * float(np.sqrt(extended.variance * (1 + shared**2)))
-    length = np.linalg.norm(extended.left, axis=1) * used
-    numbers = np.unique(readings.configuration).tolist()
-    per = {n: float(np.sqrt(np.mean(length[readings.configuration == n] ** 2) / 3)) for n in numbers}
+    squares = np.sum(extended.left**2, axis=1) * used
+    numbers, index = np.unique(readings.configuration, return_inverse=True)
+    mean = np.bincount(index.reshape(-1), squares) / np.bincount(index.reshape(-1))
+    per = dict(zip(numbers.tolist(), np.sqrt(mean / 3).tolist(), strict=True))
     rest = against_noise(seen, freedom, *noise_floor(readings, used, claimed, shared), per)
     if not rest.significant:
         return rest
