@@ -93,7 +93,9 @@ def _clusters(features: Float2D, count: int) -> Int1D:
     label = np.zeros(len(features), dtype=np.int64)
     for _ in range(ITERATIONS):
         nearest = cKDTree(centres).query(features)[1]
-        label = np.unique(nearest, return_inverse=True)[1].reshape(-1).astype(np.int64)
+        before, label = label, np.unique(nearest, return_inverse=True)[1].reshape(-1).astype(np.int64)
+        if np.array_equal(label, before):
+            break
         sizes = np.bincount(label)
         centres = np.stack([np.bincount(label, column) / sizes for column in features.T], axis=1)
     return label

@@ -109,7 +109,7 @@ class Field:
 
     def columns(self, accepted: Accepted) -> Float2D:
         """Return the whitened columns of hypotheses, (r, k)."""
-        return self.wide[:, self._places(accepted)]
+        return self.wide.take(self._places(accepted), axis=1)
 
     def _places(self, accepted: Accepted) -> Int1D:
         return self.flat_count + np.concatenate([np.zeros(0, dtype=np.int64), *self.blocks(accepted)])
@@ -119,8 +119,8 @@ class Field:
         t = np.repeat(sizes.size, [len(block) for block in self.blocks(accepted)])
         index = np.concatenate([np.arange(self.flat_count), self._places(accepted)])
         ridge = np.concatenate([np.zeros(self.flat_count), sizes.variance / t**2])
-        products = self.products[np.ix_(index, index)]
-        return LeftOut(self.wide[:, index], self.residual, self.partitions, ridge, products)
+        products = self.products[index].take(index, axis=1)
+        return LeftOut(self.wide.take(index, axis=1), self.residual, self.partitions, ridge, products)
 
     def in_blocks(self, errors: Sequence[Float1D]) -> list[Float1D]:
         """Return per partition the squares of blocks left out, (b,)."""

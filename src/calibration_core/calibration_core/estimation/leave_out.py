@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.linalg.blas import dtrmm
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
 from calibration_core.estimation.blocks import STAYS, Blocks, rows_of
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
@@ -117,6 +118,7 @@ class LeftOut:
         residual: (r,).
         columns: (r, p) of length about one.
         ridge: (p,) prior precision times the noise variance.
+        products: (p, p) of the columns.
         half: (p, r) (X'X + R)^(-1/2) X'.
         left: (r,) what the model leaves, nothing left out.
         blocks: Per partition.
@@ -130,11 +132,14 @@ class LeftOut:
         ridge: Float1D,
         products: Float2D | None = None,
     ) -> None:
-        products = columns.T @ columns if products is None else products
-        lower = cholesky(products + np.diag(RIDGE + ridge), lower=True, overwrite_a=True)
+        self.products = columns.T @ columns if products is None else products
         self.partitions, self.residual = tuple(partitions), residual
         self.columns, self.ridge = columns, ridge
-        self.half = solve_triangular(lower, columns.T, lower=True)
+        normal = self.products.copy()
+        normal[np.diag_indices_from(normal)] += RIDGE + ridge
+        lower = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
+        root, _ = dtrtri(lower, lower=True, overwrite_c=True)  # the inverse: a product with it is quicker than solving
+        self.half = np.asarray(dtrmm(1.0, root, columns.T, lower=1), dtype=np.float64)
         self.left = residual - (self.half @ residual) @ self.half
         self.blocks: list[list[_Block]] = []
         for partition in self.partitions:
@@ -190,7 +195,10 @@ class LeftOut:
 
     def _with(self, columns: Float2D, ridge: Float1D) -> LeftOut:
         both, precision = np.concatenate([self.columns, columns], axis=1), np.concatenate([self.ridge, ridge])
-        return LeftOut(both, self.residual, self.partitions, precision)
+        across, own = self.columns.T @ columns, columns.T @ columns
+        return LeftOut(
+            both, self.residual, self.partitions, precision, np.block([[self.products, across], [across.T, own]])
+        )
 
     def _more(self, columns: Float2D, ridge: Float1D) -> tuple[Float2D, Float1D]:
         """Return what further columns add to `half`, (k, r), and what is left beside them, (r,)."""

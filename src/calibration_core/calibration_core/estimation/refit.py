@@ -190,12 +190,12 @@ def refit(
     turn = 0
     while True:
         turn += 1
+        linear = linear if linear is not None and linear.serves(model) else None  # its memory is taken again
         linear, residual = Linear.at(model, whitening, [part.candidate for part in parts], linear)
-        own, white = linear.own, linear.white
-        residual = residual - own.effects @ (value - held)
+        residual = residual - linear.own.effects @ (value - held)
         rest = whitening(residual[:, None])[:, 0]
         kept = np.where(fitted, rest, 0.0)
-        normal, right, square = linear.normal(aside), white.against(kept), float(kept @ kept)
+        normal, right, square = linear.normal(aside), linear.white.against(kept), float(kept @ kept)
         length = np.sqrt(np.where(np.diag(normal) > 0, np.diag(normal), 1.0))
         normal, right = normal / np.outer(length, length), right / length
         variance = square / max(count - f, 1)
@@ -219,12 +219,12 @@ def refit(
         model = model.at(_sagging(parameters, parts, value))
         held = _held(model, parts)
     value = value + step[f:]
-    residual = residual - own.moved(step)
-    rest = residual if own is white else rest - white.moved(step)
+    residual = residual - linear.own.moved(step)
+    rest = residual if linear.own is linear.white else rest - linear.white.moved(step)
     kept = np.where(fitted, rest, 0.0)
     variance = float(kept @ kept) / max(count - settled.effective, 1.0)
     covariance = variance * (inverse - RIDGE * (inverse @ inverse.T))
-    covariance = _widened(covariance, inverse / length, white, kept, partition) / np.outer(length, length)
+    covariance = _widened(covariance, inverse / length, linear.white, kept, partition) / np.outer(length, length)
     fixed = np.concatenate([np.zeros((len(allowed.held), f)), allowed.held], axis=1)
     return Extended(
         model, whitening, tuple(parts), value, held, covariance, linear, length, residual, normal, rest, ridge,

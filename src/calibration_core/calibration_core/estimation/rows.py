@@ -113,7 +113,7 @@ class Columns:
 
     def against(self, values: FloatND) -> FloatND:
         """Return the columns' products, (f + p,) or (f + p, k), with rows, (3 m,) or (3 m, k)."""
-        return np.concatenate([self.flat.T @ values, self.effects.T @ values])
+        return np.concatenate([(values.T @ self.flat).T, (values.T @ self.effects).T])  # so the large one is read once
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -145,18 +145,23 @@ class Linear:
             model: The null model.
             whitening: Of all readings.
             candidates: The effects.
-            known: The same about another model; None: not known.
+            known: The same about another model, if it serves here; None: not known.
         """
         everything, compliance = np.arange(len(model.readings)), model.parameters.compliance
         flat, residual = model.flat(everything)
         white_flat = whitening(flat)
-        if known is not None and not np.any(np.abs(compliance - known.compliance) > STAY * known.compliance):
+        if known is not None:
             own = Columns(flat, known.own.effects)
             white = own if white_flat is flat else Columns(white_flat, known.white.effects)
             return Linear(known.compliance, own, white, known.products), residual
         own = Columns(flat, model.moves(candidates, everything))
         white = own if white_flat is flat else Columns(white_flat, whitening(own.effects))
         return Linear(compliance, own, white, white.effects.T @ white.effects), residual
+
+    def serves(self, model: NullModel) -> bool:
+        """Say whether the columns of effects are good about another model."""
+        change = np.abs(model.parameters.compliance - self.compliance)
+        return not np.any(change > STAY * self.compliance)
 
     def normal(self, aside: Int1D) -> Float2D:
         """Return the products of all columns, (f + p, f + p), without some rows, which are few."""

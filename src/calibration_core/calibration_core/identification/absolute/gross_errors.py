@@ -31,6 +31,7 @@ MAX_SHARE = 0.02  # never more than this share of the readings
 RETURN = 0.5  # an excluded reading is taken back below this share of the threshold (of squares)
 LEVERAGE = 0.05  # readings whose own leverage leaves less than this of a direction cannot be judged
 ROUNDS = 5
+Linearised = tuple[Float3D, Float2D]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -76,38 +77,38 @@ def reject_gross_errors(
     """
     budget = max(1, int(MAX_SHARE * len(problem)))
     used = used | protected
-    result, squared, threshold = _judge(problem, start, terms, used)
+    result, squared, threshold, linear = _judge(problem, start, terms, used)
     for _ in range(ROUNDS):
-        found = _exclude(problem, result, used, protected, budget)
+        found = _exclude(linear, result, used, protected, budget)
         back = ~used & (squared < RETURN * threshold)
         if not found.any() and not back.any():
             break
         used = (used & ~found) | back
-        result, squared, threshold = _judge(problem, result.parameters, terms, used)
+        result, squared, threshold, linear = _judge(problem, result.parameters, terms, used)
     return GrossErrorRejection(result, used, squared, threshold, full=int(np.sum(~used)) >= budget)
 
 
 def _judge(
     problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term], used: Bool1D
-) -> tuple[GeometryFit, Float1D, float]:
-    """Fit the readings used and judge all of them."""
+) -> tuple[GeometryFit, Float1D, float, Linearised]:
+    """Fit the readings used and judge all of them; return what they are linear in, too."""
     result = fit(problem.select(np.flatnonzero(used)), start, terms)
     columns, residual = _linearised(problem, result)
     squared = np.empty(len(problem))
     squared[used] = _deletion(columns[:, :, used], residual[:, used], result.normal, sign=-1.0)
     squared[~used] = _deletion(columns[:, :, ~used], residual[:, ~used], result.normal, sign=1.0)
-    return result, squared, _threshold(squared[used], len(problem), result.freedom)
+    return result, squared, _threshold(squared[used], len(problem), result.freedom), (columns, residual)
 
 
-def _exclude(problem: AbsoluteProblem, result: GeometryFit, used: Bool1D, protected: Bool1D, budget: int) -> Bool1D:
+def _exclude(linear: Linearised, result: GeometryFit, used: Bool1D, protected: Bool1D, budget: int) -> Bool1D:
     """Return the readings to exclude, found one at a time in the problem linearised at `result`."""
-    columns, residual = _linearised(problem, result)
+    columns, residual = linear
     normal, left, e = result.normal, used.copy(), residual
-    found = np.zeros(len(problem), dtype=bool)
+    found = np.zeros(len(used), dtype=bool)
     lower = lower_steps(result.terms, result.parameters)
     while int(np.sum(~left)) < budget:
         squared = np.where(left, _deletion(columns, e, normal, sign=-1.0), 0.0)
-        threshold = _threshold(squared[left], len(problem), 3 * normal.readings - len(normal.gradient))
+        threshold = _threshold(squared[left], len(left), 3 * normal.readings - len(normal.gradient))
         worst = int(np.argmax(np.where(protected, 0.0, squared)))
         if protected[worst] or squared[worst] <= threshold:
             break
@@ -123,7 +124,7 @@ def _exclude(problem: AbsoluteProblem, result: GeometryFit, used: Bool1D, protec
     return found
 
 
-def _linearised(problem: AbsoluteProblem, result: GeometryFit) -> tuple[Float3D, Float2D]:
+def _linearised(problem: AbsoluteProblem, result: GeometryFit) -> Linearised:
     """Return fully whitened columns (p, 3, m) and residuals (3, m)."""
     parts = [whitened(block, result.parameters, result.terms) for block in problem.blocks()]
     weight = problem.whitening if isinstance(problem.whitening, float) else 1.0
