@@ -86,9 +86,13 @@ class NullModel:
         result = np.empty((3 * len(rows), last + sum(len(one.parameters) for one in candidates)))
         if before is not None:
             result[:, :last] = before
+        some = self.state if every else self.state.of_rows(rows)
+
+        def columns(one: Candidate) -> Float3D:
+            return one.columns(some) if every or one.row_by_row else one.columns(self.state)[rows]
+
         for k in range(0, len(candidates), TOGETHER):
-            movements = [one.columns(self.state) for one in candidates[k : k + TOGETHER]]
-            several = np.concatenate(movements if every else [one[rows] for one in movements], axis=2)
+            several = np.concatenate([columns(one) for one in candidates[k : k + TOGETHER]], axis=2)
             first, last = last, last + several.shape[2]
             result[:, first:last] = weighted(part, self.parameters, several)
         return result

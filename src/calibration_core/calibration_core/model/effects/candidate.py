@@ -58,6 +58,7 @@ class Candidate:
         chances: State -> (m, 3, c) m, movements per standard deviation of what is a matter of chance in each
             configuration and no property of the robot, for example where friction stood on arrival; None: nothing is.
             Candidates with the same function share them.
+        row_by_row: Whether a reading's movement depends on its own joint angles and levers alone (`State.of_rows`).
     """
 
     effect: str
@@ -67,6 +68,7 @@ class Candidate:
     parameters: tuple[Parameter, ...]
     columns: Callable[[State], Float3D]
     chances: Callable[[State], Float3D] | None = None
+    row_by_row: bool = False
 
     def __post_init__(self) -> None:
         """Freeze the location."""

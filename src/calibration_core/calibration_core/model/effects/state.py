@@ -113,6 +113,10 @@ class State:
         """Whether any external load acts."""
         return bool(np.any(self.force) or np.any(self.moment))
 
+    def of_rows(self, rows: Int1D) -> State:
+        """Return joint angles and levers of some readings; all else is left as it is, of all readings."""
+        return dataclasses.replace(self, q=self.q[rows], answer=np.ascontiguousarray(self.answer[:, :, rows]))
+
     def place(self, joint: int, *, other_end: bool = False) -> Float2D:
         """Return the (3, m) m where the frame before a joint stands, or the other end of the joint's axis."""
         return self.at.origin[joint] + self._beyond(joint, other_end=other_end)

@@ -51,7 +51,8 @@ def harmonic(joint: int, name: str, order: int, rated_load: float) -> Candidate:
     size = typical("transmission_error", rated_load)
     parameters = (Parameter("sine", "rad", size), Parameter("cosine", "rad", size))
     columns = partial(_columns, joint=joint, order=order)
-    return Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant_of(order), parameters, columns)
+    place = {"joint": name}
+    return Candidate(EFFECT.name, EFFECT.family, place, variant_of(order), parameters, columns, row_by_row=True)
 
 
 def variant_of(order: int) -> str:
