@@ -19,6 +19,7 @@ from calibration_core.model.effects.words import listed_location
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 WAVE, SAG = "transmission_error", "joint_elasticity"
+LAW = "joint law"  # family
 SINGLE_ORDERS = 64  # of transmission errors, offered one by one
 BANDS = ((1, 4), (1, 8), (1, 16), (1, 32), (33, 64))  # orders of transmissions that share one size
 ALL = "all"

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from calibration_core.estimation.comparisons import POSITIONS, Comparisons, Demands
 from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
+from calibration_core.estimation.hypotheses import LAW
 from calibration_core.estimation.leave_out import LEAST_NATS, Proof
 from calibration_core.estimation.likelihood.gains import chance_gain
 from calibration_core.estimation.likelihood.restricted import Sizes
@@ -291,18 +292,41 @@ class Search(Comparisons):
         """Return which of hypotheses that are as probable predicts blocks left out best; the first passes.
 
         Where blocks are few they do not distinguish: it is the one that is most probable were its size a usual one.
+        So it is with the laws of a joint, of whose shape a few steps tell, wherever they are left out.
         Of hypotheses that are equal in this the one with the fewest parameters comes first: a further parameter, of
         which the recording shows nothing, leaves the likelihood as it was.
         """
-        if self.demands.by_density:
-            fits = self.fitted(accepted)
-            worth = {i: likelihood_at(fits, self.field.blocks((i,))[0], WIDE) for i in close if len(close) > 1}
+        if len(close) == 1:
+            return close[0]
+        if self.field.offered.hypotheses[close[0]].family == LAW:
+            worth = self._most_probable_law(accepted, close)
+        elif self.demands.by_density:
+            worth = self._usual(accepted, close)
         else:
-            worth = {i: min(one.share for one in self.trial(accepted, i).proofs) for i in close if len(close) > 1}
+            worth = {i: min(one.share for one in self.trial(accepted, i).proofs) for i in close}
         for index in sorted(worth, key=lambda i: (-round(worth[i], DIGITS), len(self.field.blocks((i,))[0]))):
             if index == close[0] or self._passes(accepted, index):
                 return index
         return close[0]
+
+    def _usual(self, accepted: Accepted, several: Sequence[int]) -> dict[int, float]:
+        """Return the log likelihood of hypotheses were their sizes usual ones, nats."""
+        fits = self.fitted(accepted)
+        return {i: likelihood_at(fits, self.field.blocks((i,))[0], WIDE) for i in several}
+
+    def _most_probable_law(self, accepted: Accepted, close: list[int]) -> dict[int, float]:
+        """Return the forms of that law of a joint which is most probable, with their log likelihoods, nats.
+
+        A law is as probable as its forms are on average (MacKay 1992): one that is offered in many shapes, or with
+        many parameters, comes near to any other.
+        """
+        hypotheses, laws = self.field.offered.hypotheses, dict[object, list[int]]()
+        for i in self.judged:
+            if hypotheses[i].family == LAW and hypotheses[i].location == hypotheses[close[0]].location:
+                laws.setdefault(hypotheses[i].place, []).append(i)
+        asked = {hypotheses[i].place for i in close} & set(laws)
+        nats = {place: self._usual(accepted, laws[place]) for place in asked}
+        return max(nats.values(), key=lambda forms: np.logaddexp.reduce(list(forms.values())) - math.log(len(forms)))
 
     def _passes(self, accepted: Accepted, index: int) -> bool:
         trial = self.trial(accepted, index)

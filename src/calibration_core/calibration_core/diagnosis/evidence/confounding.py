@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from calibration_core.estimation.hypotheses import LAW
 from calibration_core.model.effects.candidate import Candidate, link_name
 
 TOOL = 1 << 20  # beyond the last joint
 MEMORY = frozenset({"hysteresis", "creep"})
-LAW = "joint law"
 DRIFTS = frozenset({"tracker_drift", "wrench_drift"})
 
 

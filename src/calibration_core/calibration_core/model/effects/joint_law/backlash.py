@@ -18,7 +18,7 @@ from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
-WIDTHS = (0.003, 0.02, 0.04)  # of the largest torque
+WIDTHS = (0.003, 0.02, 0.04, 0.06)  # of the largest torque
 
 
 def _columns(state: State, joint: int, of: str, width: float) -> Float3D:
