@@ -10,8 +10,9 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.model.chain import Chain, pose_matrix
 from calibration_core.model.effects import catalogue
-from calibration_core.model.effects.applied import REFERENCE, restored
+from calibration_core.model.effects.applied import REFERENCE, restored, side_springs
 from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.side_torques import with_side_torques
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import cross, turned
@@ -193,6 +194,8 @@ def parts_of(
     for number in np.unique(conditions.path):
         rows = np.flatnonzero(conditions.path == number)
         states = tuple(_states(robot, q, load, rest, conditions, rows, turns=turns))
+        springs = side_springs(robot.parameters.effects, states[0])
+        states = tuple(with_side_torques(state, springs) for state in states)
         effects = tuple(_applying(robot.parameters.effects, states[0], ordered=bool(number >= 0)))
         yield LocalEffects(rows, states, effects)
 

@@ -26,6 +26,7 @@ from calibration_core.model.effects.structure.gravity_compensator import (
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 SPRING = "gravity_compensator"
+LIKE_SPRING = frozenset({SPRING, WAVE, "pose_dependent_stiffness"})  # which imitate a spring of another shape
 REACH = 30.0  # degrees about the offered anchor
 LEAST, MOST = 0.05, 0.9  # of flatness and preload
 SCALE = (5.0, 0.1, 0.1)  # of anchor, flatness and preload
@@ -51,7 +52,7 @@ def fit_compensator_geometry(
         near = [
             i
             for i in accepted
-            if hypotheses[i].effect in {SPRING, WAVE} and hypotheses[i].location.get("joint") == name
+            if hypotheses[i].effect in LIKE_SPRING and hypotheses[i].location.get("joint") == name
         ]
         if near and any(c.effect == SPRING and c.location["joint"] == name for c in field.offered.candidates):
             others = tuple(i for i in accepted if i not in near)

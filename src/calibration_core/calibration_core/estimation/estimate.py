@@ -34,6 +34,8 @@ from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
 
+ROUNDS = 3  # searches about what was found, at most
+STANDS = 0.01  # of the largest torque of a joint: less changes nothing else
 SEARCH_BLOCKS = {"time": 15, "posture": 15}
 COVARIANCE_BLOCKS = 40
 LEFT_OUT = 3  # configurations under load from which on they are left out like others
@@ -142,23 +144,37 @@ def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tup
 
 
 def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
-    """Search, and once more about the solution where the robot sags enough to change what everything else does.
+    """Search, and once more about the solution where it changes what everything else does.
 
     Args:
         model: What is fitted before any hypothesis.
-        known: What was found with other terms or readings; the search begins about it where the robot sags in it.
+        known: What was found with other terms or readings; where it changes what everything else does, the search
+            begins about it.
     """
-    if known is None or not _sags(known):
+    if known is None or not _bends(known):
         known = _search(model)
-        if not _sags(known):
-            return known
-    return _search(dataclasses.replace(known.extended.model, terms=model.terms, used=model.used))
+    for _ in range(ROUNDS):
+        if not _bends(known):
+            break
+        before, known = known, _search(dataclasses.replace(known.extended.model, terms=model.terms, used=model.used))
+        if _stands(before, known):
+            break
+    return known
 
 
-def _sags(found: Estimate) -> bool:
-    """Say whether compliances were found, that the null model does not fit."""
+def _stands(before: Estimate, after: Estimate) -> bool:
+    """Say whether the same was found again, and joints carry what they did."""
+    places = [{part.candidate.place for part in found.extended.parts} for found in (before, after)]
+    was, carried = (found.extended.model.state.torque for found in (before, after))
+    moved = np.abs(carried - was) > STANDS * np.abs(carried).max(axis=1, keepdims=True)
+    return places[0] == places[1] and not moved.any()
+
+
+def _bends(found: Estimate) -> bool:
+    """Say whether compliances were found, that the null model does not fit, or springs that unload joints."""
     model = found.extended.model
-    return not model.fitted_compliances and bool(np.any(model.parameters.compliance))
+    sags = not model.fitted_compliances and bool(np.any(model.parameters.compliance))
+    return sags or bool(model.springs)
 
 
 def _search(model: NullModel) -> Estimate:
@@ -166,9 +182,11 @@ def _search(model: NullModel) -> Estimate:
     covariance_blocks = time_blocks(readings.configuration, COVARIANCE_BLOCKS)
     everything = np.arange(len(readings))
     null = refit(_rigid(model), whiten(strata_of(model, everything), 0.0, 2.0), (), covariance_blocks)
-    if model.fitted_compliances or not np.any(model.parameters.compliance):
+    if not model.springs and (model.fitted_compliances or not np.any(model.parameters.compliance)):
         model = null.model
     catalogue = physics(null.model.state, sag=not model.fitted_compliances)
+    own = {one.key for one in catalogue}
+    catalogue = (*(one for one, _ in model.springs if one.key not in own), *catalogue)
     field, whitening = _field(model, offer((*catalogue, *shifts(readings))), None)
     control = controls(model, sample_rows(model), whitening)
     search = Search(field, control)
@@ -199,8 +217,8 @@ def _search(model: NullModel) -> Estimate:
 def _rigid(model: NullModel) -> NullModel:
     """Return the null model itself, where compliances are in question."""
     if model.fitted_compliances or not np.any(model.parameters.compliance):
-        return model
-    return model.at(model.parameters.replace(compliance=np.zeros_like(model.parameters.compliance)))
+        return model.at(model.parameters, ()) if model.springs else model
+    return model.at(model.parameters.replace(compliance=np.zeros_like(model.parameters.compliance)), ())
 
 
 def _find(offered: Offered, one: Hypothesis) -> int:

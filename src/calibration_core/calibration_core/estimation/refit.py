@@ -27,6 +27,7 @@ from calibration_core.identification.geometry.fit import moved
 from calibration_core.identification.geometry.terms import names_of
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.possible import nearest
+from calibration_core.model.effects.side_torques import Acting, acting, with_side_torques
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
@@ -137,7 +138,7 @@ class Extended:
 
     def shift(self, state: State, chosen: Sequence[int]) -> Float2D:
         """Return the (m, 3) m that some parts move the points of any state beyond what the compliances do."""
-        total = np.zeros((state.m, 3))
+        total, state = np.zeros((state.m, 3)), with_side_torques(state, _springs(self.parts, self.value))
         for index in chosen:
             block = self.block(index)
             total += self.parts[index].candidate.columns(state) @ (self.value[block] - self.held[block])
@@ -216,7 +217,7 @@ def refit(
         value = value + step[f:]
         parameters = moved(model.parameters, model.terms, step[:n])
         parameters = _softened(parameters, model.fitted_compliances, step[n:f], model.believed)
-        model = model.at(_sagging(parameters, parts, value))
+        model = model.at(_sagging(parameters, parts, value), _springs(parts, value))
         held = _held(model, parts)
     value = value + step[f:]
     residual = residual - linear.own.moved(step)
@@ -277,6 +278,12 @@ def _settled(
         variance = max(left, 0.0) / max(count - effective, 1.0)
         if turn == SETTLING:
             return _Settled(ridge, root, change, effective, variance)
+
+
+def _springs(parts: Sequence[Part], value: Float1D) -> Acting:
+    """Return the parts that act on joints, with their parameters, (p,) of all parts."""
+    ends = list(itertools.accumulate((len(part.candidate.parameters) for part in parts), initial=0))
+    return acting([part.candidate for part in parts], [value[a:b] for a, b in itertools.pairwise(ends)])
 
 
 def _beside(normal: Float2D, right: Float1D, effects: Float1D) -> Float1D:

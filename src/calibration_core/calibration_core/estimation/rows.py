@@ -17,6 +17,7 @@ from calibration_core.identification.geometry.fit import AbsoluteProblem
 from calibration_core.identification.geometry.terms import Term, columns_of
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.recorded_state import recorded_state
+from calibration_core.model.effects.side_torques import Acting, with_side_torques
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, FloatND, Int1D, Readings
@@ -40,6 +41,7 @@ class NullModel:
         state: What effects depend on, for all readings.
         used: (m,) readings that may be fitted.
         believed: (n,) compliances before anything was fitted here, rad/(N*m).
+        springs: What was found beside joints, whose torques everything else is linear about.
     """
 
     readings: Readings
@@ -51,11 +53,13 @@ class NullModel:
     state: State
     used: Bool1D
     believed: Float1D
+    springs: Acting = ()
 
-    def at(self, parameters: ModelParameters) -> NullModel:
-        """Return the same model, linear about other parameters."""
-        state = state_at(self.problem, parameters, self.readings, self.cell)
-        return dataclasses.replace(self, parameters=parameters, state=state)
+    def at(self, parameters: ModelParameters, springs: Acting | None = None) -> NullModel:
+        """Return the same model, linear about other parameters, and other springs beside joints (None: the same)."""
+        springs = self.springs if springs is None else springs
+        state = with_side_torques(state_at(self.problem, parameters, self.readings, self.cell), springs)
+        return dataclasses.replace(self, parameters=parameters, state=state, springs=springs)
 
     @property
     def begun(self) -> NullModel:
@@ -128,13 +132,13 @@ class Linear:
     do: by what frames and geometry are corrected they change in the fourth digit.
 
     Attributes:
-        compliance: (n,) at which those of the effects were written, rad/(N*m).
+        model: About which those of the effects were written.
         own: In units of the claimed noise.
         white: The same as independent rows; the same object where the rows are independent as they are.
         products: (p, p) of the effects in `white`, over all readings.
     """
 
-    compliance: Float1D
+    model: NullModel
     own: Columns
     white: Columns
     products: Float2D
@@ -151,21 +155,26 @@ class Linear:
             candidates: The effects.
             known: The same about another model, if it serves here; None: not known.
         """
-        everything, compliance = np.arange(len(model.readings)), model.parameters.compliance
+        everything = np.arange(len(model.readings))
         flat, residual = model.flat(everything)
         white_flat = whitening(flat)
         if known is not None:
             own = Columns(flat, known.own.effects)
             white = own if white_flat is flat else Columns(white_flat, known.white.effects)
-            return Linear(known.compliance, own, white, known.products), residual
+            return Linear(known.model, own, white, known.products), residual
         own = Columns(flat, model.moves(candidates, everything))
         white = own if white_flat is flat else Columns(white_flat, whitening(own.effects))
-        return Linear(compliance, own, white, white.effects.T @ white.effects), residual
+        return Linear(model, own, white, white.effects.T @ white.effects), residual
 
     def serves(self, model: NullModel) -> bool:
-        """Say whether the columns of effects are good about another model."""
-        change = np.abs(model.parameters.compliance - self.compliance)
-        return not np.any(change > STAY * self.compliance)
+        """Say whether the columns of effects are good about another model: compliances, and what joints carry."""
+        old, new = self.model.parameters.compliance, model.parameters.compliance
+        if np.any(np.abs(new - old) > STAY * old):
+            return False
+        if not (self.model.springs or model.springs):
+            return True
+        before, torque = self.model.state.torque, model.state.torque
+        return not np.any(np.abs(torque - before) > STAY * np.abs(torque).max(axis=1, keepdims=True))
 
     def normal(self, aside: Int1D) -> Float2D:
         """Return the products of all columns, (f + p, f + p), without some rows, which are few."""

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from calibration_core.diagnosis.evidence.confounding import LAW
+from calibration_core.diagnosis.evidence.selection import CONFOUNDED_SHARE
 from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
@@ -22,6 +23,7 @@ from calibration_core.timeseries import Float1D, Float2D
 SEVERAL = 6  # terms that are listed one by one
 LOW = 8  # orders of waves that are a gear's, whatever else its joint does
 LAGGING, FROM_WHERE = frozenset({"hysteresis", "backlash"}), "approach_direction"
+SPRING, LEFT = "gravity_compensator", frozenset({"pose_dependent_stiffness", WAVE, FROM_WHERE})
 
 
 def position_findings(found: Estimate) -> tuple[Finding, ...]:
@@ -32,7 +34,7 @@ def position_findings(found: Estimate) -> tuple[Finding, ...]:
     places: dict[object, list[int]] = {}
     for index in physics:
         places.setdefault(_cause(hypotheses[index], lagging), []).append(index)
-    return by_size(_finding(found, members) for members in places.values())
+    return by_size(_finding(found, members) for members in _with_what_is_left(found, list(places.values())))
 
 
 def _cause(one: Hypothesis, lagging: Collection[object]) -> object:
@@ -50,6 +52,27 @@ def _cause(one: Hypothesis, lagging: Collection[object]) -> object:
     return one.place
 
 
+def _with_what_is_left(found: Estimate, groups: list[list[int]]) -> list[list[int]]:
+    """Join to the law of a joint, or to a spring beside it, what it leaves there because its shape is another.
+
+    Such a thing is far weaker than the law itself, as of loaded steps (`evidence/selection.py`).
+    """
+    hypotheses = found.offered.hypotheses
+    gained = dict(zip(found.selection.accepted, found.selection.gain, strict=True))
+    score = {tuple(group): sum(gained[i] for i in group) for group in groups}
+    hosts = [g for g in score if hypotheses[g[0]].family == LAW] + [g for g in score if hypotheses[g[0]].effect == SPRING]
+    joined: dict[tuple[int, ...], list[int]] = {group: list(group) for group in score}
+    for group in score:
+        one = hypotheses[group[0]]
+        if one.effect not in LEFT or one.everywhere:
+            continue
+        at_joint = [g for g in hosts if hypotheses[g[0]].location.get("joint") == one.location.get("joint")]
+        stronger = [g for g in at_joint if score[group] < CONFOUNDED_SHARE * score[g]]
+        if stronger:
+            joined[stronger[0]] += joined.pop(group)
+    return list(joined.values())
+
+
 def _finding(found: Estimate, members: list[int]) -> Finding:
     hypotheses, selection, extended = found.offered.hypotheses, found.selection, found.extended
     gained = dict(zip(selection.accepted, selection.gain, strict=True))
@@ -64,8 +87,8 @@ def _finding(found: Estimate, members: list[int]) -> Finding:
     as_well = [(hypotheses[i], nats) for i, nats in equivalents(found.search, found.selection, members)]
     listed = tuple(Alternative(h.effect, h.family, dict(h.location), nats) for h, nats in as_well)
     laws = [i for i in members if hypotheses[i].family == LAW]
-    waves = any(hypotheses[i].effect == WAVE for i in members)
-    settled = first.family != LAW or (len(laws) == 1 and not waves and not _other_law(found, laws[0]))
+    left = any(hypotheses[i].effect in LEFT - {FROM_WHERE} and hypotheses[i].place != first.place for i in members)
+    settled = not left and (first.family != LAW or (len(laws) == 1 and not _other_law(found, laws[0])))
     size = float(selection.sizes.size[selection.accepted.index(members[0])])
     unit = extended.parts[reported[0]].candidate.parameters[0]
     shared = FoundParameter("shared_size", size * unit.typical, 0.0, unit.unit)

@@ -10,11 +10,13 @@ import numpy as np
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.recordings import RECORDING, in_recording
+from calibration_core.model.effects.side_torques import Acting, acting, with_side_torques
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D
 
 RELATIVE = frozenset({"backlash", "hysteresis", "nonlinear_stiffness", "soft_zone"})  # to the largest torque
+SPRINGS = frozenset({"gravity_compensator"})  # beside joints
 REFERENCE = "reference_torque"
 
 
@@ -68,11 +70,26 @@ def applied_shift(effects: Sequence[AppliedEffect], state: State) -> Float2D:
         ValueError: As `restored`.
     """
     shift = np.zeros((state.m, 3))
+    state = with_side_torques(state, side_springs(effects, state))
     for effect in effects:
         own = state
         if REFERENCE in effect.parameters:
             own = dataclasses.replace(state, reference_torque=np.full((2, state.chain.n), effect.parameters[REFERENCE]))
-        candidate = restored(effect, state)
-        value = np.array([effect.parameters[p.name] for p in candidate.parameters])
+        candidate, value = _with_value(effect, state)
         shift += candidate.columns(own) @ value
     return shift
+
+
+def side_springs(effects: Sequence[AppliedEffect], state: State) -> Acting:
+    """Return the effects that act on joints with a torque, which laws of these joints feel.
+
+    Raises:
+        ValueError: As `restored`.
+    """
+    several = [_with_value(one, state) for one in effects if one.effect in SPRINGS]
+    return acting([candidate for candidate, _ in several], [value for _, value in several])
+
+
+def _with_value(effect: AppliedEffect, state: State) -> tuple[Candidate, Float1D]:
+    candidate = restored(effect, state)
+    return candidate, np.array([effect.parameters[p.name] for p in candidate.parameters])

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import AppliedEffect
-from calibration_core.timeseries import Float3D
+from calibration_core.timeseries import Float2D, Float3D
 
 
 def link_name(index: int) -> str:
@@ -59,6 +59,8 @@ class Candidate:
             configuration and no property of the robot, for example where friction stood on arrival; None: nothing is.
             Candidates with the same function share them.
         row_by_row: Whether a reading's movement depends on its own joint angles and levers alone (`State.of_rows`).
+        torques: State -> (m, k) N*m per unit of every parameter, with which it acts on its joint beside load and
+            weight; None: with none.
     """
 
     effect: str
@@ -69,6 +71,7 @@ class Candidate:
     columns: Callable[[State], Float3D]
     chances: Callable[[State], Float3D] | None = None
     row_by_row: bool = False
+    torques: Callable[[State], Float2D] | None = None
 
     def __post_init__(self) -> None:
         """Freeze the location."""

@@ -71,6 +71,7 @@ class State:
         reference_torque: (2, n) N*m, torque of the load, and with the weight, that laws relative to a largest torque
             refer to; None: the largest of these readings.
         setups: Of several recordings, how the instruments of each stood; None: one recording alone.
+        side_torque: (n, m) N*m, of springs beside the joints that were found; None: none were.
     """
 
     chain: Chain
@@ -97,6 +98,7 @@ class State:
     rated_load: float
     reference_torque: Float2D | None = None
     setups: SetUps | None = None
+    side_torque: Float2D | None = None
 
     @property
     def m(self) -> int:
@@ -105,8 +107,9 @@ class State:
 
     @functools.cached_property
     def torque(self) -> Float2D:
-        """(n, m) N*m, load and gravity."""
-        return self.load_torque + self.gravity_torque
+        """(n, m) N*m, load, gravity and springs beside the joints: what the joints carry."""
+        carried = self.load_torque + self.gravity_torque
+        return carried if self.side_torque is None else carried + self.side_torque
 
     @property
     def loaded(self) -> bool:

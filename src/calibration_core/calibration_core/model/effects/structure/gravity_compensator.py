@@ -25,7 +25,7 @@ from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.structure.pose_dependent_stiffness import modulated
 from calibration_core.model.parameters import AppliedEffect
-from calibration_core.timeseries import Float1D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 HALF = 0.5  # of the largest torque of the weight: a joint that bears less has no compensator
 ACROSS = 0.3  # cosine between a joint's axis and gravity, below which the joint stands across
@@ -89,8 +89,8 @@ def spring(state: State, joint: int, triangle: Triangle) -> Candidate:
     torque = typical("gravity_compensator_torque", state.rated_load)
     pair = (Parameter("torque", "N*m", torque), Parameter("torque_turned", "N*m", torque, reach=REACH))
     place = {"joint": state.chain.joints[joint]}
-    columns = partial(pull, joint=joint, triangle=stated)
-    return Candidate(EFFECT.name, EFFECT.family, place, stated.variant, pair, columns)
+    columns, torques = (partial(one, joint=joint, triangle=stated) for one in (pull, side_torques))
+    return Candidate(EFFECT.name, EFFECT.family, place, stated.variant, pair, columns, torques=torques)
 
 
 def spring_torque(angle: Float1D, flatness: float, preload: float) -> Float1D:
@@ -110,13 +110,17 @@ def _largest(flatness: float, preload: float) -> float:
 def pull(state: State, joint: int, triangle: Triangle) -> Float3D:
     """Return the movement per N*m, and what a turn of the anchor by `TURN` changes in it, (m, 3, 2)."""
     compliance = state.compliance[joint]
-    link = state.q[:, joint] + compliance * state.torque[joint]
+    return stacked(*(state.joint_column(joint, compliance * part) for part in side_torques(state, joint, triangle).T))
+
+
+def side_torques(state: State, joint: int, triangle: Triangle) -> Float2D:
+    """Return the torque beside a joint per N*m, and what a turn of the anchor by `TURN` changes in it, (m, 2)."""
+    link = state.q[:, joint] + state.compliance[joint] * state.torque[joint]
     beta = np.radians(triangle.anchor) - link
     torque, ahead, behind = (
         spring_torque(beta + turn, triangle.flatness, triangle.preload) for turn in (0.0, TURN, -TURN)
     )
-    turned = (ahead - behind) / 2
-    return stacked(*(state.joint_column(joint, compliance * part) for part in (torque, turned)))
+    return np.stack([torque, (ahead - behind) / 2], axis=1)
 
 
 def _restored(described: AppliedEffect, state: State) -> Candidate | None:
