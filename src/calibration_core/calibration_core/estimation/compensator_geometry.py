@@ -50,9 +50,7 @@ def fit_compensator_geometry(
     for joint in carriers(state):
         name = state.chain.joints[joint]
         near = [
-            i
-            for i in accepted
-            if hypotheses[i].effect in LIKE_SPRING and hypotheses[i].location.get("joint") == name
+            i for i in accepted if hypotheses[i].effect in LIKE_SPRING and hypotheses[i].location.get("joint") == name
         ]
         if near and any(c.effect == SPRING and c.location["joint"] == name for c in field.offered.candidates):
             others = tuple(i for i in accepted if i not in near)

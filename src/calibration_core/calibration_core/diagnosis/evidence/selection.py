@@ -12,14 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.confounding import LAW, MEMORY, are_confounded, same_deflection
+from calibration_core.diagnosis.evidence.confounding import MEMORY, are_confounded, same_deflection
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.comparisons import STEPS
 from calibration_core.estimation.controls import Controls
 from calibration_core.estimation.equivalents import equivalents, resembling
 from calibration_core.estimation.field import Accepted, Field
-from calibration_core.estimation.hypotheses import Hypothesis, Offered, offer
+from calibration_core.estimation.hypotheses import LAW, Hypothesis, Offered, offer
 from calibration_core.estimation.likelihood.small_effects import NONE, visible
 from calibration_core.estimation.search import PART, Search, Selection
 from calibration_core.timeseries import Float1D, Int1D

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.confounding import LAW
 from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
 from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, Location, by_size
+from calibration_core.estimation.hypotheses import LAW
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects.candidate import Candidate

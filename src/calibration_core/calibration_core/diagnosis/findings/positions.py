@@ -6,14 +6,13 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.confounding import LAW
 from calibration_core.diagnosis.evidence.selection import CONFOUNDED_SHARE
 from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
 from calibration_core.estimation.equivalents import equivalents
 from calibration_core.estimation.estimate import Estimate
-from calibration_core.estimation.hypotheses import ALL, WAVE, Hypothesis
+from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.statistics.sizes import rms_length
@@ -60,15 +59,14 @@ def _with_what_is_left(found: Estimate, groups: list[list[int]]) -> list[list[in
     hypotheses = found.offered.hypotheses
     gained = dict(zip(found.selection.accepted, found.selection.gain, strict=True))
     score = {tuple(group): sum(gained[i] for i in group) for group in groups}
-    hosts = [g for g in score if hypotheses[g[0]].family == LAW] + [g for g in score if hypotheses[g[0]].effect == SPRING]
-    joined: dict[tuple[int, ...], list[int]] = {group: list(group) for group in score}
-    for group in score:
+    laws = [group for group in score if hypotheses[group[0]].family == LAW]
+    hosts = laws + [group for group in score if hypotheses[group[0]].effect == SPRING]
+    joined = {group: list(group) for group in score}
+    for group, own in score.items():
         one = hypotheses[group[0]]
-        if one.effect not in LEFT or one.everywhere:
-            continue
         at_joint = [g for g in hosts if hypotheses[g[0]].location.get("joint") == one.location.get("joint")]
-        stronger = [g for g in at_joint if score[group] < CONFOUNDED_SHARE * score[g]]
-        if stronger:
+        stronger = [g for g in at_joint if own < CONFOUNDED_SHARE * score[g]]
+        if stronger and one.effect in LEFT and not one.everywhere:
             joined[stronger[0]] += joined.pop(group)
     return list(joined.values())
 
