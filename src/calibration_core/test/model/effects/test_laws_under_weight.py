@@ -14,6 +14,7 @@ from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.joint_law import hysteresis
 from calibration_core.model.effects.joint_law.creep import relaxed
 from calibration_core.model.effects.joint_law.hysteresis import CHANCE, stop
+from calibration_core.model.effects.side_torques import acting, with_side_torques
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.effects.structure.gravity_compensator import Triangle, carriers, spring, spring_torque
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
@@ -123,6 +124,28 @@ def test_a_compensator_is_one_law_at_rest_and_under_load(chain: Chain) -> None:
     gained = COMPLIANCE[1] * (torque(here.q[full, 1] + COMPLIANCE[1] * here.torque[1][full])
                               - torque(here.q[first, 1] + COMPLIANCE[1] * here.torque[1][first]))  # fmt: skip
     np.testing.assert_allclose(gained, COMPLIANCE[1] * slope * turned, rtol=0.05)
+
+
+def test_a_law_feels_what_a_spring_beside_its_joint_leaves_it_to_carry(chain: Chain) -> None:
+    here, shape, size, share = mixed(chain), Triangle(40.0, 0.4, 0.6), -3000.0, 1e-3
+    helped = with_side_torques(here, acting([spring(here, 1, shape)], [np.array([size, 0.0])]))
+    law = chosen(helped, "nonlinear_stiffness", "total torque", "B")
+    reference = helped.largest_torque(1, "total torque")
+
+    def extra(times: float) -> Callable[[Equilibrium, Float2D], Float2D]:
+        def deflected(rest: Equilibrium, link: Float2D) -> Float2D:
+            beside = size * spring_torque(np.radians(shape.anchor) - link[1], shape.flatness, shape.preload)
+            result, carried = np.zeros((N, link.shape[1])), rest.torque[1] + beside
+            result[1] = COMPLIANCE[1] * (beside - times * carried * (carried / reference) ** 2)
+            return result
+
+        return deflected
+
+    expected = (solved(chain, extra(share)) - solved(chain, extra(-share))) / (2 * share)
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(law.columns(helped)[:, :, 0], expected, atol=0.01 * largest)
+    assert np.abs(law.columns(here)[:, :, 0] - expected).max() > 0.1 * largest  # the weight alone is another torque
+    assert with_side_torques(helped, ()).side_torque is None
 
 
 def test_a_compensator_stands_at_the_joints_that_the_weight_loads() -> None:
