@@ -27,11 +27,10 @@ def with_side_torques(state: State, springs: Acting) -> State:
         state: What load and weight do.
         springs: The effects, and their parameters.
     """
-    if not springs and state.side_torque is None:
-        return state
-    bare = dataclasses.replace(state, side_torque=None)
+    if not springs:
+        return state if state.side_torque is None else dataclasses.replace(state, side_torque=None)
     side = np.zeros((state.chain.n, state.m))
     for candidate, value in springs:
         if candidate.torques is not None:
-            side[state.chain.joints.index(str(candidate.location["joint"]))] += candidate.torques(bare) @ value
-    return dataclasses.replace(state, side_torque=side) if springs else bare
+            side[state.chain.joints.index(str(candidate.location["joint"]))] += candidate.torques(state) @ value
+    return dataclasses.replace(state, side_torque=side)

@@ -10,6 +10,7 @@ import pytest
 
 from calibration_core.model.chain import Chain, rotation_x
 from calibration_core.model.effects import candidates, catalogue
+from calibration_core.model.effects.absolute.approach_direction import sides
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.joint_law import hysteresis
 from calibration_core.model.effects.joint_law.creep import relaxed
@@ -212,6 +213,20 @@ def test_friction_begins_with_what_the_weight_strained(chain: Chain) -> None:
     np.testing.assert_allclose(columns[at_rest, :, 3], here.joint_column(1, law)[at_rest])
     free = chosen(here, "hysteresis", "virgin start", "B").columns(here)
     assert np.all(free[at_rest] == 0)
+
+
+def test_friction_leans_to_the_side_from_which_the_joint_came(chain: Chain) -> None:
+    """At rest it is a direction of approach; the first load that slips everything one way wipes it out."""
+    here = mixed(chain)
+    side = sides(here)[:, 1]
+    lean = chosen(here, "hysteresis", "from the side of arrival, below 2 %", "B").columns(here)[:, :, 1]
+    at_rest, first = np.arange(here.m - RESTING, here.m), here.step == 0
+    np.testing.assert_allclose(lean[at_rest], here.joint_column(1, side)[at_rest])
+    np.testing.assert_allclose(lean[first], here.joint_column(1, side)[first])
+    slipped = np.abs(np.diff(here.torque[1], prepend=0.0)) > 0.04 * here.largest_torque(1)
+    assert np.all(lean[slipped & ~first] == 0)
+    names = {c.variant for c in candidates(here) if c.effect == "hysteresis"}
+    assert "from the side of arrival" in names
 
 
 def test_friction_of_teeth_grows_with_the_torque(chain: Chain) -> None:

@@ -41,7 +41,8 @@ def last_motion(q: Float2D, reversal: float) -> Float2D:
     return side
 
 
-def _sides(state: State) -> Float2D:
+def sides(state: State) -> Float2D:
+    """Return -1, 0 or 1 per reading and joint, (m, n): the side from which the joint came, 0 as long as unknown."""
     return _last_motion(state.q.tobytes(), state.q.shape, REVERSAL * typical("approach_direction", state.rated_load))
 
 
@@ -51,7 +52,7 @@ def _last_motion(q: bytes, shape: tuple[int, int], reversal: float) -> Float2D:
 
 
 def _columns(state: State, joints: tuple[int, ...]) -> Float3D:
-    side = _sides(state)
+    side = sides(state)
     return stacked(*(state.joint_column(joint, side[:, joint]) for joint in joints))
 
 
@@ -73,8 +74,8 @@ def _restored(described: AppliedEffect, state: State) -> Candidate | None:
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    sides = _sides(state)
-    turning = tuple(j for j in range(state.chain.n) if np.any(sides[:, j]))
+    seen = sides(state)
+    turning = tuple(j for j in range(state.chain.n) if np.any(seen[:, j]))
     for joint in turning:
         yield approach(state, (joint,), {"joint": state.chain.joints[joint]})
     if len(turning) > 1:

@@ -5,7 +5,8 @@ under load and weight.  What happened before step 0 is unknown.  Tried are eleme
 from nothing, relaxed ones (a virgin start), and ones on the verge in the direction against the first load (a centred
 start).  The radii form one block; single elements are tried beside it, for a weak effect does not show its shape.
 Friction of teeth grows with what presses them: theta = C tau - |tau|/tau_r sum_r h_r stop_r[tau]/r.  How much the
-elements really carry on arrival in a configuration is a matter of chance, whatever the form.
+elements really carry on arrival in a configuration is a matter of chance, whatever the form.  But they lean to the
+side from which the joint came: where postures at rest stand beside load steps, what they carry shows in both.
 Source: Al-Bender, Lampaert, Swevers on presliding; stop operators; Hamon, Gautier, Garrec 2010 (friction and load).
 """
 
@@ -16,6 +17,7 @@ from functools import partial
 
 import numpy as np
 
+from calibration_core.model.effects.absolute.approach_direction import sides
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
@@ -26,6 +28,7 @@ RADII = (0.02, 0.06, 0.15, 0.4)  # of the largest torque
 CHANCE = 0.25  # standard deviation of what elements carry on arrival, of what they carry at most at the typical size
 MOST = 60  # configurations, beyond which chance is left out: its columns would cost more than all others together
 
+FROM_A_SIDE = "from the side of arrival"
 STARTS = {"virgin start": 0.0, "centred start": 1.0, "from the weight": None}
 
 
@@ -42,7 +45,13 @@ def stop(torque: Float2D, radius: float | Float1D, start: float | None) -> Float
     turned = np.sign(np.diff(torque[:, :2], axis=1)).sum(axis=1)  # 0 where there is one step alone
     torque = torque.reshape(*torque.shape, *(1 for _ in radius.shape))
     direction = turned.reshape(-1, *(1 for _ in radius.shape))
-    friction = np.clip(torque[:, 0], -radius, radius) if start is None else -start * radius * direction
+    return _slipped(
+        torque, radius, np.clip(torque[:, 0], -radius, radius) if start is None else -start * radius * direction
+    )
+
+
+def _slipped(torque: FloatND, radius: Float1D, friction: FloatND) -> FloatND:
+    """Return what elements carry along the steps, (s, k, ...), that carry `friction` at step 0."""
     result = np.empty((*torque.shape[:2], *radius.shape))
     result[:, 0] = friction
     for k in range(1, torque.shape[1]):
@@ -81,6 +90,24 @@ def _chances(state: State, joint: int, size: float, *, growing: bool) -> Float3D
     return np.asarray(moved[:, :, None] * (state.configuration[:, None, None] == places))
 
 
+def _leaning(state: State, joint: int, radii: tuple[float, ...]) -> Float2D:
+    """Return the (m, 3) m per rad that elements move which carry all they can, to the side from which a joint came."""
+    strength = np.array(radii) * state.largest_torque(joint)
+
+    def begun(torque: Float2D, sign: float) -> FloatND:
+        return _slipped(torque[:, :, None], strength, sign * strength) / strength
+
+    more, less = (
+        state.along_steps(state.torque[joint], partial(begun, sign=sign)).mean(axis=1) for sign in (1.0, -1.0)
+    )
+    return state.joint_column(joint, sides(state)[:, joint] * 0.5 * (more - less))
+
+
+def _from_a_side(state: State, joint: int, radii: tuple[float, ...]) -> Float3D:
+    relaxed = _columns(state, joint, radii, 0.0)
+    return np.concatenate([relaxed, stacked(_leaning(state, joint, radii))], axis=2)
+
+
 def _forms(state: State) -> Iterator[Candidate]:
     size = typical("hysteresis", state.rated_load)
     few = len(np.unique(state.configuration)) <= MOST
@@ -100,14 +127,25 @@ def _forms(state: State) -> Iterator[Candidate]:
             words = f"below {100 * radius:g} %"
             yield form(f"virgin start, {words}", one, partial(virgin, radii=(radius,)), plain)
             yield form(f"virgin start, {words}, growing", one, partial(virgin, radii=(radius,), growing=True), growing)
+        lean = Parameter("half_width_on_arrival", unit, size)
+        leaning = partial(_from_a_side, joint=joint)
+        yield form(FROM_A_SIDE, (*several, lean), partial(leaning, radii=RADII), plain)
+        for radius in RADII:
+            words = f"{FROM_A_SIDE}, below {100 * radius:g} %"
+            yield form(words, (*one, lean), partial(leaning, radii=(radius,)), plain)
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
     """Leave out starts that are the same: from a weight that is none; or all others, where there are no later steps."""
     several = bool(np.any(state.step != state.step[:1]))
+    single = any(index.shape[1] == 1 for index in state.sequences())
     borne = {name for joint, name in enumerate(state.chain.joints) if state.bears_weight(joint)}
+    turning = {name for name, seen in zip(state.chain.joints, sides(state).T, strict=True) if np.any(seen)}
     for candidate in _forms(state):
-        if candidate.location["joint"] in borne if candidate.variant == "from the weight" else several:
+        if candidate.variant.startswith(FROM_A_SIDE):
+            if several and single and candidate.location["joint"] in turning:
+                yield candidate
+        elif candidate.location["joint"] in borne if candidate.variant == "from the weight" else several:
             yield candidate
 
 

@@ -115,7 +115,7 @@ def pull(state: State, joint: int, triangle: Triangle) -> Float3D:
 
 def side_torques(state: State, joint: int, triangle: Triangle) -> Float2D:
     """Return the torque beside a joint per N*m, and what a turn of the anchor by `TURN` changes in it, (m, 2)."""
-    link = state.q[:, joint] + state.compliance[joint] * state.torque[joint]
+    link = state.q[:, joint] + state.compliance[joint] * (state.load_torque[joint] + state.gravity_torque[joint])
     beta = np.radians(triangle.anchor) - link
     torque, ahead, behind = (
         spring_torque(beta + turn, triangle.flatness, triangle.preload) for turn in (0.0, TURN, -TURN)
