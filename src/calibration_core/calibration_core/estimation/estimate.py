@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.estimation.blocks import STAYS, Blocks, posture_blocks, time_blocks
-from calibration_core.estimation.compensator_geometry import fit_compensator_geometry
+from calibration_core.estimation.compensator_geometry import SPRING, fit_compensator_geometry
 from calibration_core.estimation.controls import controls
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import SAG, Hypothesis, Offered, is_axial, offer, physics
@@ -156,10 +157,20 @@ def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
     for _ in range(ROUNDS):
         if not _bends(known):
             break
-        before, known = known, _search(dataclasses.replace(known.extended.model, terms=model.terms, used=model.used))
+        again = _search(dataclasses.replace(known.extended.model, terms=model.terms, used=model.used))
+        if known.extended.model.springs and _left_out(again) > _left_out(known):
+            break  # another spring, or waves that imitate it
+        before, known = known, again
         if _stands(before, known):
             break
     return known
+
+
+def _left_out(found: Estimate) -> float:
+    """Return the mean squared error of configurations left out, m^2."""
+    model = found.extended.model
+    errors = found.extended.held_out(time_blocks(model.readings.configuration, COVARIANCE_BLOCKS))
+    return float(np.mean(errors[model.used] ** 2))
 
 
 def _stands(before: Estimate, after: Estimate) -> bool:
@@ -190,7 +201,7 @@ def _search(model: NullModel) -> Estimate:
     field, whitening = _field(model, offer((*catalogue, *shifts(readings))), None)
     control = controls(model, sample_rows(model), whitening)
     search = Search(field, control)
-    selection = search.run()
+    selection = search.run(_these(field.offered, [one for one, _ in model.springs]))
     more = _sharper(model, search.field, selection.accepted, whitening)
     steps = [i for i in selection.accepted if field.offered.hypotheses[i].family == FAMILY]
     if steps or more:  # where exactly, between the change points tried first; which shape exactly
@@ -204,8 +215,10 @@ def _search(model: NullModel) -> Estimate:
         del search, field  # hundreds of megabytes beside the next ones
         field, _ = _field(model, offer((*more, *catalogue, *shifts(readings, fine))), whitening)
         begin = [_find(field.offered, one) for one in physical if one.location.get("joint") not in helped]
+        sprung = {one.location["joint"] for one in physical if one.effect == SPRING}
+        springs = _these(field.offered, [one for one in more if one.location["joint"] in sprung])
         search = Search(field, control)
-        selection = search.run(tuple(begin))
+        selection = search.run((*begin, *springs))
     whole = whiten(strata_of(model, everything), whitening.shared, whitening.offset)
     if whole.parts:
         null = refit(_rigid(model), whole, (), covariance_blocks)
@@ -224,6 +237,13 @@ def _rigid(model: NullModel) -> NullModel:
 def _find(offered: Offered, one: Hypothesis) -> int:
     """Return the index of the same hypothesis among others."""
     return next(i for i, h in enumerate(offered.hypotheses) if (h.place, h.variant) == (one.place, one.variant))
+
+
+def _these(offered: Offered, candidates: Sequence[Candidate]) -> Accepted:
+    """Return the hypotheses that some candidates are by themselves."""
+    keys = {one.key for one in candidates}
+    several = enumerate(offered.hypotheses)
+    return tuple(i for i, h in several if len(h.members) == 1 and offered.candidates[h.members[0]].key in keys)
 
 
 def _sharper(model: NullModel, field: Field, accepted: Accepted, whitening: Whitening) -> tuple[Candidate, ...]:
