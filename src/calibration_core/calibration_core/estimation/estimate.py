@@ -176,8 +176,8 @@ def _left_out(found: Estimate) -> float:
 def _stands(before: Estimate, after: Estimate) -> bool:
     """Say whether the same was found again, and joints carry what they did."""
     places = [{part.candidate.place for part in found.extended.parts} for found in (before, after)]
-    was, carried = (found.extended.model.state.torque for found in (before, after))
-    moved = np.abs(carried - was) > STANDS * np.abs(carried).max(axis=1, keepdims=True)
+    was, torque = (found.extended.model.state.torque for found in (before, after))
+    moved = np.abs(torque - was) > STANDS * np.abs(torque).max(axis=1, keepdims=True)
     return places[0] == places[1] and not moved.any()
 
 

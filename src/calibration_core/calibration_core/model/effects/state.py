@@ -108,8 +108,8 @@ class State:
     @functools.cached_property
     def torque(self) -> Float2D:
         """(n, m) N*m, load, gravity and springs beside the joints: what the joints carry."""
-        carried = self.load_torque + self.gravity_torque
-        return carried if self.side_torque is None else carried + self.side_torque
+        total = self.load_torque + self.gravity_torque
+        return total if self.side_torque is None else total + self.side_torque
 
     @property
     def loaded(self) -> bool:
