@@ -92,15 +92,19 @@ def _chances(state: State, joint: int, size: float, *, growing: bool) -> Float3D
 
 def _leaning(state: State, joint: int, radii: tuple[float, ...]) -> Float2D:
     """Return the (m, 3) m per rad that elements move which carry all they can, to the side from which a joint came."""
-    strength = np.array(radii) * state.largest_torque(joint)
-
-    def begun(torque: Float2D, sign: float) -> FloatND:
-        return _slipped(torque[:, :, None], strength, sign * strength) / strength
-
-    more, less = (
-        state.along_steps(state.torque[joint], partial(begun, sign=sign)).mean(axis=1) for sign in (1.0, -1.0)
-    )
+    chosen = [RADII.index(radius) for radius in radii]
+    more, less = (state.once(_on_the_verge, joint, sign)[:, chosen].mean(axis=1) for sign in (1.0, -1.0))
     return state.joint_column(joint, sides(state)[:, joint] * 0.5 * (more - less))
+
+
+def _on_the_verge(state: State, joint: int, sign: float) -> Float2D:
+    """Return what elements carry that carry all they can at step 0, (m, r), as `_elements`."""
+    strength = np.array(RADII) * state.largest_torque(joint)
+
+    def begun(torque: Float2D) -> FloatND:
+        return _slipped(torque[:, :, None], strength, sign * strength)
+
+    return state.along_steps(state.torque[joint], begun) / strength
 
 
 def _from_a_side(state: State, joint: int, radii: tuple[float, ...]) -> Float3D:
@@ -138,7 +142,7 @@ def _forms(state: State) -> Iterator[Candidate]:
 def _candidates(state: State) -> Iterator[Candidate]:
     """Leave out starts that are the same: from a weight that is none; or all others, where there are no later steps."""
     several = bool(np.any(state.step != state.step[:1]))
-    single = any(index.shape[1] == 1 for index in state.sequences())
+    single = any(index.shape[1] == 1 for index in state.sequences)
     borne = {name for joint, name in enumerate(state.chain.joints) if state.bears_weight(joint)}
     turning = {name for name, seen in zip(state.chain.joints, sides(state).T, strict=True) if np.any(seen)}
     for candidate in _forms(state):
