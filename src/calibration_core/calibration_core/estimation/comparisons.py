@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -167,7 +168,7 @@ class Comparisons:
                 return before.scores(sizes.variance), before.scores(sizes.variance, columns, ridge)
             return self.squares(accepted), self.field.in_blocks(before.beside(columns, ridge))
 
-        return Trial(self.field, accepted, index, sizes, nats, squares)
+        return Trial(self.field, accepted, index, sizes, nats, squares, functools.partial(self.left_out, accepted))
 
     def _start(self, accepted: Accepted) -> Sizes | None:
         """Return sizes to begin with: those of a fit with most of the same hypotheses, and what suits the new ones."""

@@ -52,14 +52,12 @@ class Controls:
 
     def _turned(self, trial: Trial) -> str:
         joints = [str(trial.field.offered.candidates[k].location["joint"]) for k in trial.hypothesis.members]
-        known = dataclasses.replace(trial.sizes, size=trial.sizes.size[:-1])
-        model = trial.field.left_out(trial.accepted, known)
         for axis in range(2):  # the first half of the columns is of gravity turned about one axis, the other about two
             halves = (np.split(self.turned[joint], 2, axis=1)[axis] for joint in joints)
             columns = np.concatenate(list(halves), axis=1)
             columns = np.pad(columns, ((0, len(trial.field.residual) - len(columns)), (0, 0)))
             ridge = np.full(columns.shape[1], trial.sizes.variance / float(trial.sizes.size[-1]) ** 2)
-            other = trial.field.in_blocks(model.beside(columns, ridge))
+            other = trial.field.in_blocks(trial.model().beside(columns, ridge))
             for before, true, false in zip(*trial.left_out, other, strict=True):
                 kept = (before - false).sum() / max((before - true).sum(), 1e-12)
                 if kept > COLLAPSED:

@@ -139,6 +139,7 @@ class Trial:
         gain: Of the hypothesis beside the others, nats.
         squares: Returns squares of blocks left out, or -2 v times their log densities, per partition, (b,), without the
             hypothesis and with it; they cost more than everything else, and not every question needs them.
+        model: Returns the accepted ones with every block left out.
     """
 
     field: Field
@@ -147,6 +148,7 @@ class Trial:
     sizes: Sizes
     gain: float
     squares: Callable[[], tuple[list[Float1D], list[Float1D]]]
+    model: Callable[[], LeftOut]
 
     @functools.cached_property
     def left_out(self) -> tuple[list[Float1D], list[Float1D]]:
