@@ -82,6 +82,38 @@ def test_what_is_missing_does_not_hide_the_geometry(
     np.testing.assert_allclose(answer.found.compliance[loaded], true[loaded], rtol=0.03)
 
 
+@pytest.mark.parametrize(
+    ("seed", "number", "causes"),
+    [
+        pytest.param(
+            9001,
+            244,
+            {("backlash", "joint_2"), ("gravity_compensator", "joint_2")},
+            id="a spring unloads the clearance",
+        ),
+        pytest.param(
+            9002,
+            245,
+            {("hysteresis", "joint_1"), ("gravity_compensator", "joint_2")},
+            id="friction as the joint arrived",
+        ),
+        pytest.param(
+            9001, 259, {("hysteresis", "joint_6"), ("transmission_error", "joint_5")}, id="friction, hardly loaded"
+        ),
+        pytest.param(
+            8086, 213, {("backlash", "joint_3"), ("transmission_error", "joint_3")}, id="clearance of a wide transition"
+        ),
+    ],
+)
+def test_two_causes_under_load_and_at_rest_have_no_third(
+    seed: int, number: int, causes: set[tuple[str, str]], tmp_path: Path
+) -> None:
+    """What a law leaves at another torque than its joint carries, or on arrival, is no cause of its own."""
+    found = answered(number, tmp_path, seed).found
+    assert {(f.effect, str(f.location["joint"])) for f in found.findings} == causes
+    assert len(found.findings) == 2
+
+
 def test_friction_of_another_law_is_one_cause_with_an_open_law(tmp_path: Path) -> None:
     """Wedge friction leaves something to creep at the same joint: both remember, and neither is settled."""
     answer = answered(347, tmp_path)

@@ -137,11 +137,7 @@ def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tup
     """Search once more with the geometry in the null model; keep that if it predicts configurations left out better."""
     more = dataclasses.replace(model, terms=(*model.terms, term))
     other = _searched(more, found)
-    configuration = model.readings.configuration
-    blocks = time_blocks(configuration, COVARIANCE_BLOCKS)
-    before, after = (one.extended.held_out(blocks).T[:, model.used] for one in (found, other))
-    gain = compare(before, after, configuration[model.used])
-    return (more, other) if gain.clear or gain.general else (model, found)
+    return (more, other) if _clearly_better(found, other) else (model, found)
 
 
 def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
@@ -158,19 +154,31 @@ def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
         if not _bends(known):
             break
         again = _search(dataclasses.replace(known.extended.model, terms=model.terms, used=model.used))
-        if known.extended.model.springs and _left_out(again) > _left_out(known):
-            break  # another spring, or waves that imitate it
+        if not known.extended.model.springs:
+            return again  # the robot sags: once more is enough
+        if not (_unloads(again) and _clearly_better(known, again)):
+            break
         before, known = known, again
         if _stands(before, known):
             break
     return known
 
 
-def _left_out(found: Estimate) -> float:
-    """Return the mean squared error of configurations left out, m^2."""
+def _unloads(found: Estimate) -> bool:
+    """Say whether a spring unloads a joint at which something else was found, which feels what is left."""
+    helped = {one.location["joint"] for one, _ in found.extended.model.springs}
+    others = (part.candidate for part in found.extended.parts if part.candidate.effect != SPRING)
+    return any(one.location.get("joint") in helped for one in others)
+
+
+def _clearly_better(found: Estimate, other: Estimate) -> bool:
+    """Say whether another estimate predicts configurations left out clearly better."""
     model = found.extended.model
-    errors = found.extended.held_out(time_blocks(model.readings.configuration, COVARIANCE_BLOCKS))
-    return float(np.mean(errors[model.used] ** 2))
+    configuration = model.readings.configuration
+    blocks = time_blocks(configuration, COVARIANCE_BLOCKS)
+    before, after = (one.extended.held_out(blocks).T[:, model.used] for one in (found, other))
+    gain = compare(before, after, configuration[model.used])
+    return bool(gain.clear or gain.general)
 
 
 def _stands(before: Estimate, after: Estimate) -> bool:
