@@ -145,23 +145,27 @@ def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
 
     Args:
         model: What is fitted before any hypothesis.
-        known: What was found with other terms or readings; where it changes what everything else does, the search
-            begins about it.
+        known: What was found with other terms or readings; the search begins about it where the robot sags in it.
     """
-    if known is None or not _bends(known):
+    if known is None or not _sags(known):
         known = _search(model)
+    if _sags(known):
+        return _search(_about(known, model))
     for _ in range(ROUNDS):
-        if not _bends(known):
-            break
-        again = _search(dataclasses.replace(known.extended.model, terms=model.terms, used=model.used))
         if not known.extended.model.springs:
-            return again  # the robot sags: once more is enough
+            break
+        again = _search(_about(known, model))
         if not (_unloads(again) and _clearly_better(known, again)):
             break
         before, known = known, again
         if _stands(before, known):
             break
     return known
+
+
+def _about(known: Estimate, model: NullModel) -> NullModel:
+    """Return a null model that is linear about what was found."""
+    return dataclasses.replace(known.extended.model, terms=model.terms, used=model.used)
 
 
 def _unloads(found: Estimate) -> bool:
@@ -189,11 +193,10 @@ def _stands(before: Estimate, after: Estimate) -> bool:
     return places[0] == places[1] and not moved.any()
 
 
-def _bends(found: Estimate) -> bool:
-    """Say whether compliances were found, that the null model does not fit, or springs that unload joints."""
+def _sags(found: Estimate) -> bool:
+    """Say whether compliances were found, that the null model does not fit."""
     model = found.extended.model
-    sags = not model.fitted_compliances and bool(np.any(model.parameters.compliance))
-    return sags or bool(model.springs)
+    return not model.fitted_compliances and bool(np.any(model.parameters.compliance))
 
 
 def _search(model: NullModel) -> Estimate:
