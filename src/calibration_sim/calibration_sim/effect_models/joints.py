@@ -14,7 +14,6 @@ from calibration_core.timeseries import Float1D
 from calibration_sim.effect_models.effect import At, Effect
 
 ELEMENTS = (0.25, 0.5, 1.0, 2.0)  # stroke of each Maxwell element over the half width
-HALVINGS = 60
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -126,7 +125,7 @@ class MaxwellSlip(JointLaw):
         return (np.clip(lean + rng.uniform(-1.0, 1.0, len(strokes)), -1.0, 1.0) * strokes, None)
 
     def extra(self, memory: Any, torque: float, at: At) -> float:
-        """Find the angle that carries the torque, by bisection (the law is monotone)."""
+        """Find the angle that carries the torque."""
         compliance = float(at.compliance[self.joint])
         return self._angle(memory, torque, compliance) - compliance * torque
 
@@ -144,16 +143,14 @@ class MaxwellSlip(JointLaw):
         stiffness = self.half_width / (len(strokes) * compliance) / strokes
         if anchors is None:  # nothing is known of what came before: the elements stand as drawn
             return compliance * (torque - float(stiffness @ offsets))
-        reach = self.half_width * 1.01
-        low, high = compliance * torque - reach, compliance * torque + reach
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            borne = middle / compliance + float(stiffness @ np.clip(middle - anchors, -strokes, strokes))
-            if borne < torque:
-                low = middle
-            else:
-                high = middle
-        return 0.5 * (low + high)
+        # The law grows with the angle and is straight between the angles at which an element begins to slip.
+        bends = np.sort(np.concatenate([anchors - strokes, anchors + strokes]))
+        borne = bends / compliance + np.clip(bends[:, None] - anchors, -strokes, strokes) @ stiffness
+        if torque <= borne[0]:
+            return float(bends[0] - compliance * (borne[0] - torque))
+        if torque >= borne[-1]:
+            return float(bends[-1] + compliance * (torque - borne[-1]))
+        return float(np.interp(torque, borne, bends))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -218,26 +218,26 @@ class Mechanism:
         rounding = 8.0 * np.finfo(np.float64).eps * spring * np.maximum(1.0, np.abs(reference))
 
         x = np.array(reference if start is None else start, dtype=np.float64)
-        slope = np.diag(-spring)
+        slope: Float2D | None = None  # that of the springs alone, while it serves
         unbalanced, scale = self._unbalanced(x, w)
         step = np.zeros_like(x)
         for _ in range(MAX_ITERATIONS):
-            if np.all(np.abs(unbalanced) <= np.maximum(RELATIVE_TOLERANCE * scale, rounding)):
-                size = float(np.max(np.abs(unbalanced)))
+            left = np.abs(unbalanced)
+            if (left <= np.maximum(RELATIVE_TOLERANCE * scale, rounding)).all():
+                size = float(left.max())
                 deflection = x[self._dofs] - commanded
                 torque = np.array(self.data.qfrc_passive)[self._dofs]
                 place = self._flange_placement()
                 return Equilibrium(deflection, torque, place, x, size / scale if scale > 0.0 else 0.0)
             try:
-                step = np.asarray(np.linalg.solve(slope, -unbalanced), dtype=np.float64)
+                step = np.asarray(unbalanced / spring if slope is None else np.linalg.solve(slope, -unbalanced))
             except np.linalg.LinAlgError:  # the springs buckle here
                 break
-            before = float(np.max(np.abs(unbalanced)))
             x = x + step
             unbalanced, scale = self._unbalanced(x, w)
-            if not np.all(np.isfinite(unbalanced)):
+            if not np.isfinite(unbalanced).all():
                 break
-            if float(np.max(np.abs(unbalanced))) > SLOW * before:
+            if np.abs(unbalanced).max() > SLOW * left.max():
                 slope = self._slope(x, w)
         raise EquilibriumError(float(np.max(np.abs(step))), MAX_ITERATIONS)
 
@@ -250,7 +250,7 @@ class Mechanism:
         mujoco.mj_passive(model, data)
         mujoco.mj_rne(model, data, 0, data.qfrc_bias)
         load = np.zeros(model.nv)
-        point = self._flange_placement().apply(self._wrench_point)
+        point = self._wrench_point @ data.xmat[self._flange].reshape(3, 3).T + data.xpos[self._flange]
         mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], point, self._flange, load)
         for push in self._pushes:
             body = model.body(push.link).id
@@ -259,7 +259,7 @@ class Mechanism:
         for side in self._sides:
             load[self._dofs[side.joint]] += side.torque(float(x[self._dofs[side.joint]]))
         parts = np.array([data.qfrc_passive, data.qfrc_bias, load])
-        return parts[0] - parts[1] + parts[2], float(np.max(np.abs(parts)))
+        return parts[0] - parts[1] + parts[2], float(np.abs(parts).max())
 
     def _slope(self, x: Float1D, wrench: Float1D) -> Float2D:
         """Return the derivative (nv, nv) of the unbalanced torque by central differences."""

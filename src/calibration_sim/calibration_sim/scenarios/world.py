@@ -206,6 +206,7 @@ def _rest(mechanism: Mechanism, laws: _Laws, at: At, load: Float1D, last: Equili
 
 def _at_sensor(truth: Truth, flange: Placement, load: Float1D) -> Float1D:
     """Return the wrench (6,) that a sensor at its true place shows for a load (6,) at the wrench point, base axes."""
-    arm = flange.rotation @ (truth.wrench_point - truth.force_torque.translation)
+    x, y, z = flange.rotation @ (truth.wrench_point - truth.force_torque.translation)
     axes = flange.rotation @ truth.force_torque.rotation
-    return np.concatenate([axes.T @ load[:3], axes.T @ (load[3:] + np.cross(arm, load[:3]))])
+    by_arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ load[:3]
+    return np.concatenate([axes.T @ load[:3], axes.T @ (load[3:] + by_arm)])
