@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from calibration.compensation.compensation import CompensationNode
 from calibration.lifecycle.machine import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE
 from calibration_core.cell import load_cell
+from calibration_core.cli import main
 from calibration_core.errors import InputError
 from calibration_core.model.identified.calibrated import ValidRange
 from calibration_core.model.identified.gaussian import GaussianEstimate
@@ -36,7 +35,6 @@ from calibration_core.model.parameters import AppliedEffect
 
 ROOT = Path(__file__).resolve().parents[3]
 CELL = ROOT / "config" / "cells" / "small.cell.yaml"
-BIN = Path(sys.prefix) / "bin"
 Q = [0.3, -0.2, 0.4, 0.2, 0.9, 0.1]
 PULL = Wrench(force=Vector3(x=20.0, y=-10.0, z=-50.0), torque=Vector3(x=1.0, y=0.0, z=0.5))
 BACKLASH = AppliedEffect("backlash", {"joint": "joint_2"}, "load torque", {"gap": 1e-4, "reference_torque": 1e2})
@@ -110,9 +108,9 @@ def trajectory(
 def command(model: Path, task: str, tmp_path: Path, *more: str) -> list[dict[str, str]]:
     """What the command line makes of a task."""
     (tmp_path / "task.csv").write_text(task)
-    line = [BIN / "calibration", "compensate", tmp_path / "task.csv", "--cell", CELL, "--model", model]
+    line = ["compensate", str(tmp_path / "task.csv"), "--cell", str(CELL), "--model", str(model)]
     out = tmp_path / "out"
-    subprocess.run([*line, "--out", out, "--no-report", *more], check=True, capture_output=True, timeout=120)
+    assert main([*line, "--out", str(out), "--no-report", *more]) == 0
     with (out / "compensated.csv").open() as file:
         return list(csv.DictReader(file))
 

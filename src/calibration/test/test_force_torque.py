@@ -19,7 +19,7 @@ from geometry_msgs.msg import (
     WrenchStamped,
 )
 from sensor_msgs.msg import JointState
-from stand_ins import CELL, Feed, call, finish, measure, overrides
+from stand_ins import CELL, IRREGULAR, Feed, call, finish, measure, overrides
 
 from calibration.conversions import stamp_ns, to_header, to_wrench, wrench_values
 from calibration.instruments.force_torque import ForceTorqueNode
@@ -72,7 +72,8 @@ def noisy(node: Any, level: np.ndarray, rng: np.random.Generator) -> WrenchStamp
 def test_of_two_that_publish_the_wrench_none_is_read(
     spinning: Any, feeds: list[Feed], until: Callable[..., None], topic: str
 ) -> None:
-    node = spinning.add(ForceTorqueNode(context=spinning.context, parameter_overrides=overrides()))
+    given = overrides(gap=IRREGULAR)
+    node = spinning.add(ForceTorqueNode(context=spinning.context, parameter_overrides=given))
     first, second = (spinning.plain(name) for name in ("driver", "old_driver"))
     heard: list[SampleCheck] = []
     first.create_subscription(SampleCheck, "/calibration/sample_check", heard.append, 100)

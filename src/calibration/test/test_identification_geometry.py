@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from rclpy.parameter import Parameter
 from test_identification import BAG, CELL, ask, finish
 
 from calibration.evaluation.identification import IdentificationNode
+from calibration_core.cli import main
 
 SIGMA = "sigma: 1.0e-5"
 TRACKER = (2.5, -0.4, 0.6)
@@ -45,8 +44,8 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def offline(recording: Path, out: Path, *options: str) -> dict[str, Any]:
     """What the command line makes of a recording."""
-    command = [Path(sys.prefix) / "bin" / "calibration", "identify", recording, "--cell", CELL, "--out", out, *options]
-    subprocess.run([*command, "--no-report"], check=True, capture_output=True, timeout=120)
+    arguments = ["identify", str(recording), "--cell", str(CELL), "--out", str(out), *options]
+    assert main([*arguments, "--no-report"]) == 0
     return json.loads((out / "result.json").read_text("utf-8"))
 
 

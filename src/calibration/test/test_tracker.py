@@ -22,7 +22,7 @@ from geometry_msgs.msg import (
 )
 from goals import GoalClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from stand_ins import Feed, finish, measure, overrides
+from stand_ins import IRREGULAR, Feed, finish, measure, overrides
 
 from calibration.conversions import stamp_ns, to_header, transforms
 from calibration.instruments.tracker import TrackerNode
@@ -192,7 +192,8 @@ def test_the_health_of_a_stream_is_told(spinning: Any, feeds: list[Feed], until:
 def test_of_two_that_publish_a_point_none_is_read(
     spinning: Any, feeds: list[Feed], until: Callable[..., None], topic: str
 ) -> None:
-    node = spinning.add(TrackerNode(context=spinning.context, parameter_overrides=overrides()))
+    given = overrides(gap=IRREGULAR)
+    node = spinning.add(TrackerNode(context=spinning.context, parameter_overrides=given))
     first, second, client = (spinning.plain(name) for name in ("driver", "old_driver", "reader"))
     heard: list[SampleCheck] = []
     client.create_subscription(SampleCheck, "/calibration/sample_check", heard.append, 100)
