@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup lint test demo record docs bench bench-peers prove prove-fleet setup-fleet prove-cell prove-input prove-use clean
+.PHONY: help packages setup lint test demo record docs bench bench-peers prove prove-fleet setup-fleet prove-cell prove-input prove-use clean
 
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
@@ -48,10 +48,13 @@ help:
 	@echo "make prove-panel the operator's page in a real browser: sizes, faults, load, stop (under 20 minutes on four idle cores)"
 	@echo "make clean       remove everything that was made"
 
-setup:
-	@.ci/setup "$(python)"
+packages:
+	@.ci/setup "$(python)" packages
 
-lint: setup
+setup: packages
+	@.ci/setup "$(python)" workspace
+
+lint: packages
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
@@ -61,15 +64,17 @@ lint: setup
 # taken in the order given here (by itself xdist takes those of the fewest tests, which are the longest, last).  The
 # concealed effects are diagnosed by two processes of their own.
 # Drawn inputs are the same in every run (one tree, one answer); `make prove` draws them anew.
+# Lint and types need the packages alone: they are checked while the messages are built.
 test: PYTEST += --hypothesis-seed=0
-test: lint setup-fleet
+test: packages
+	@$(MAKE) --no-print-directory -j3 lint setup setup-fleet
 	@$(PYTEST) -n $(SHARING) $(BY_FILE) -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
 	@$(PYTEST) $(CONCEALED)
 	@$(PYTEST) -n $(SHARING) $(BY_FILE) -m "not slow and not alone" $(NODES)
 	@$(PYTEST) -m "alone and not slow" $(NODES)
 	@$(PYTEST) -m "not slow" $(WHOLE)
 
-prove: setup-fleet
+prove: setup setup-fleet
 	@$(PYTEST) -n $(JOBS) -m "hypothesis and not slow" $(STILL) $(NODES)
 	@$(PYTEST) -m slow $(STILL) $(INPUTS:%=--ignore=%) $(USE:%=--ignore=%) $(FLEET:%=--ignore=%) --ignore=test/ros
 	@$(BIN)/calibration-prove --seed $(PROVE_SEED) --out build/prove/$(PROVE_SEED) --jobs $(JOBS) --batch
@@ -83,7 +88,7 @@ prove-use: setup
 	@$(PYTEST) -s test/ros/test_ros_compensation.py
 
 # FLEET_ROBOTS=60 for a plant of 60 robots instead of 600.
-prove-fleet: setup-fleet
+prove-fleet: setup setup-fleet
 	@$(PYTEST) -m slow -s $(FLEET)
 
 # A whole cell wants two cores for itself: on four cores two of them run, on two one.
@@ -102,7 +107,7 @@ record: setup
 	@$(BIN)/calibration identify $(RECORD)/recording --cell $(CELL) --out $(RECORD)/identify
 
 # Dask and Parquet, of which no other command needs anything.
-setup-fleet: setup
+setup-fleet: packages
 	@.ci/fleet
 
 docs: setup
