@@ -13,17 +13,24 @@ from calibration_core.planning.plans.plan_file import read_plan
 PHASES = ["base_frame", "geometry", "wrist_centre", "points", "stiffness"]
 
 
+@pytest.fixture(scope="module")
+def of_phases(cell_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of `plan --phases`."""
+    out = tmp_path_factory.mktemp("phases") / "plan"
+    options = ("--phases", "--configurations", 12, "--load-levels", 0, 0.5, 1, "--no-report")
+    assert run("plan", "--cell", cell_path, *options, "--out", out) == 0
+    return out
+
+
 @pytest.mark.parametrize("noise", [(), ("--seed", 3)])
-def test_from_the_plan_to_table_2(cell_path: Path, tmp_path: Path, noise: tuple[object, ...]) -> None:
+def test_from_the_plan_to_table_2(cell_path: Path, of_phases: Path, tmp_path: Path, noise: tuple[object, ...]) -> None:
     common = ("--cell", cell_path, "--no-report")
-    levels = ("--load-levels", 0, 0.5, 1)
-    assert run("plan", *common, "--phases", "--configurations", 12, *levels, "--out", tmp_path / "plan") == 0
-    plan = read_plan(tmp_path / "plan" / "plan.yaml", load_cell(cell_path))
-    counted = result_of(tmp_path / "plan")["preparation"]
+    plan = read_plan(of_phases / "plan.yaml", load_cell(cell_path))
+    counted = result_of(of_phases)["preparation"]
     assert list(counted) == PHASES[:-1]
     assert sum(counted.values()) == len(plan.preparation)
     where = tmp_path / "simulate"
-    assert run("simulate", *common, "--plan", tmp_path / "plan" / "plan.yaml", *noise, "--out", where) == 0
+    assert run("simulate", *common, "--plan", of_phases / "plan.yaml", *noise, "--out", where) == 0
     for recording in (where / "recording",) if noise else (where / "measurements.csv",):
         out = tmp_path / recording.name
         assert run("identify", recording, *common, "--out", out) == 0
