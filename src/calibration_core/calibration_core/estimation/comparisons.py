@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
+import weakref
 
 import numpy as np
 
@@ -160,15 +160,16 @@ class Comparisons:
         at = self.sizes(accepted)
         nats, own, left = self.score(accepted, index)
         sizes = Sizes(at.variance * left, np.append(at.size, own) * np.sqrt(left), float("nan"))
+        search = weakref.proxy(self)  # which keeps the trial: neither would be freed while they hold each other
 
         def squares() -> tuple[list[Float1D], list[Float1D]]:
-            columns = self.field.columns((index,))
-            before, ridge = self.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
-            if self.demands.by_density:
+            columns = search.field.columns((index,))
+            before, ridge = search.left_out(accepted), np.full(columns.shape[1], at.variance / own**2)
+            if search.demands.by_density:
                 return before.scores(sizes.variance), before.scores(sizes.variance, columns, ridge)
-            return self.squares(accepted), self.field.in_blocks(before.beside(columns, ridge))
+            return search.squares(accepted), search.field.in_blocks(before.beside(columns, ridge))
 
-        return Trial(self.field, accepted, index, sizes, nats, squares, functools.partial(self.left_out, accepted))
+        return Trial(self.field, accepted, index, sizes, nats, squares, lambda: search.left_out(accepted))
 
     def _start(self, accepted: Accepted) -> Sizes | None:
         """Return sizes to begin with: those of a fit with most of the same hypotheses, and what suits the new ones."""

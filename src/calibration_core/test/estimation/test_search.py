@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -30,12 +33,16 @@ def candidate(
 
 def searched(residual: np.ndarray, flat: Float2D, columns: Float2D, candidates: list[Candidate]) -> list[str]:
     """Return the variants that are accepted."""
+    search = search_of(residual, flat, columns, candidates)
+    return [search.field.offered.hypotheses[i].variant for i in search.run().accepted]
+
+
+def search_of(residual: np.ndarray, flat: Float2D, columns: Float2D, candidates: list[Candidate]) -> Search:
     offered: Offered = offer(candidates)
     label = np.arange(READINGS) * BLOCKS // READINGS
     partitions = (Blocks("time", label), Blocks("posture", np.arange(READINGS) % BLOCKS))
     field = Field.of(residual, flat, np.zeros((len(residual), 0)), columns, offered, partitions)
-    selection = Search(field, lambda _: "").run()
-    return [offered.hypotheses[i].variant for i in selection.accepted]
+    return Search(field, lambda _: "")
 
 
 def drawn(seed: int, count: int) -> tuple[np.random.Generator, Float2D, Float2D]:
@@ -132,3 +139,18 @@ def test_a_law_of_many_forms_does_not_win_by_one_that_comes_near_by_chance(seed:
     several += [candidate("zone", "joint_1", f"zone {k}", 1, family="joint law") for k in range(5)]
     found = searched(truth + noise, flat, np.column_stack([unresolved, wide]), several)
     assert [one.split()[0] for one in found] == ["clearance"]
+
+
+def test_a_search_is_freed_with_its_last_reference() -> None:
+    """It holds hundreds of megabytes, and a process that evaluates many recordings cannot wait for the collector."""
+    rng, flat, columns = drawn(6, 2)
+    residual = columns @ np.array([0.6, -0.5]) + rng.standard_normal(3 * READINGS)
+    gc.disable()
+    try:
+        search = search_of(residual, flat, columns, [candidate("bending", "joint_1", "two springs", 2)])
+        assert search.run().accepted
+        seen = weakref.ref(search)
+        del search
+        assert seen() is None
+    finally:
+        gc.enable()
