@@ -70,8 +70,8 @@ def _columns(
     state: State, joint: int, radii: tuple[float, ...], start: float | None, *, growing: bool = False
 ) -> Float3D:
     pressed = _pressed(state, joint) if growing else 1.0
-    carried = dict(zip(RADII, state.once(_elements, joint, start).T, strict=True))
-    return stacked(*(-state.joint_column(joint, pressed * carried[radius]) for radius in radii))
+    of_radius = dict(zip(RADII, state.once(_elements, joint, start).T, strict=True))
+    return stacked(*(-state.joint_column(joint, pressed * of_radius[radius]) for radius in radii))
 
 
 def _pressed(state: State, joint: int) -> Float1D:
