@@ -152,7 +152,7 @@ def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
     if _sags(known):
         return _search(_about(known, model))
     for _ in range(ROUNDS):
-        if not _unloads(known):
+        if not known.extended.model.springs:
             break
         again = _search(_about(known, model))
         if not (_unloads(again) and _clearly_better(known, again)):
