@@ -33,6 +33,7 @@ class Demands:
         least: Nats that any must gain,
         first: the first cause: where noise lasts over some configurations, the best of all has gained 16 by it, and
         further: a further cause: what is accepted is seldom of quite the right form.
+        draws: Recordings that are drawn to see what chance gains.
         levels: Of the small effects that are part of the noise.
         by_density: Whether blocks are few, so that some show an effect far better than others: those left out are then
             judged by the density of their readings (Sundararajan and Keerthi 2001), not by their squares, and sizes
@@ -43,13 +44,14 @@ class Demands:
     least: float
     first: float
     further: float
+    draws: int
     levels: tuple[float, ...]
     by_density: bool
     narrow: int
 
 
-POSITIONS = Demands(least=CHANCE, first=20.0, further=20.0, levels=NONE, by_density=False, narrow=24)
-STEPS = Demands(least=5.0, first=5.0, further=8.0, levels=LEVELS, by_density=True, narrow=48)
+POSITIONS = Demands(least=CHANCE, first=20.0, further=20.0, draws=60, levels=NONE, by_density=False, narrow=24)
+STEPS = Demands(least=5.0, first=5.0, further=8.0, draws=240, levels=LEVELS, by_density=True, narrow=48)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

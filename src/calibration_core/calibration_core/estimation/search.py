@@ -72,7 +72,8 @@ class Search(Comparisons):
         self.refused: dict[str, None] = {}
         self.objections: dict[tuple[Accepted, int], str] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
-        self.limit = max(chance_gain(field.gram, field.clear, field.blocks(self.judged)), demands.least)
+        chance = chance_gain(field.gram, field.clear, field.blocks(self.judged), demands.draws)
+        self.limit = max(chance, demands.least)
 
     def run(self, accepted: Accepted = ()) -> Selection:
         """Search, beginning with some hypotheses.
