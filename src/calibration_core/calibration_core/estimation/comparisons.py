@@ -10,7 +10,7 @@ import numpy as np
 from calibration_core.estimation.controls import CHANCE
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.leave_out import LeftOut
-from calibration_core.estimation.likelihood.gains import Gains
+from calibration_core.estimation.likelihood.gains import Gains, Grouped
 from calibration_core.estimation.likelihood.restricted import Sizes
 from calibration_core.estimation.likelihood.small_effects import (
     LEVELS,
@@ -20,7 +20,7 @@ from calibration_core.estimation.likelihood.small_effects import (
     best_gains,
     most_probable,
 )
-from calibration_core.timeseries import Float1D, Int1D
+from calibration_core.timeseries import Float1D
 
 KEPT = 3  # models with blocks left out, for what is tried beside them: tens of megabytes each
 
@@ -87,6 +87,7 @@ class Comparisons:
         self.trials: dict[tuple[Accepted, int], Trial] = {}
         self.alone_known: dict[tuple[Accepted, int], tuple[float, float, float]] = {}
         self._left_out: dict[Accepted, LeftOut] = {}
+        self._grouped: dict[bool, Grouped] = {}
 
     def level(self, accepted: Accepted) -> float:
         """Return the signal-to-noise ratio of the small effects beside hypotheses, each."""
@@ -128,13 +129,19 @@ class Comparisons:
                 return self.known[accepted, False]
             chosen = self.narrow if narrow else np.arange(len(self.judged))
             every = Scores(*(np.full(len(self.judged), fill) for fill in (-np.inf, 1.0, 1.0)))
-            blocks = self.field.blocks(tuple(self.judged[k] for k in chosen))
-            found = self.gains(accepted, blocks)
+            found = self.gains(accepted, self.grouped(narrow=narrow))
             every.nats[chosen], every.size[chosen], every.left[chosen] = found.nats, found.size, found.left
             self.known[key] = every
         return self.known[key]
 
-    def gains(self, accepted: Accepted, blocks: list[Int1D]) -> Gains:
+    def grouped(self, *, narrow: bool) -> Grouped:
+        """Return the columns of all judged hypotheses; narrow: of those of few columns alone."""
+        if narrow not in self._grouped:
+            chosen = self.narrow if narrow else np.arange(len(self.judged))
+            self._grouped[narrow] = Grouped.of(self.field.blocks(tuple(self.judged[k] for k in chosen)))
+        return self._grouped[narrow]
+
+    def gains(self, accepted: Accepted, blocks: Grouped) -> Gains:
         """Return what blocks gain beside the accepted ones, (h,) each."""
         return best_gains(self.fitted(accepted), blocks)
 
@@ -147,7 +154,7 @@ class Comparisons:
             if known is not None and not (narrow and k not in self._narrow):
                 return float(known.nats[k]), float(known.size[k]), float(known.left[k])
         if (accepted, index) not in self.alone_known:
-            found = self.gains(accepted, self.field.blocks((index,)))
+            found = self.gains(accepted, Grouped.of(self.field.blocks((index,))))
             self.alone_known[accepted, index] = float(found.nats[0]), float(found.size[0]), float(found.left[0])
         return self.alone_known[accepted, index]
 

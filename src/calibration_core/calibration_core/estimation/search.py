@@ -22,7 +22,7 @@ from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.hypotheses import LAW
 from calibration_core.estimation.leave_out import LEAST_NATS, Proof
-from calibration_core.estimation.likelihood.gains import chance_gain
+from calibration_core.estimation.likelihood.gains import Grouped, chance_gain
 from calibration_core.estimation.likelihood.restricted import Sizes
 from calibration_core.estimation.likelihood.small_effects import likelihood_at, visible
 from calibration_core.timeseries import Float1D
@@ -72,7 +72,7 @@ class Search(Comparisons):
         self.refused: dict[str, None] = {}
         self.objections: dict[tuple[Accepted, int], str] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
-        chance = chance_gain(field.gram, field.clear, field.blocks(self.judged), demands.draws)
+        chance = chance_gain(field.gram, field.clear, self.grouped(narrow=False), demands.draws)
         self.limit = max(chance, demands.least)
 
     def run(self, accepted: Accepted = ()) -> Selection:
@@ -348,7 +348,7 @@ class Search(Comparisons):
         What it leaves to chance in each configuration explains much of anything: that is no evidence by itself.
         """
         chance = trial.hypothesis.chance
-        if len(chance) and trial.gain - float(self.gains(accepted, [chance]).nats[0]) <= PART:
+        if len(chance) and trial.gain - float(self.gains(accepted, Grouped.of([chance])).nats[0]) <= PART:
             return "what it leaves to chance in each configuration explains as much"
         if not self.demands.by_density:
             return ""

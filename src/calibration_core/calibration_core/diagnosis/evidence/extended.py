@@ -9,10 +9,8 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.evidence.design import Design, build_design
-from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
 from calibration_core.diagnosis.evidence.estimates import estimates
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
-from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects.applied import applied
@@ -21,10 +19,10 @@ from calibration_core.model.effects.possible import nearest
 from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Float1D, Float2D, Int1D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 ROUNDS = 4
-CONVERGED = 1e-5  # of the largest compliance
+CONVERGED = 1e-3  # of the largest compliance: what the last step leaves is as its square
 WIDE = 4.0  # times the usual size: what an effect that was found may move by chance
 LEAST_STEP, MOST_STEP = 0.2, 3.0  # step control: factors on a compliance per round
 
@@ -98,14 +96,13 @@ def design_at(
     rows: Rows,
     used: Int1D,
     hypotheses: tuple[Candidate, ...],
-    frames: FrameFit | None,
+    discrepancy: Float3D,
     among: Collection[int] | None = None,
 ) -> tuple[State, Design]:
     """Return state (all readings) and whitened model (those used) at the given compliances, (n,) rad/(N*m)."""
     state = loaded_state(problem, cell, compliance)
     linear = problem.linearise(compliance)
-    extra = structured_discrepancy(state, frames)
-    return state, build_design(state, rows, linear.residual, linear.columns, hypotheses, extra, used, among=among)
+    return state, build_design(state, rows, linear.residual, linear.columns, hypotheses, discrepancy, used, among=among)
 
 
 def extend(
@@ -115,7 +112,7 @@ def extend(
     rows: Rows,
     used: Int1D,
     hypotheses: tuple[Candidate, ...],
-    frames: FrameFit | None,
+    discrepancy: Float3D,
     selection: LoadedSelection,
 ) -> ExtendedLoadedModel:
     """Refit the compliances together with what was accepted, re-linearising until they stand still.
@@ -127,7 +124,7 @@ def extend(
         rows: Grouping and noise as seen, of the readings used.
         used: Indices of the readings used.
         hypotheses: The catalogue.
-        frames: Refitted frames; None for displacement recordings.
+        discrepancy: (m, 3, k) m, as `structured_discrepancy`, at the compliances to start from.
         selection: What was accepted.
     """
     compliance = start
@@ -136,7 +133,7 @@ def extend(
     n = len(compliance)
     value = np.zeros(n)
     for round_number in range(ROUNDS):
-        _, design = design_at(problem, cell, compliance, rows, used, chosen, frames)
+        _, design = design_at(problem, cell, compliance, rows, used, chosen, discrepancy)
         value = _allowed(compliance, chosen, *estimates(design, tuple(range(len(chosen)))))
         change = np.clip(compliance + value[:n], LEAST_STEP * compliance, MOST_STEP * compliance) - compliance
         if np.abs(change).max() < CONVERGED * np.abs(compliance).max():
@@ -144,7 +141,7 @@ def extend(
         if round_number < ROUNDS - 1:
             compliance = compliance + change
     linear = problem.linearise(compliance)
-    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, frames, selection.asked)
+    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, discrepancy, selection.asked)
     shift = np.concatenate([np.zeros((state.m, 3, 0)), *(one.columns(state) for one in chosen)], axis=2) @ value[n:]
     raw = linear.residual - shift - np.einsum("mij,j->mi", linear.columns, value[:n])
     raw = raw - _by_chance(whole, accepted, value, state)

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from calibration_core.estimation.likelihood.restricted import LEAST, MOST, Gram, Sizes, basis_serves, price
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Int2D
 
 GRID = np.exp(np.linspace(np.log(LEAST), np.log(MOST), 36))
 SHOWN = 1e-7  # of the largest eigenvalue: directions below it are rounding errors
@@ -94,56 +94,101 @@ class Gains:
     left: Float2D
 
 
-def gains(seen: Seen, blocks: Sequence[Int1D], drawn: Float2D | None = None) -> Gains:
+@dataclasses.dataclass(frozen=True, eq=False)
+class Alike:
+    """Blocks of one width.
+
+    Attributes:
+        which: (c,) indices of the blocks.
+        columns: (c, k) of each.
+        place: (c, k) where these stand among all that are asked for.
+    """
+
+    which: Int1D
+    columns: Int2D
+    place: Int2D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Grouped:
+    """Blocks by their widths, for what is asked of them many times.
+
+    Attributes:
+        count: Number of blocks.
+        asked: (a,) all their columns, each once.
+        groups: Of blocks of one width each.
+    """
+
+    count: int
+    asked: Int1D
+    groups: tuple[Alike, ...]
+
+    @staticmethod
+    def of(blocks: Sequence[Int1D]) -> Grouped:
+        """Group blocks, given as columns (k,) each."""
+        asked = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *blocks]))
+        count = np.array([len(block) for block in blocks], dtype=np.int64)
+        groups = []
+        for width in np.unique(count):
+            which = np.flatnonzero(count == width)
+            columns = np.stack([blocks[h] for h in which])
+            groups.append(Alike(which, columns, np.searchsorted(asked, columns)))
+        return Grouped(len(blocks), asked, tuple(groups))
+
+
+def gains(seen: Seen, blocks: Grouped, drawn: Float2D | None = None) -> Gains:
     """Return what every block gains at its best size.
 
     Args:
         seen: The columns beside what is accepted.
-        blocks: Columns of the h blocks.
+        blocks: The h blocks.
         drawn: (p, s) A' V^-1 y of other data, whose y' V^-1 y is the number of degrees of freedom; None: the data's.
     """
-    asked = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *blocks]))
-    place = np.zeros(len(seen.gram.vector), dtype=np.int64)
-    place[asked] = np.arange(len(asked))
-    taken, own_vector = seen.of(asked)
+    taken, own_vector = seen.of(blocks.asked)
     freedom = seen.gram.freedom
-    vectors, square = (own_vector[:, None], seen.square) if drawn is None else (drawn[asked], float(freedom))
-    shape = len(blocks), vectors.shape[1]
+    vectors, square = (own_vector[:, None], seen.square) if drawn is None else (drawn[blocks.asked], float(freedom))
+    shape = blocks.count, vectors.shape[1]
     nats, best, left = np.zeros(shape), np.zeros(shape), np.ones(shape)
-    count = np.array([len(block) for block in blocks])
-    kept = np.array([basis_serves(len(block), len(seen.members)) for block in blocks], dtype=bool)
-    for h in map(int, np.flatnonzero(kept)):
-        q, lost = _of_wide(seen, blocks[h], taken[:, place[blocks[h]]], vectors[place[blocks[h]]])
-        every = -0.5 * freedom * np.log(np.maximum(1.0 - q / square, LEAST_LEFT)) - lost[:, None]
-        top = every.argmax(axis=0)
-        nats[h], best[h] = every.max(axis=0), GRID[top]
-        left[h] = np.maximum(1.0 - q[top, np.arange(len(top))] / square, LEAST_LEFT)
-    for k in np.unique(count[~kept]):
-        chosen = np.flatnonzero((count == k) & ~kept)
-        index = np.stack([blocks[int(h)] for h in chosen])
-        among = seen.gram.matrix[index[:, :, None], index[:, None, :]]
-        index = place[index]
-        seen_by = taken[:, index].transpose(1, 0, 2)  # (c, a, k)
-        own, turn = np.linalg.eigh((among - seen_by.transpose(0, 2, 1) @ seen_by) / seen.variance)
-        shown = own > SHOWN * own[:, -1:]
-        own = np.where(shown, own, 0.0)
-        along = (turn.transpose(0, 2, 1) @ vectors[index]) ** 2 * shown[:, :, None]  # (c, k, s)
-        wide = 1.0 + SQUARED[:, None, None] * own  # (g, c, k)
-        lost = 0.5 * np.log(wide).sum(axis=2) + PRICE[:, None]
-        for part in range(0, len(chosen), BATCH):
-            some = slice(part, part + BATCH)
-            weight = (SQUARED[:, None, None] / wide[:, some]).transpose(1, 0, 2)  # (c, g, k)
-            remains = np.maximum(1.0 - weight @ along[some] / square, LEAST_LEFT)  # (c, g, s)
-            worth = remains * np.exp(2 / freedom * lost.T[some, :, None])  # its logarithm is the gain, times -n/2
-            top = worth.argmin(axis=1)
-            nats[chosen[some]] = -0.5 * freedom * np.log(np.take_along_axis(worth, top[:, None], axis=1)[:, 0])
-            left[chosen[some]] = np.take_along_axis(remains, top[:, None], axis=1)[:, 0]
-            best[chosen[some]] = GRID[top]
+    for group in blocks.groups:
+        wide = basis_serves(group.columns.shape[1], len(seen.members))
+        together = 1 if wide else BATCH
+        for part in range(0, len(group.which), together):
+            some = slice(part, part + together)
+            chosen, columns, place = group.which[some], group.columns[some], group.place[some]
+            seen_by, shown = taken[:, place], vectors[place]
+            if wide:
+                off, lost = _of_wide(seen, columns[0], seen_by[:, 0], shown[0])
+            else:
+                off, lost = _of_narrow(seen, columns, seen_by, shown)
+            remains = np.maximum(1.0 - off / square, LEAST_LEFT)
+            worth = remains * np.exp(2 / freedom * lost[:, :, None])  # its logarithm is the gain, times -n/2
+            top = worth.argmin(axis=1)[:, None]
+            nats[chosen] = -0.5 * freedom * np.log(np.take_along_axis(worth, top, axis=1)[:, 0])
+            left[chosen] = np.take_along_axis(remains, top, axis=1)[:, 0]
+            best[chosen] = GRID[top[:, 0]]
     return Gains(nats, best, left)
 
 
-def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tuple[Float2D, Float1D]:
-    """Return what a wide block takes off y' V^-1 y at every size, (g, s), and what it costs, (g,) nats.
+def _of_narrow(seen: Seen, columns: Int2D, taken: Float3D, vectors: Float3D) -> tuple[Float3D, Float2D]:
+    """Return what c blocks take off y' V^-1 y at every size, (c, g, s), and what they cost, (c, g) nats.
+
+    Args:
+        seen: The columns beside what is accepted.
+        columns: (c, k) of the blocks.
+        taken: (a, c, k) what is accepted takes of them.
+        vectors: (c, k, s) A' V^-1 y.
+    """
+    seen_by = taken.transpose(1, 0, 2)  # (c, a, k)
+    among = seen.gram.matrix[columns[:, :, None], columns[:, None]]
+    own, turn = np.linalg.eigh((among - seen_by.transpose(0, 2, 1) @ seen_by) / seen.variance)
+    shown = own > SHOWN * own[:, -1:]
+    along = (turn.transpose(0, 2, 1) @ vectors) ** 2 * shown[:, :, None]
+    wide = 1.0 + SQUARED[:, None] * np.where(shown, own, 0.0)[:, None]  # (c, g, k)
+    return (SQUARED[:, None] / wide) @ along, 0.5 * np.log(wide).sum(axis=2) + PRICE
+
+
+def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tuple[Float3D, Float2D]:
+    """Return the same of a wide block, (1, g, s) and (1, g).
 
     Args:
         seen: The columns beside what is accepted.
@@ -163,10 +208,10 @@ def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tupl
         through = solve_triangular(lower, weighted @ along, lower=True)
         off[g] = squared * (along**2 / wide[:, None]).sum(axis=0) + squared**2 * (through**2).sum(axis=0)
         lost[g] = 0.5 * np.log(wide).sum() + np.log(np.diag(lower)).sum() + PRICE[g]
-    return off, lost
+    return off[None], lost[None]
 
 
-def chance_gain(gram: Gram, clear: Bool1D, blocks: Sequence[Int1D], draws: int) -> float:
+def chance_gain(gram: Gram, clear: Bool1D, blocks: Grouped, draws: int) -> float:
     """Return what the best block gains in one per cent of recordings with the null model alone, nats.
 
     A parametric bootstrap; the largest gain of each recording is taken to follow Gumbel's law.
@@ -174,10 +219,10 @@ def chance_gain(gram: Gram, clear: Bool1D, blocks: Sequence[Int1D], draws: int) 
     Args:
         gram: The rows.
         clear: (p,) columns of which the null model leaves enough.
-        blocks: Columns of the blocks.
+        blocks: The blocks.
         draws: Number of recordings that are drawn; of 60 the answer scatters by 0.6 nats, of 240 by half of that.
     """
-    if not blocks:
+    if not blocks.count:
         return 0.0
     kept = np.flatnonzero(clear)
     scale = np.sqrt(np.where(clear, np.diag(gram.matrix), 1.0))

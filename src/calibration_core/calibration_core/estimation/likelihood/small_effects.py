@@ -23,7 +23,7 @@ from scipy.linalg import cholesky
 from scipy.linalg.lapack import dpotri
 
 from calibration_core.estimation.hypotheses import Offered
-from calibration_core.estimation.likelihood.gains import LEAST_LEFT, Gains, Seen, beside, gains
+from calibration_core.estimation.likelihood.gains import LEAST_LEFT, Gains, Grouped, Seen, beside, gains
 from calibration_core.estimation.likelihood.restricted import Gram, Sizes, fit_sizes
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.model.effects.candidate import Candidate
@@ -109,7 +109,7 @@ def most_probable(fits: Sequence[LevelFit]) -> LevelFit:
     return max(fits, key=lambda fit: (fit.sizes.value, -fit.level))
 
 
-def best_gains(fits: Sequence[LevelFit], blocks: Sequence[Int1D]) -> Gains:
+def best_gains(fits: Sequence[LevelFit], blocks: Grouped) -> Gains:
     """Return what every block gains, each at the level that suits it best, against the most probable level, (h,) each.
 
     Sizes and what is left are those beside the noise of the most probable level.
@@ -127,7 +127,7 @@ def best_gains(fits: Sequence[LevelFit], blocks: Sequence[Int1D]) -> Gains:
 
 def visible(fits: Sequence[LevelFit], block: Int1D) -> tuple[float, float]:
     """Return the level that suits a block best, and its signal-to-noise ratio beside small effects of that level."""
-    found = [gains(fit.seen, [block]) for fit in fits]
+    found = [gains(fit.seen, Grouped.of([block])) for fit in fits]
     best = int(np.argmax([fit.sizes.value + float(one.nats[0, 0]) for fit, one in zip(fits, found, strict=True)]))
     matrix, vector = _own(fits[best], block)
     size, left = float(found[best].size[0, 0]), float(found[best].left[0, 0])
