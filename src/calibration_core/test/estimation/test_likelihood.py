@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from calibration_core.estimation.likelihood.gains import beside, gains
+from calibration_core.estimation.likelihood.gains import Grouped, beside, gains
 from calibration_core.estimation.likelihood.restricted import DEAR, WIDE, Gram, Likelihood, Sizes, fit_sizes, price
 
 ROWS, FLAT = 90, 4
@@ -80,7 +80,7 @@ def test_a_gain_is_what_the_dense_likelihood_grows_by(seed: int) -> None:
     residual, flat, columns = example(seed)
     gram = condensed(residual, flat, columns)
     found = fit_sizes(gram, BLOCKS[:1])
-    gained = gains(beside(gram, BLOCKS[:1], found), [BLOCKS[1], FURTHER])
+    gained = gains(beside(gram, BLOCKS[:1], found), Grouped.of([BLOCKS[1], FURTHER]))
     for k, block in enumerate((BLOCKS[1], FURTHER)):
         left = float(gained.left[k, 0])
         assert 0 < left <= 1
@@ -112,7 +112,7 @@ def test_a_wide_block_beside_others_is_as_the_dense_likelihood(few: int, at: int
         assert dense(residual, flat, columns, Sizes(variance, size, 0.0), blocks) < best + 1e-3
     others = [block for block in blocks if len(block) < WIDE]
     before = fit_sizes(gram, others)
-    gained = gains(beside(gram, others, before), [max(blocks, key=len)])
+    gained = gains(beside(gram, others, before), Grouped.of([max(blocks, key=len)]))
     share = float(gained.left[0, 0])
     size = np.append(before.size, gained.size[0, 0]) * np.sqrt(share)
     grown = dense(residual, flat, columns, Sizes(before.variance * share, size, 0.0), [*others, max(blocks, key=len)])

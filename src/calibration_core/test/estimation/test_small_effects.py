@@ -9,6 +9,7 @@ from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.comparisons import STEPS
 from calibration_core.estimation.field import Field
 from calibration_core.estimation.hypotheses import offer
+from calibration_core.estimation.likelihood.gains import Grouped
 from calibration_core.estimation.likelihood.restricted import Sizes, price
 from calibration_core.estimation.likelihood.small_effects import (
     LEVELS,
@@ -81,7 +82,7 @@ def test_levels_are_compared_by_the_dense_likelihood(crowd: float) -> None:
 def test_a_gain_is_by_how_much_the_best_level_with_it_is_above_the_best_without() -> None:
     rows = field(2, {2: 0.8, 7: 0.3}, 2.0)
     fits = SmallEffects(rows.gram, rows.offered, LEVELS).fits(rows.blocks((0,)), None)
-    found = best_gains(fits, rows.blocks((1, 5)))
+    found = best_gains(fits, Grouped.of(rows.blocks((1, 5))))
     unit = shared_power(np.diag(rows.gram.matrix), rows.offered.candidates, rows.offered.blocks)
     known = most_probable(fits).sizes
     for k, index in enumerate((1, 5)):

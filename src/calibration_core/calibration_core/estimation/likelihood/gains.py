@@ -131,7 +131,7 @@ class Grouped:
         groups = []
         for width in np.unique(count):
             which = np.flatnonzero(count == width)
-            columns = np.stack([blocks[h] for h in which])
+            columns = np.stack([blocks[int(h)] for h in which])
             groups.append(Alike(which, columns, np.searchsorted(asked, columns)))
         return Grouped(len(blocks), asked, tuple(groups))
 
