@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Bool1D, Float1D, Float2D
 from calibration_sim.cell.protocol import NINE_STEPS, Configuration, Protocol, oblique_direction, pull, rated_force
 from calibration_sim.cell.truth import PROTOCOL_STREAM, generator
 from calibration_sim.mechanics.chain import Chain, read_chain
@@ -100,16 +100,17 @@ def _usable(cell: Cell, mechanism: Mechanism, q: Float2D, reach: float) -> list[
     if size > 0.0:
         heights = np.concatenate([origins[:, 2:], points], axis=1) @ (-cell.gravity / size)
         usable &= heights.min(axis=1) >= CLEARANCE * reach
-    return [int(i) for i in np.flatnonzero(usable) if _dexterous(mechanism, q[i], reach)]
+    seen = np.flatnonzero(usable)
+    return [int(i) for i in seen[_dexterous(mechanism, q[seen], reach)]]
 
 
-def _dexterous(mechanism: Mechanism, q: Float1D, reach: float) -> bool:
-    """Say whether joint angles (n,) rad are away from singularities."""
-    jacobian = mechanism.jacobian(q) / np.repeat([reach, 1.0], 3)[:, None]
-    if len(q) < 6:
-        jacobian = jacobian[:3]
-    singular_values = np.linalg.svd(jacobian, compute_uv=False)
-    return bool(singular_values[-1] >= LEAST_DEXTERITY * singular_values[0])
+def _dexterous(mechanism: Mechanism, q: Float2D, reach: float) -> Bool1D:
+    """Say for every row of joint angles, (k, n) rad, whether it is away from singularities."""
+    jacobians = mechanism.jacobians(q) / np.repeat([reach, 1.0], 3)[:, None]
+    if q.shape[1] < 6:
+        jacobians = jacobians[:, :3]
+    singular_values = np.linalg.svd(jacobians, compute_uv=False)
+    return np.asarray(singular_values[:, -1] >= LEAST_DEXTERITY * singular_values[:, 0])
 
 
 def _normalised(q: Float2D, chain: Chain) -> Float2D:

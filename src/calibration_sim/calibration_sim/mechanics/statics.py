@@ -13,6 +13,7 @@ angle), weight is MuJoCo's (`qfrc_bias` at rest), the wrench goes in through `mj
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 
 import mujoco
@@ -114,13 +115,18 @@ class Mechanism:
         self._flange = int(self.model.body(chain.links[chain.flange].name).id)
         self._links = [int(self.model.body(link.name).id) for link in chain.links]
         self._origins = np.array(self.model.body_pos)
+        self._rates = np.array(self.model.jnt_stiffness, dtype=np.float64).reshape(self.model.nv, -1)[:, 0]
+        # Views of the scratch, made once: MuJoCo makes a new one whenever it is asked.
+        self._qpos, self._passive, self._bias = self.data.qpos, self.data.qfrc_passive, self.data.qfrc_bias
+        self._turned, self._at = self.data.xmat[self._flange].reshape(3, 3), self.data.xpos[self._flange]
+        self._load, self._parts = np.zeros(self.model.nv), np.zeros((3, self.model.nv))
         self._pushes: Sequence[Push] = ()
         self._sides: Sequence[SideTorque] = ()
 
     def forward(self, angles: ArrayLike) -> Placement:
         """Return the flange frame in the base frame with the links (not the motors) at `angles` (n,) rad."""
-        self.data.qpos[:] = 0.0
-        self.data.qpos[self._dofs] = np.asarray(angles) + self._zero
+        self._qpos[:] = 0.0
+        self._qpos[self._dofs] = np.asarray(angles) + self._zero
         mujoco.mj_kinematics(self.model, self.data)
         return self._flange_placement()
 
@@ -131,6 +137,20 @@ class Mechanism:
         linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
         mujoco.mj_jac(self.model, self.data, linear, angular, place.apply(point), self._flange)
         return np.asarray(np.vstack([linear, angular])[:, self._dofs])
+
+    def jacobians(self, angles: Float2D) -> Float3D:
+        """Return the Jacobians (k, 6, n) of the flange's origin, as `jacobian`, for link angles (k, n) rad at once."""
+        model, data, n = self.model, self.data, len(self._dofs)
+        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        result = np.empty((len(angles), 6, n))
+        self._qpos[:] = 0.0
+        for row, each in zip(result, np.asarray(angles) + self._zero, strict=True):
+            self._qpos[self._dofs] = each
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_jac(model, data, linear, angular, self._at, self._flange)
+            row[:3], row[3:] = linear[:, self._dofs], angular[:, self._dofs]
+        return result
 
     def freedoms(self, angles: ArrayLike, wrench: ArrayLike, points: Float2D) -> tuple[Float3D, Float1D]:
         """Return how points move with every coordinate, joint or spring, and what loads each, nothing having given way.
@@ -214,43 +234,43 @@ class Mechanism:
         reference[self._dofs] = commanded if shift is None else commanded + np.asarray(shift)
         self._pushes, self._sides = pushes, sides
         self.model.qpos_spring[:] = reference
-        spring = np.array(self.model.jnt_stiffness, dtype=np.float64).reshape(self.model.nv, -1)[:, 0]
-        rounding = 8.0 * np.finfo(np.float64).eps * spring * np.maximum(1.0, np.abs(reference))
+        rounding = 8.0 * np.finfo(np.float64).eps * self._rates * np.maximum(1.0, np.abs(reference))
 
         x = np.array(reference if start is None else start, dtype=np.float64)
         slope: Float2D | None = None  # that of the springs alone, while it serves
         unbalanced, scale = self._unbalanced(x, w)
-        step = np.zeros_like(x)
+        step, left = np.zeros_like(x), np.abs(unbalanced)
+        most = float(left.max())
         for _ in range(MAX_ITERATIONS):
-            left = np.abs(unbalanced)
             if (left <= np.maximum(RELATIVE_TOLERANCE * scale, rounding)).all():
-                size = float(left.max())
                 deflection = x[self._dofs] - commanded
-                torque = np.array(self.data.qfrc_passive)[self._dofs]
+                torque = self._passive[self._dofs]
                 place = self._flange_placement()
-                return Equilibrium(deflection, torque, place, x, size / scale if scale > 0.0 else 0.0)
+                return Equilibrium(deflection, torque, place, x, most / scale if scale > 0.0 else 0.0)
             try:
-                step = np.asarray(unbalanced / spring if slope is None else np.linalg.solve(slope, -unbalanced))
+                step = np.asarray(unbalanced / self._rates if slope is None else np.linalg.solve(slope, -unbalanced))
             except np.linalg.LinAlgError:  # the springs buckle here
                 break
             x = x + step
             unbalanced, scale = self._unbalanced(x, w)
-            if not np.isfinite(unbalanced).all():
+            before, left = most, np.abs(unbalanced)
+            most = float(left.max())
+            if not math.isfinite(most):
                 break
-            if np.abs(unbalanced).max() > SLOW * left.max():
+            if most > SLOW * before:
                 slope = self._slope(x, w)
         raise EquilibriumError(float(np.max(np.abs(step))), MAX_ITERATIONS)
 
     def _unbalanced(self, x: Float1D, wrench: Float1D) -> tuple[Float1D, float]:
         """Return the unbalanced torque (nv,) at rest at x, and the largest single torque in it."""
-        model, data = self.model, self.data
-        data.qpos[:] = x
+        model, data, load = self.model, self.data, self._load
+        self._qpos[:] = x
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_passive(model, data)
-        mujoco.mj_rne(model, data, 0, data.qfrc_bias)
-        load = np.zeros(model.nv)
-        point = self._wrench_point @ data.xmat[self._flange].reshape(3, 3).T + data.xpos[self._flange]
+        mujoco.mj_rne(model, data, 0, self._bias)
+        load[:] = 0.0
+        point = self._wrench_point @ self._turned.T + self._at
         mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], point, self._flange, load)
         for push in self._pushes:
             body = model.body(push.link).id
@@ -258,8 +278,10 @@ class Mechanism:
             mujoco.mj_applyFT(model, data, push.force(place), np.zeros(3), place, body, load)
         for side in self._sides:
             load[self._dofs[side.joint]] += side.torque(float(x[self._dofs[side.joint]]))
-        parts = np.array([data.qfrc_passive, data.qfrc_bias, load])
-        return parts[0] - parts[1] + parts[2], float(np.abs(parts).max())
+        parts = self._parts
+        parts[0], parts[1], parts[2] = self._passive, self._bias, load
+        unbalanced = parts[0] - parts[1] + load
+        return unbalanced, float(np.abs(parts, out=parts).max())
 
     def _slope(self, x: Float1D, wrench: Float1D) -> Float2D:
         """Return the derivative (nv, nv) of the unbalanced torque by central differences."""
@@ -273,5 +295,4 @@ class Mechanism:
         return np.array(columns).T
 
     def _flange_placement(self) -> Placement:
-        rotation = np.array(self.data.xmat[self._flange]).reshape(3, 3)
-        return Placement(rotation, np.array(self.data.xpos[self._flange]))
+        return Placement(self._turned.copy(), self._at.copy())
