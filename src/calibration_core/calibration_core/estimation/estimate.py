@@ -209,7 +209,7 @@ def _search(model: NullModel) -> Estimate:
     catalogue = physics(null.model.state, sag=not model.fitted_compliances)
     own = {one.key for one in catalogue}
     catalogue = (*(one for one, _ in model.springs if one.key not in own), *catalogue)
-    field, whitening = _field(model, offer((*catalogue, *shifts(readings))), None)
+    field, whitening = _field(model, offer((*catalogue, *shifts(readings))))
     control = controls(model, sample_rows(model), whitening)
     search = Search(field, control)
     selection = search.run(_these(field.offered, [one for one, _ in model.springs]))
@@ -223,8 +223,10 @@ def _search(model: NullModel) -> Estimate:
         )
         helped = {c.location["joint"] for c in more}
         physical = [field.offered.hypotheses[i] for i in selection.accepted if i not in steps]
-        del search, field  # hundreds of megabytes beside the next ones
-        field, _ = _field(model, offer((*more, *catalogue, *shifts(readings, fine))), whitening)
+        del search  # hundreds of megabytes beside the next one
+        field = field.offering(
+            offer((*more, *catalogue, *shifts(readings, fine))), lambda new: _whitened(model, new, whitening)
+        )
         begin = [_find(field.offered, one) for one in physical if one.location.get("joint") not in helped]
         sprung = {one.location["joint"] for one in physical if one.effect == SPRING}
         springs = _these(field.offered, [one for one in more if one.location["joint"] in sprung])
@@ -297,7 +299,12 @@ def partitions_of(model: NullModel, rows: np.ndarray, counts: dict[str, int]) ->
     return tuple(dataclasses.replace(one, label=np.where(stay, STAYS, one.label)) for one in found)
 
 
-def _field(model: NullModel, offered: Offered, whitening: Whitening | None) -> tuple[Field, Whitening]:
+def _whitened(model: NullModel, candidates: Sequence[Candidate], whitening: Whitening) -> Float2D:
+    """Return the columns of candidates for the readings that are searched, per typical size, as independent rows."""
+    return whitening(offer(candidates).columns(model, sample_rows(model)))
+
+
+def _field(model: NullModel, offered: Offered) -> tuple[Field, Whitening]:
     rows = sample_rows(model)
     flat, residual = model.flat(rows)
     columns = offered.columns(model, rows)
@@ -306,8 +313,7 @@ def _field(model: NullModel, offered: Offered, whitening: Whitening | None) -> t
             if is_axial(candidate):
                 held = model.parameters.compliance[model.parameters.joints.index(str(candidate.location["joint"]))]
                 residual = residual + columns[:, block.start] * (held / candidate.parameters[0].typical)
-    if whitening is None:
-        whitening = fit_whitening(strata_of(model, rows), residual, flat, columns, offered)
+    whitening = fit_whitening(strata_of(model, rows), residual, flat, columns, offered)
     usual = weighted(model.problem.select(rows), model.parameters, usual_errors(model.state)[rows])
     everything = np.column_stack([residual, flat, usual, columns])
     del columns  # there may be thousands

@@ -13,6 +13,7 @@ from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.hypotheses import Hypothesis, Offered
 from calibration_core.estimation.leave_out import LeftOut, Proof, block_squares, proof
 from calibration_core.estimation.likelihood.restricted import Gram, Sizes
+from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 LEAST_REST = 0.02  # share of a column that frames and geometry must leave
@@ -74,20 +75,35 @@ class Field:
         scale = np.where(length > 0, length, 1.0)
         wide[:, : f + u] /= scale
         wide[:r, f + u :] = columns
-        left, s, _ = np.linalg.svd(wide[:, : f + u], full_matrices=False)
-        basis, columns = left[:, s > 1e-7 * s[0]], wide[:, f + u :]
-        in_flat = basis.T @ columns
-        products = wide.T @ wide
-        matrix = products[f + u :, f + u :] - in_flat.T @ in_flat
-        whole = np.diag(products)[f + u :]
-        seen = basis.T @ residual
-        gram = Gram(
-            matrix, columns.T @ residual - in_flat.T @ seen, float(residual @ residual - seen @ seen),
-            len(residual) - basis.shape[1],
-        )  # fmt: skip
-        clear = (whole > LEAST_MOVED) & (np.diag(matrix) > LEAST_REST**2 * whole)
-        matrix[~clear] = matrix[:, ~clear] = gram.vector[~clear] = 0.0
-        return Field(residual, wide, scale, offered, partitions, products, gram, clear)
+        return _condensed(residual, wide, scale, offered, partitions, wide.T @ wide)
+
+    def offering(self, offered: Offered, columns: Callable[[Sequence[Candidate]], Float2D]) -> Field:
+        """Return the same rows for other hypotheses: what their candidates have in common with these is taken over.
+
+        Args:
+            offered: The other hypotheses.
+            columns: Candidates -> (r, k) their whitened columns, per typical size, the rows of priors apart.
+        """
+        f, mine = self.flat_count, dict(zip(map(id, self.offered.candidates), self.offered.blocks, strict=True))
+        new = [one for one in offered.candidates if id(one) not in mine]
+        added = columns(new)
+        wide = np.zeros((len(self.residual), f + offered.count))
+        was = np.full(f + offered.count, -1)  # where a column stood
+        was[:f], at = np.arange(f), 0
+        for one, block in zip(offered.candidates, offered.blocks, strict=True):
+            here, before = slice(f + block.start, f + block.stop), mine.get(id(one))
+            if before is not None:
+                was[here] = np.arange(f + before.start, f + before.stop)
+                continue
+            wide[: len(added), here] = added[:, at : at + len(one.parameters)]
+            at += len(one.parameters)
+        kept, fresh = np.flatnonzero(was >= 0), np.flatnonzero(was < 0)
+        wide[:, kept] = self.wide[:, was[kept]]
+        products = np.empty((len(was), len(was)))
+        products[np.ix_(kept, kept)] = self.products[np.ix_(was[kept], was[kept])]
+        products[fresh] = wide[:, fresh].T @ wide
+        products[:, fresh] = products[fresh].T
+        return _condensed(self.residual, wide, self.flat_scale, offered, self.partitions, products)
 
     @property
     def flat_count(self) -> int:
@@ -125,6 +141,31 @@ class Field:
     def in_blocks(self, errors: Sequence[Float1D]) -> list[Float1D]:
         """Return per partition the squares of blocks left out, (b,)."""
         return [block_squares(error, one) for error, one in zip(errors, self.partitions, strict=True)]
+
+
+def _condensed(
+    residual: Float1D,
+    wide: Float2D,
+    scale: Float1D,
+    offered: Offered,
+    partitions: tuple[Blocks, ...],
+    products: Float2D,
+) -> Field:
+    """Project the null model's columns out; arguments are those of the field."""
+    f = len(scale)
+    left, s, _ = np.linalg.svd(wide[:, :f], full_matrices=False)
+    basis, columns = left[:, s > 1e-7 * s[0]], wide[:, f:]
+    in_flat = basis.T @ columns
+    matrix = products[f:, f:] - in_flat.T @ in_flat
+    whole = np.diag(products)[f:]
+    seen = basis.T @ residual
+    gram = Gram(
+        matrix, columns.T @ residual - in_flat.T @ seen, float(residual @ residual - seen @ seen),
+        len(residual) - basis.shape[1],
+    )  # fmt: skip
+    clear = (whole > LEAST_MOVED) & (np.diag(matrix) > LEAST_REST**2 * whole)
+    matrix[~clear] = matrix[:, ~clear] = gram.vector[~clear] = 0.0
+    return Field(residual, wide, scale, offered, partitions, products, gram, clear)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
