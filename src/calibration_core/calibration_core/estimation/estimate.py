@@ -98,9 +98,11 @@ def estimate(readings: Readings, cell: Cell, evaluated: Evaluated, sound: Bool1D
     again = np.mean(used != model.used) > MORE
     model = dataclasses.replace(model, used=used)
     refitted = _again(found, model)
-    if again or refitted.extended.variance < QUIETER * found.extended.variance:
-        return _searched(model, refitted)
-    return refitted
+    if not again and refitted.extended.variance >= QUIETER * found.extended.variance:
+        return refitted
+    known = refitted if _sags(refitted) else None
+    del found, refitted  # a search holds a hundred megabytes, and two more follow
+    return _searched(model, known)
 
 
 def null_model(readings: Readings, cell: Cell, evaluated: Evaluated, used: Bool1D) -> NullModel:
@@ -136,7 +138,7 @@ def axial(joint: int, name: str, state: State) -> Candidate:
 def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tuple[NullModel, Estimate]:
     """Search once more with the geometry in the null model; keep that if it predicts configurations left out better."""
     more = dataclasses.replace(model, terms=(*model.terms, term))
-    other = _searched(more, found)
+    other = _searched(more, found if _sags(found) else None)
     return (more, other) if _clearly_better(found, other) else (model, found)
 
 
@@ -145,9 +147,9 @@ def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
 
     Args:
         model: What is fitted before any hypothesis.
-        known: What was found with other terms or readings; the search begins about it where the robot sags in it.
+        known: What was found with other terms or readings, in which the robot sags: the search begins about it.
     """
-    if known is None or not _sags(known):
+    if known is None:
         known = _search(model)
     if _sags(known):
         return _search(_about(known, model))
@@ -307,21 +309,20 @@ def _whitened(model: NullModel, candidates: Sequence[Candidate], whitening: Whit
 def _field(model: NullModel, offered: Offered) -> tuple[Field, Whitening]:
     rows = sample_rows(model)
     flat, residual = model.flat(rows)
-    columns = offered.columns(model, rows)
+    usual = weighted(model.problem.select(rows), model.parameters, usual_errors(model.state)[rows])
+    r, f, u = len(residual), flat.shape[1], usual.shape[1]
+    wide = offered.columns(model, rows, np.column_stack([flat, usual]), u)
+    columns = wide[:r, f + u :]
     if not model.fitted_compliances:  # compliances that were found already are still in question
         for candidate, block in zip(offered.candidates, offered.blocks, strict=True):
             if is_axial(candidate):
                 held = model.parameters.compliance[model.parameters.joints.index(str(candidate.location["joint"]))]
                 residual = residual + columns[:, block.start] * (held / candidate.parameters[0].typical)
     whitening = fit_whitening(strata_of(model, rows), residual, flat, columns, offered)
-    usual = weighted(model.problem.select(rows), model.parameters, usual_errors(model.state)[rows])
-    everything = np.column_stack([residual, flat, usual, columns])
-    del columns  # there may be thousands
-    wide = whitening(everything)
-    del everything
-    f, u = flat.shape[1], flat.shape[1] + usual.shape[1]
-    partitions = partitions_of(model, rows, SEARCH_BLOCKS)
-    field = Field.of(wide[:, 0], wide[:, 1 : 1 + f], wide[:, 1 + f : 1 + u], wide[:, 1 + u :], offered, partitions)
+    whitening.inside(wide[:r])
+    wide[r:, f : f + u] = np.eye(u)
+    residual = np.concatenate([whitening(residual[:, None])[:, 0], np.zeros(u)])
+    field = Field.within(residual, wide, f + u, offered, partitions_of(model, rows, SEARCH_BLOCKS))
     return field, whitening
 
 

@@ -71,10 +71,23 @@ class Field:
         residual = np.concatenate([residual, np.zeros(u)])
         wide = np.zeros((r + u, f + u + columns.shape[1]))
         wide[:r, :f], wide[:r, f : f + u], wide[r:, f : f + u] = flat, usual, np.eye(u)
-        length = np.linalg.norm(wide[:, : f + u], axis=0)
-        scale = np.where(length > 0, length, 1.0)
-        wide[:, : f + u] /= scale
         wide[:r, f + u :] = columns
+        return Field.within(residual, wide, f + u, offered, partitions)
+
+    @staticmethod
+    def within(residual: Float1D, wide: Float2D, flat: int, offered: Offered, partitions: tuple[Blocks, ...]) -> Field:
+        """Condense rows that are all in one array, which becomes the field's own.
+
+        Args:
+            residual: (r,) whitened, the rows of priors among them.
+            wide: (r, flat + p) whitened columns: of what is refitted, then of all candidates.
+            flat: Number of the former.
+            offered: What the candidates are.
+            partitions: Of the readings, into blocks; the rows of priors, which are the last, are in none.
+        """
+        length = np.linalg.norm(wide[:, :flat], axis=0)
+        scale = np.where(length > 0, length, 1.0)
+        wide[:, :flat] /= scale
         return _condensed(residual, wide, scale, offered, partitions, wide.T @ wide)
 
     def offering(self, offered: Offered, columns: Callable[[Sequence[Candidate]], Float2D]) -> Field:
@@ -156,7 +169,8 @@ def _condensed(
     left, s, _ = np.linalg.svd(wide[:, :f], full_matrices=False)
     basis, columns = left[:, s > 1e-7 * s[0]], wide[:, f:]
     in_flat = basis.T @ columns
-    matrix = products[f:, f:] - in_flat.T @ in_flat
+    matrix = in_flat.T @ in_flat
+    np.subtract(products[f:, f:], matrix, out=matrix)
     whole = np.diag(products)[f:]
     seen = basis.T @ residual
     gram = Gram(

@@ -91,10 +91,14 @@ class Offered:
         """Number of columns."""
         return self.blocks[-1].stop if self.blocks else 0
 
-    def columns(self, model: NullModel, rows: Int1D) -> Float2D:
-        """Return all columns for some readings, per typical size, (3 r, p), in units of the claimed noise."""
-        result = model.moves(self.candidates, rows)
-        result *= np.concatenate([np.zeros(0), *map(typical_sizes, self.candidates)])
+    def columns(self, model: NullModel, rows: Int1D, before: Float2D | None = None, below: int = 0) -> Float2D:
+        """Return all columns for some readings, per typical size, (3 r, p), in units of the claimed noise.
+
+        `before` and `below` are as in `NullModel.moves`.
+        """
+        result = model.moves(self.candidates, rows, before, below)
+        own = result if before is None else result[:, before.shape[1] :]
+        own *= np.concatenate([np.zeros(0), *map(typical_sizes, self.candidates)])
         return result
 
 

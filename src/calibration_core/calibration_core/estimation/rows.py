@@ -77,19 +77,26 @@ class NullModel:
         columns, residual = null_columns(part, self.parameters, self.terms)
         return self.moves(self.fitted_compliances, rows, columns), residual
 
-    def moves(self, candidates: Sequence[Candidate], rows: Int1D, before: Float2D | None = None) -> Float2D:
+    def moves(
+        self, candidates: Sequence[Candidate], rows: Int1D, before: Float2D | None = None, below: int = 0
+    ) -> Float2D:
         """Return the columns of candidates per unit of their parameters, (3 r, k), in units of the claimed noise.
+
+        They may be hundreds of megabytes: what stands beside them is put there at once, without a copy.
 
         Args:
             candidates: The effects.
             rows: Indices of the r readings.
             before: (3 r, f) columns that stand before them in what is returned; None: none.
+            below: Number of rows of zeros that stand below them.
         """
         part, every = self.problem.select(rows), len(rows) == len(self.readings)
         last = 0 if before is None else before.shape[1]
-        result = np.empty((3 * len(rows), last + sum(len(one.parameters) for one in candidates)))
+        r, width = 3 * len(rows), last + sum(len(one.parameters) for one in candidates)
+        result = np.empty((r + below, width))
+        result[r:] = 0.0
         if before is not None:
-            result[:, :last] = before
+            result[:r, :last] = before
         some = self.state if every else self.state.of_rows(rows)
 
         def columns(one: Candidate) -> Float3D:
@@ -98,7 +105,7 @@ class NullModel:
         for k in range(0, len(candidates), TOGETHER):
             several = np.concatenate([columns(one) for one in candidates[k : k + TOGETHER]], axis=2)
             first, last = last, last + several.shape[2]
-            result[:, first:last] = weighted(part, self.parameters, several)
+            result[:r, first:last] = weighted(part, self.parameters, several)
         return result
 
 

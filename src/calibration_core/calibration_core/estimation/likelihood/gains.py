@@ -226,8 +226,11 @@ def chance_gain(gram: Gram, clear: Bool1D, blocks: Grouped, draws: int) -> float
         return 0.0
     kept = np.flatnonzero(clear)
     scale = np.sqrt(np.where(clear, np.diag(gram.matrix), 1.0))
-    part = (gram.matrix / np.outer(scale, scale))[np.ix_(kept, kept)]
-    lower = np.linalg.cholesky(part + 1e-8 * np.eye(len(kept)))
+    part = gram.matrix[np.ix_(kept, kept)]
+    part /= scale[kept]
+    part /= scale[kept, None]
+    part[np.diag_indices_from(part)] += 1e-8
+    lower = cholesky(part, lower=True, overwrite_a=True, check_finite=False)
     drawn = np.zeros((len(scale), draws))
     drawn[kept] = scale[kept, None] * (lower @ np.random.default_rng(SEED).standard_normal((len(kept), draws)))
     null = Seen(gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)

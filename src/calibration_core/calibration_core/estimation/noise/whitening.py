@@ -19,6 +19,8 @@ import numpy as np
 
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
+AT_ONCE = 1_000_000  # numbers that are made independent at a time
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Strata:
@@ -82,9 +84,16 @@ class Whitening:
         if not self.parts:
             return values
         result = np.array(values)
-        for rows, root in self.parts:
-            result[rows] = root @ values[rows]
+        self.inside(result)
         return result
+
+    def inside(self, values: Float2D) -> None:
+        """Make rows (3 r, k) independent where they stand; there may be hundreds of megabytes of them."""
+        for rows, root in self.parts:
+            together = max(1, AT_ONCE // (rows.shape[1] * max(values.shape[1], 1)))
+            for k in range(0, len(rows), together):
+                some = rows[k : k + together]
+                values[some] = root[k : k + together] @ values[some]
 
     def without_offsets(self, values: Float1D) -> Float1D:
         """Return rows (3 r,), in units of the own noise, less the most probable offset of each configuration."""
