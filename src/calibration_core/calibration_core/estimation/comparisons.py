@@ -120,6 +120,10 @@ class Comparisons:
             self._left_out[accepted] = self.field.left_out(accepted, self.sizes(accepted))
         return self._left_out[accepted]
 
+    def release(self) -> None:
+        """Free the models with blocks left out; one that is asked for later is made again."""
+        self._left_out.clear()
+
     def scores(self, accepted: Accepted, *, narrow: bool = False) -> Scores:
         """Return how every judged hypothesis does beside the accepted ones; narrow: those of few columns alone."""
         accepted = tuple(sorted(accepted))

@@ -234,6 +234,7 @@ def _search(model: NullModel) -> Estimate:
         springs = _these(field.offered, [one for one in more if one.location["joint"] in sprung])
         search = Search(field, control)
         selection = search.run((*begin, *springs))
+    search.release()
     whole = whiten(strata_of(model, everything), whitening.shared, whitening.offset)
     if whole.parts:
         null = refit(_rigid(model), whole, (), covariance_blocks)

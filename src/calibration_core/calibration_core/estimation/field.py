@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -32,7 +33,8 @@ class Field:
         flat_scale: (f,) lengths by which the null model's columns were divided.
         offered: What they are.
         partitions: Of the readings, into blocks.
-        products: (f + p, f + p) of the columns in `wide`.
+        basis: (r, b) orthonormal columns that span those of the null model.
+        in_flat: (b, p) what the columns of candidates have in them.
         gram: Condensed, flat columns projected out.
         clear: (p,) whether frames and geometry leave enough of a column.
     """
@@ -42,7 +44,8 @@ class Field:
     flat_scale: Float1D
     offered: Offered
     partitions: tuple[Blocks, ...]
-    products: Float2D
+    basis: Float2D
+    in_flat: Float2D
     gram: Gram
     clear: Bool1D
 
@@ -88,7 +91,14 @@ class Field:
         length = np.linalg.norm(wide[:, :flat], axis=0)
         scale = np.where(length > 0, length, 1.0)
         wide[:, :flat] /= scale
-        return _condensed(residual, wide, scale, offered, partitions, wide.T @ wide)
+        left, s, _ = np.linalg.svd(wide[:, :flat], full_matrices=False)
+        basis, columns = left[:, s > 1e-7 * s[0]], wide[:, flat:]
+        in_flat = basis.T @ columns
+        matrix = columns.T @ columns
+        whole = np.diag(matrix).copy()
+        matrix -= in_flat.T @ in_flat
+        clear = (whole > LEAST_MOVED) & (np.diag(matrix) > LEAST_REST**2 * whole)
+        return _condensed(residual, wide, scale, offered, partitions, basis, in_flat, matrix, clear)
 
     def offering(self, offered: Offered, columns: Callable[[Sequence[Candidate]], Float2D]) -> Field:
         """Return the same rows for other hypotheses: what their candidates have in common with these is taken over.
@@ -98,25 +108,30 @@ class Field:
             columns: Candidates -> (r, k) their whitened columns, per typical size, the rows of priors apart.
         """
         f, mine = self.flat_count, dict(zip(map(id, self.offered.candidates), self.offered.blocks, strict=True))
-        new = [one for one in offered.candidates if id(one) not in mine]
-        added = columns(new)
-        wide = np.zeros((len(self.residual), f + offered.count))
-        was = np.full(f + offered.count, -1)  # where a column stood
-        was[:f], at = np.arange(f), 0
+        was = np.full(offered.count, -2)  # where a column stood; of a new one, -2, which no other follows
         for one, block in zip(offered.candidates, offered.blocks, strict=True):
-            here, before = slice(f + block.start, f + block.stop), mine.get(id(one))
-            if before is not None:
-                was[here] = np.arange(f + before.start, f + before.stop)
-                continue
-            wide[: len(added), here] = added[:, at : at + len(one.parameters)]
-            at += len(one.parameters)
-        kept, fresh = np.flatnonzero(was >= 0), np.flatnonzero(was < 0)
-        wide[:, kept] = self.wide[:, was[kept]]
-        products = np.empty((len(was), len(was)))
-        products[np.ix_(kept, kept)] = self.products[np.ix_(was[kept], was[kept])]
-        products[fresh] = wide[:, fresh].T @ wide
-        products[:, fresh] = products[fresh].T
-        return _condensed(self.residual, wide, self.flat_scale, offered, self.partitions, products)
+            if (before := mine.get(id(one))) is not None:
+                was[block] = np.arange(before.start, before.stop)
+        fresh, ends = np.flatnonzero(was < 0), [0, *(np.flatnonzero(np.diff(was) != 1) + 1), offered.count]
+        runs = [(slice(a, b), slice(was[a], was[a] + b - a)) for a, b in itertools.pairwise(ends) if was[a] >= 0]
+        more = np.zeros((len(self.residual), len(fresh)))
+        own = columns([one for one in offered.candidates if id(one) not in mine])
+        more[: len(own)] = own
+        wide, in_flat = np.empty((len(self.residual), f + offered.count)), np.empty((len(self.in_flat), offered.count))
+        wide[:, :f], wide[:, f + fresh], in_flat[:, fresh] = self.wide[:, :f], more, self.basis.T @ more
+        matrix, clear = np.empty((offered.count, offered.count)), np.empty(offered.count, dtype=np.bool_)
+        for here, there in runs:
+            wide[:, f + here.start : f + here.stop] = self.wide[:, f + there.start : f + there.stop]
+            in_flat[:, here], clear[here] = self.in_flat[:, there], self.clear[there]
+            for other, stood in runs:
+                matrix[here, other] = self.gram.matrix[there, stood]
+        matrix[fresh] = more.T @ wide[:, f:] - in_flat[:, fresh].T @ in_flat
+        matrix[:, fresh] = matrix[fresh].T
+        whole = (more**2).sum(axis=0)
+        clear[fresh] = (whole > LEAST_MOVED) & (np.diag(matrix)[fresh] > LEAST_REST**2 * whole)
+        return _condensed(
+            self.residual, wide, self.flat_scale, offered, self.partitions, self.basis, in_flat, matrix, clear
+        )
 
     @property
     def flat_count(self) -> int:
@@ -140,16 +155,37 @@ class Field:
         """Return the whitened columns of hypotheses, (r, k)."""
         return self.wide.take(self._places(accepted), axis=1)
 
+    def _own(self, accepted: Accepted) -> Int1D:
+        return np.concatenate([np.zeros(0, dtype=np.int64), *self.blocks(accepted)])
+
     def _places(self, accepted: Accepted) -> Int1D:
-        return self.flat_count + np.concatenate([np.zeros(0, dtype=np.int64), *self.blocks(accepted)])
+        return self.flat_count + self._own(accepted)
 
     def left_out(self, accepted: Accepted, sizes: Sizes) -> LeftOut:
         """Return the null model with hypotheses of some sizes, every block left out."""
         t = np.repeat(sizes.size, [len(block) for block in self.blocks(accepted)])
         index = np.concatenate([np.arange(self.flat_count), self._places(accepted)])
         ridge = np.concatenate([np.zeros(self.flat_count), sizes.variance / t**2])
-        products = self.products[index].take(index, axis=1)
-        return LeftOut(self.wide.take(index, axis=1), self.residual, self.partitions, ridge, products)
+        columns = self.wide.take(index, axis=1)
+        return LeftOut(columns, self.residual, self.partitions, ridge, self.products(columns, self._own(accepted)))
+
+    def products(self, columns: Float2D, own: Int1D) -> Float2D:
+        """Return the products, (f + k, f + k), of the null model's columns and some others.
+
+        Args:
+            columns: (r, f + k) those of `wide`.
+            own: (k,) which of the candidates' columns the others are.
+        """
+        f, k = self.flat_count, len(own)
+        result = np.empty((f + k, f + k))
+        result[:f] = columns[:, :f].T @ columns
+        result[f:, :f] = result[:f, f:].T
+        if self.clear[own].all():
+            in_flat = self.in_flat[:, own]
+            result[f:, f:] = self.gram.matrix[own].take(own, axis=1) + in_flat.T @ in_flat
+        else:  # of which the condensed rows keep nothing
+            result[f:, f:] = columns[:, f:].T @ columns[:, f:]
+        return result
 
     def in_blocks(self, errors: Sequence[Float1D]) -> list[Float1D]:
         """Return per partition the squares of blocks left out, (b,)."""
@@ -162,24 +198,17 @@ def _condensed(
     scale: Float1D,
     offered: Offered,
     partitions: tuple[Blocks, ...],
-    products: Float2D,
+    basis: Float2D,
+    in_flat: Float2D,
+    matrix: Float2D,
+    clear: Bool1D,
 ) -> Field:
-    """Project the null model's columns out; arguments are those of the field."""
-    f = len(scale)
-    left, s, _ = np.linalg.svd(wide[:, :f], full_matrices=False)
-    basis, columns = left[:, s > 1e-7 * s[0]], wide[:, f:]
-    in_flat = basis.T @ columns
-    matrix = in_flat.T @ in_flat
-    np.subtract(products[f:, f:], matrix, out=matrix)
-    whole = np.diag(products)[f:]
+    """Put a field together; of columns that are not clear nothing stays in the condensed rows."""
     seen = basis.T @ residual
-    gram = Gram(
-        matrix, columns.T @ residual - in_flat.T @ seen, float(residual @ residual - seen @ seen),
-        len(residual) - basis.shape[1],
-    )  # fmt: skip
-    clear = (whole > LEAST_MOVED) & (np.diag(matrix) > LEAST_REST**2 * whole)
-    matrix[~clear] = matrix[:, ~clear] = gram.vector[~clear] = 0.0
-    return Field(residual, wide, scale, offered, partitions, products, gram, clear)
+    vector = wide[:, len(scale) :].T @ residual - in_flat.T @ seen
+    matrix[~clear] = matrix[:, ~clear] = vector[~clear] = 0.0
+    gram = Gram(matrix, vector, float(residual @ residual - seen @ seen), len(residual) - basis.shape[1])
+    return Field(residual, wide, scale, offered, partitions, basis, in_flat, gram, clear)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -91,11 +91,12 @@ class _Postures(Knowledge):
 
     def posterior(self, chosen: Sequence[int]) -> HypothesisPosterior:
         field, f = self.known.field, self.known.field.flat_count
-        index = np.concatenate([np.arange(f), *(f + self.known.of(i).columns for i in chosen)])
+        own = np.concatenate([np.zeros(0, dtype=np.int64), *(self.known.of(i).columns for i in chosen)])
+        columns = field.wide.take(np.concatenate([np.arange(f), f + own]), axis=1)
         sizes = [np.full(len(self.known.of(i).columns), self.known.sizes[i]) for i in chosen]
         scale = np.concatenate([np.ones(f), *sizes]) / self.known.noise
-        matrix = field.products[np.ix_(index, index)] * np.outer(scale, scale)
-        vector = (field.residual @ field.wide)[index] * scale / self.known.noise
+        matrix = field.products(columns, own) * np.outer(scale, scale)
+        vector = field.residual @ columns * scale / self.known.noise
         return HypothesisPosterior.from_products(matrix, vector, f)
 
     def table(self, offers: tuple[Offer, ...]) -> OfferTable:

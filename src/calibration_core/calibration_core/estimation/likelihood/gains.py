@@ -230,7 +230,7 @@ def chance_gain(gram: Gram, clear: Bool1D, blocks: Grouped, draws: int) -> float
     part /= scale[kept]
     part /= scale[kept, None]
     part[np.diag_indices_from(part)] += 1e-8
-    lower = cholesky(part, lower=True, overwrite_a=True, check_finite=False)
+    lower = cholesky(part.T, lower=True, overwrite_a=True, check_finite=False)  # in place: tens of megabytes
     drawn = np.zeros((len(scale), draws))
     drawn[kept] = scale[kept, None] * (lower @ np.random.default_rng(SEED).standard_normal((len(kept), draws)))
     null = Seen(gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
