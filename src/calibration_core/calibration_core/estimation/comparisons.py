@@ -22,7 +22,7 @@ from calibration_core.estimation.likelihood.small_effects import (
 )
 from calibration_core.timeseries import Float1D
 
-KEPT = 3  # models with blocks left out, for what is tried beside them: tens of megabytes each
+KEPT = 2  # models with blocks left out, for what is tried beside them: tens of megabytes each
 
 
 @dataclasses.dataclass(frozen=True)
