@@ -8,6 +8,10 @@ from calibration_core.estimation.hypotheses import LAW
 from calibration_core.model.effects.candidate import Candidate, link_name
 
 TOOL = 1 << 20  # beyond the last joint
+# What is confounded with something found is the same cause under another form where it is this much weaker.
+CONFOUNDED_SHARE = 0.15
+# Under load, what a joint's law of another shape than the catalogue's leaves is weaker than the law, and seldom sure.
+LEFT_SHARE, SURE = 0.45, 30.0  # of the law's evidence; nats
 MEMORY = frozenset({"hysteresis", "creep"})
 DRIFTS = frozenset({"tracker_drift", "wrench_drift"})
 

@@ -12,7 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.confounding import MEMORY, are_confounded, same_deflection
+from calibration_core.diagnosis.evidence.confounding import (
+    CONFOUNDED_SHARE,
+    LEFT_SHARE,
+    MEMORY,
+    SURE,
+    are_confounded,
+    same_deflection,
+)
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.comparisons import STEPS
@@ -25,10 +32,6 @@ from calibration_core.estimation.search import PART, Search, Selection
 from calibration_core.timeseries import Float1D, Int1D
 
 BLOCKS = 20  # of whole configurations, left out one after the other
-# A later effect that is confounded with it is the same cause under another form where it is this much weaker.
-CONFOUNDED_SHARE = 0.15
-# What a joint's law of another shape than the catalogue's leaves is weaker than the law itself, and seldom certain.
-LEFT_SHARE, CERTAIN = 0.45, 30.0  # of the law's evidence; nats
 KNOWN = 0.15  # share to which the law of an effect is known
 
 
@@ -178,7 +181,7 @@ def _is_refinement(design: Design, choice: Choice, candidate: int, gain: float) 
     first, second = design.candidates[choice.candidate], design.candidates[candidate]
     alike = first.family == second.family == LAW or {first.effect, second.effect} <= MEMORY
     weaker = gain < CONFOUNDED_SHARE * choice.log_bayes_factor
-    left = first.family == LAW and gain < min(LEFT_SHARE * choice.log_bayes_factor, CERTAIN)
+    left = first.family == LAW and gain < min(LEFT_SHARE * choice.log_bayes_factor, SURE)
     if left and same_deflection(first, second):
         return True
     return (alike or weaker or first.place == second.place) and are_confounded(first, second, design.joints)

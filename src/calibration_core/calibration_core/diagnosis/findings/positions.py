@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.selection import CONFOUNDED_SHARE
 from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
+from calibration_core.diagnosis.findings.causes import FROM_WHERE, LEFT, causes
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
 from calibration_core.estimation.equivalents import equivalents
@@ -20,55 +20,15 @@ from calibration_core.model.effects.absolute.transmission_error import order_of
 from calibration_core.timeseries import Float1D, Float2D
 
 SEVERAL = 6  # terms that are listed one by one
-LOW = 8  # orders of waves that are a gear's, whatever else its joint does
-LAGGING, FROM_WHERE = frozenset({"hysteresis", "backlash"}), "approach_direction"
-SPRING, LEFT = "gravity_compensator", frozenset({"pose_dependent_stiffness", WAVE, FROM_WHERE})
 
 
 def position_findings(found: Estimate) -> tuple[Finding, ...]:
     """Return one finding per effect and place, largest effect on the measured points first."""
     hypotheses = found.offered.hypotheses
     physics = [i for i in found.selection.accepted if hypotheses[i].family != FAMILY]
-    lagging = {hypotheses[i].location.get("joint") for i in physics if hypotheses[i].effect in LAGGING} - {None}
-    places: dict[object, list[int]] = {}
-    for index in physics:
-        places.setdefault(_cause(hypotheses[index], lagging), []).append(index)
-    return by_size(_finding(found, members) for members in _with_what_is_left(found, list(places.values())))
-
-
-def _cause(one: Hypothesis, lagging: Collection[object]) -> object:
-    """Return what joins hypotheses to one finding: the place; laws of one joint are one cause.
-
-    A joint that lags under changing loads lags on the way to a posture, too: it stands elsewhere by the direction from
-    which it came, and posture by posture elsewhere, which waves of high order take up.
-    """
-    joint = one.location.get("joint")
-    way = one.effect == FROM_WHERE or (
-        one.effect == WAVE and one.variant.startswith("order ") and order_of(one.variant) > LOW
-    )
-    if joint is not None and (one.family == LAW or (way and joint in lagging)):
-        return LAW, joint
-    return one.place
-
-
-def _with_what_is_left(found: Estimate, groups: list[list[int]]) -> list[list[int]]:
-    """Join to the law of a joint, or to a spring beside it, what it leaves there because its shape is another.
-
-    Such a thing is far weaker than the law itself, as of loaded steps (`evidence/selection.py`).
-    """
-    hypotheses = found.offered.hypotheses
     gained = dict(zip(found.selection.accepted, found.selection.gain, strict=True))
-    score = {tuple(group): sum(gained[i] for i in group) for group in groups}
-    laws = [group for group in score if hypotheses[group[0]].family == LAW]
-    hosts = laws + [group for group in score if hypotheses[group[0]].effect == SPRING]
-    joined = {group: list(group) for group in score}
-    for group, own in score.items():
-        one = hypotheses[group[0]]
-        at_joint = [g for g in hosts if hypotheses[g[0]].location.get("joint") == one.location.get("joint")]
-        stronger = [g for g in at_joint if own < CONFOUNDED_SHARE * score[g]]
-        if stronger and one.effect in LEFT and not one.everywhere:
-            joined[stronger[0]] += joined.pop(group)
-    return list(joined.values())
+    several = causes(hypotheses, {i: gained[i] for i in physics})
+    return by_size(_finding(found, members) for members in several)
 
 
 def _finding(found: Estimate, members: list[int]) -> Finding:
