@@ -21,6 +21,7 @@ from calibration_core.estimation.refit import Extended, Part, refit
 from calibration_core.estimation.rows import NullModel, sample, state_at, weighted
 from calibration_core.estimation.search import Search, Selection
 from calibration_core.estimation.shifts import FAMILY, position_of, shifts, spacing
+from calibration_core.estimation.spring_in_question import spring_in_question
 from calibration_core.identification.absolute.evaluate import Evaluated
 from calibration_core.identification.absolute.prediction_error import compare
 from calibration_core.identification.geometry.problem import absolute_problem
@@ -153,6 +154,12 @@ def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
         known = _search(model)
     if _sags(known):
         return _search(_about(known, model))
+    spring = spring_in_question(known.search, known.selection)
+    if spring:
+        about = _about(known, model)
+        again = _search(about.at(about.parameters, spring))
+        if again.extended.model.springs and _clearly_better(known, again):
+            known = again
     for _ in range(ROUNDS):
         if not known.extended.model.springs:
             break
