@@ -76,13 +76,14 @@ class Search(Comparisons):
         self.limit = max(chance, demands.least)
 
     def run(self, accepted: Accepted = ()) -> Selection:
-        """Search, beginning with some hypotheses.
+        """Search, beginning with some hypotheses: those of which the recording shows anything.
 
         A family explains a little of everything, waves of many orders resemble any law of a joint, and what is
         accepted first bends what comes later.  So the search is made once more with few single hypotheses, and its
         answer taken where it predicts blocks left out better.  Where small effects are part of the noise, single
         hypotheses come first, and families only where such effects are left.
         """
+        accepted = tuple(index for index in accepted if index in self.place)
         if len(self.small.levels) > 1:
             few = self._grown(accepted, narrow=True)
             crowd = self.level(few) > 0

@@ -76,6 +76,15 @@ def test_a_hypothesis_is_judged_though_the_null_model_takes_up_one_of_its_column
     assert searched(truth, flat, columns[:, 2:], candidates) == []
 
 
+def test_a_search_cannot_begin_with_what_the_recording_does_not_show() -> None:
+    rng, flat, columns = drawn(8, 3)
+    columns[:, 0] = flat[:, 1]
+    truth = columns[:, 1:] @ np.array([0.9, 0.9])
+    candidates = [candidate("bending", "joint_1", "unseen", 1), candidate("bending", "joint_2", "seen", 2)]
+    search = search_of(truth + rng.standard_normal(3 * READINGS), flat, columns, candidates)
+    assert search.run((0, 1)).accepted == search.run((0,)).accepted == search.run().accepted == (1,)
+
+
 def test_a_large_cause_is_told_from_what_resembles_it() -> None:
     """At the noise of a model without it, a large cause and what resembles it would gain alike."""
     rng, flat, columns = drawn(3, 2)
