@@ -200,14 +200,15 @@ def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tupl
     shown = own > SHOWN * own[-1]
     own, along = np.where(shown, own, 0.0) / seen.variance, (turn.T @ vectors) * shown[:, None]
     by = (taken @ turn) * shown / np.sqrt(seen.variance)  # (a, k)
-    off, lost = np.empty((len(GRID), vectors.shape[1])), np.empty(len(GRID))
-    for g, squared in enumerate(SQUARED):
-        wide = 1.0 + squared * own
-        weighted = by / wide
-        lower = cholesky((1.0 + ROUNDING) * np.eye(len(by)) - squared * weighted @ by.T, lower=True)
-        through = solve_triangular(lower, weighted @ along, lower=True)
-        off[g] = squared * (along**2 / wide[:, None]).sum(axis=0) + squared**2 * (through**2).sum(axis=0)
-        lost[g] = 0.5 * np.log(wide).sum() + np.log(np.diag(lower)).sum() + PRICE[g]
+    wide = 1.0 + SQUARED[:, None] * own  # (g, k)
+    off = (SQUARED[:, None] / wide) @ along**2
+    lost = 0.5 * np.log(wide).sum(axis=1) + PRICE
+    if len(by):
+        weighted = by / wide[:, None]  # (g, a, k)
+        inner = (1.0 + ROUNDING) * np.eye(len(by)) - SQUARED[:, None, None] * (weighted @ by.T)
+        rest = weighted @ along
+        off += SQUARED[:, None] ** 2 * (rest * np.linalg.solve(inner, rest)).sum(axis=1)
+        lost += 0.5 * np.linalg.slogdet(inner)[1]
     return off[None], lost[None]
 
 
