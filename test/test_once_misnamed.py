@@ -103,6 +103,12 @@ def test_what_is_missing_does_not_hide_the_geometry(
         pytest.param(
             8086, 213, {("backlash", "joint_3"), ("transmission_error", "joint_3")}, id="clearance of a wide transition"
         ),
+        pytest.param(
+            PUBLISHED,
+            228,
+            {("soft_zone", "joint_2"), ("gravity_compensator", "joint_2")},
+            id="a spring that other effects of its joint imitate",
+        ),
     ],
 )
 def test_two_causes_under_load_and_at_rest_have_no_third(
