@@ -21,7 +21,6 @@ import calibration_sim.scenarios.generate as simulator
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.evaluation.candidate_measurements import offers_for
 from calibration_core.diagnosis.evidence.design import Design
-from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
 from calibration_core.diagnosis.evidence.extended import design_at, loaded_state
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.proposals.candidates import Offer
@@ -167,8 +166,7 @@ def margins(readings: Readings, cell: Cell, found: Diagnosis, places: Sequence[P
     factor = (found.noise / found.identification.noise.claimed) ** 2
     used = np.flatnonzero(prepared.rejection.used)
     rows = dataclasses.replace(rows, noise=rows.noise * factor).select(used)
-    discrepancy = structured_discrepancy(state, prepared.frames)
-    design = design_at(prepared.problem, cell, found.compliance, rows, used, asked, discrepancy)[1]
+    design = design_at(prepared.problem, cell, found.compliance, rows, used, asked, prepared.frames)[1]
     scores = log_bayes_factors(design)
     best = [
         max(s for s, c in zip(scores, asked, strict=True) if (c.effect, dict(c.location)) == place) for place in places

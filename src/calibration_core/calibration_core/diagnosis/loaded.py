@@ -20,7 +20,6 @@ from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
 from calibration_core.diagnosis.evidence.block_scatter import scattered_covariance
 from calibration_core.diagnosis.evidence.design import Design
-from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
 from calibration_core.diagnosis.evidence.extended import (
     ExtendedLoadedModel,
     design_at,
@@ -274,14 +273,13 @@ def _attempt(
 ) -> Attempt:
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
-    discrepancy = structured_discrepancy(loaded_state(problem, cell, compliance), prepared.frames)
-    _, design = design_at(problem, cell, compliance, rows, used, hypotheses, discrepancy)
+    _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
     selection = select(design, noise_known=seen.freedom > 0)
-    extended = extend(problem, cell, compliance, rows, used, hypotheses, discrepancy, selection)
+    extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     outdone = rejected_candidates(extended, selection)
     if outdone:
         selection = selection.without([one.choice for one in outdone])
-        extended = extend(problem, cell, compliance, rows, used, hypotheses, discrepancy, selection)
+        extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     return Attempt(seen, design, selection, extended, outdone, _rms(used, prepared))
 
 

@@ -9,8 +9,10 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.evidence.design import Design, build_design
+from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
 from calibration_core.diagnosis.evidence.estimates import estimates
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
+from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects.applied import applied
@@ -96,13 +98,18 @@ def design_at(
     rows: Rows,
     used: Int1D,
     hypotheses: tuple[Candidate, ...],
-    discrepancy: Float3D,
+    frames: FrameFit | None,
     among: Collection[int] | None = None,
+    discrepancy: Float3D | None = None,
 ) -> tuple[State, Design]:
-    """Return state (all readings) and whitened model (those used) at the given compliances, (n,) rad/(N*m)."""
+    """Return state (all readings) and whitened model (those used) at the given compliances, (n,) rad/(N*m).
+
+    The structured discrepancy is that of these compliances, unless it is given from others nearby.
+    """
     state = loaded_state(problem, cell, compliance)
     linear = problem.linearise(compliance)
-    return state, build_design(state, rows, linear.residual, linear.columns, hypotheses, discrepancy, used, among=among)
+    extra = structured_discrepancy(state, frames) if discrepancy is None else discrepancy
+    return state, build_design(state, rows, linear.residual, linear.columns, hypotheses, extra, used, among=among)
 
 
 def extend(
@@ -112,7 +119,7 @@ def extend(
     rows: Rows,
     used: Int1D,
     hypotheses: tuple[Candidate, ...],
-    discrepancy: Float3D,
+    frames: FrameFit | None,
     selection: LoadedSelection,
 ) -> ExtendedLoadedModel:
     """Refit the compliances together with what was accepted, re-linearising until they stand still.
@@ -124,7 +131,7 @@ def extend(
         rows: Grouping and noise as seen, of the readings used.
         used: Indices of the readings used.
         hypotheses: The catalogue.
-        discrepancy: (m, 3, k) m, as `structured_discrepancy`, at the compliances to start from.
+        frames: Refitted frames; None for displacement recordings.
         selection: What was accepted.
     """
     compliance = start
@@ -132,8 +139,9 @@ def extend(
     chosen = tuple(hypotheses[index] for index in accepted)
     n = len(compliance)
     value = np.zeros(n)
+    nearby = structured_discrepancy(loaded_state(problem, cell, start), frames)
     for round_number in range(ROUNDS):
-        _, design = design_at(problem, cell, compliance, rows, used, chosen, discrepancy)
+        _, design = design_at(problem, cell, compliance, rows, used, chosen, frames, discrepancy=nearby)
         value = _allowed(compliance, chosen, *estimates(design, tuple(range(len(chosen)))))
         change = np.clip(compliance + value[:n], LEAST_STEP * compliance, MOST_STEP * compliance) - compliance
         if np.abs(change).max() < CONVERGED * np.abs(compliance).max():
@@ -141,7 +149,7 @@ def extend(
         if round_number < ROUNDS - 1:
             compliance = compliance + change
     linear = problem.linearise(compliance)
-    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, discrepancy, selection.asked)
+    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, frames, selection.asked)
     shift = np.concatenate([np.zeros((state.m, 3, 0)), *(one.columns(state) for one in chosen)], axis=2) @ value[n:]
     raw = linear.residual - shift - np.einsum("mij,j->mi", linear.columns, value[:n])
     raw = raw - _by_chance(whole, accepted, value, state)
