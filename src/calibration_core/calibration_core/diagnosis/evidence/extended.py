@@ -24,7 +24,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 ROUNDS = 4
-CONVERGED = 1e-3  # of the largest compliance: what the last step leaves is as its square
+CONVERGED = 1e-4  # of the largest compliance: what the last step leaves is as its square
 WIDE = 4.0  # times the usual size: what an effect that was found may move by chance
 LEAST_STEP, MOST_STEP = 0.2, 3.0  # step control: factors on a compliance per round
 
