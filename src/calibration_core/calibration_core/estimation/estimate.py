@@ -9,7 +9,6 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.estimation.blocks import STAYS, Blocks, posture_blocks, time_blocks
-from calibration_core.estimation.compensator_geometry import SPRING, fit_compensator_geometry
 from calibration_core.estimation.controls import controls
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import SAG, Hypothesis, Offered, is_axial, offer, physics
@@ -21,7 +20,8 @@ from calibration_core.estimation.refit import Extended, Part, refit
 from calibration_core.estimation.rows import NullModel, sample, state_at, weighted
 from calibration_core.estimation.search import Search, Selection
 from calibration_core.estimation.shifts import FAMILY, position_of, shifts, spacing
-from calibration_core.estimation.spring_in_question import spring_in_question
+from calibration_core.estimation.springs.compensator_geometry import SPRING, fit_compensator_geometry
+from calibration_core.estimation.springs.in_question import spring_in_question
 from calibration_core.identification.absolute.evaluate import Evaluated
 from calibration_core.identification.absolute.prediction_error import compare
 from calibration_core.identification.geometry.problem import absolute_problem

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.estimation.compensator_geometry import SPRING
 from calibration_core.estimation.hypotheses import WAVE, typical_sizes
 from calibration_core.estimation.search import Search, Selection
+from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.model.effects.side_torques import Acting
 
 IMITATING = frozenset({WAVE, "pose_dependent_stiffness"})
