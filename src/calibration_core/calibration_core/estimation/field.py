@@ -97,7 +97,7 @@ class Field:
         matrix = columns.T @ columns
         whole = np.diag(matrix).copy()
         matrix -= in_flat.T @ in_flat
-        clear = (whole > LEAST_MOVED) & (np.diag(matrix) > LEAST_REST**2 * whole)
+        clear = _is_clear(whole, np.diag(matrix))
         return _condensed(residual, wide, scale, offered, partitions, basis, in_flat, matrix, clear)
 
     def offering(self, offered: Offered, columns: Callable[[Sequence[Candidate]], Float2D]) -> Field:
@@ -127,8 +127,7 @@ class Field:
                 matrix[here, other] = self.gram.matrix[there, stood]
         matrix[fresh] = more.T @ wide[:, f:] - in_flat[:, fresh].T @ in_flat
         matrix[:, fresh] = matrix[fresh].T
-        whole = (more**2).sum(axis=0)
-        clear[fresh] = (whole > LEAST_MOVED) & (np.diag(matrix)[fresh] > LEAST_REST**2 * whole)
+        clear[fresh] = _is_clear((more**2).sum(axis=0), np.diag(matrix)[fresh])
         return _condensed(
             self.residual, wide, self.flat_scale, offered, self.partitions, self.basis, in_flat, matrix, clear
         )
@@ -190,6 +189,11 @@ class Field:
     def in_blocks(self, errors: Sequence[Float1D]) -> list[Float1D]:
         """Return per partition the squares of blocks left out, (b,)."""
         return [block_squares(error, one) for error, one in zip(errors, self.partitions, strict=True)]
+
+
+def _is_clear(whole: Float1D, left: Float1D) -> Bool1D:
+    """Say of columns whether enough is left beside the null model; arguments are their squares, whole and left."""
+    return np.asarray((whole > LEAST_MOVED) & (left > LEAST_REST**2 * whole))
 
 
 def _condensed(

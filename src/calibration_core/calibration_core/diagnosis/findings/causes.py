@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 
 from calibration_core.diagnosis.evidence.confounding import CONFOUNDED_SHARE
 from calibration_core.estimation.hypotheses import LAW, WAVE, Hypothesis
+from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.model.effects.absolute.transmission_error import order_of
 
 LOW = 8  # orders of waves that are a gear's, whatever else its joint does
 LAGGING, FROM_WHERE = frozenset({"hysteresis", "backlash"}), "approach_direction"
-SPRING, LEFT = "gravity_compensator", frozenset({"pose_dependent_stiffness", WAVE, FROM_WHERE})
+LEFT = frozenset({"pose_dependent_stiffness", WAVE, FROM_WHERE})
 
 
 def causes(hypotheses: Sequence[Hypothesis], gained: Mapping[int, float]) -> list[list[int]]:
