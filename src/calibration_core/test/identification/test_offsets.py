@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -84,6 +86,26 @@ def test_deleted_predicts_a_row_from_the_others() -> None:
     predicted = design[own] @ best + gain @ (flat[keep] - design[keep] @ best)
     np.testing.assert_allclose(error[i], flat[own] - predicted, rtol=1e-7, atol=1e-16)
     np.testing.assert_allclose(squared[i], error[i] @ np.linalg.solve(covariance[i], error[i]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("aside", [[3], [0, 1, 2], [0, 7, 8], list(range(5))])
+def test_rows_without_some_are_those_that_are_selected_afresh(aside: list[int]) -> None:
+    rng = np.random.default_rng(11)
+    rows = _rows(rng, configurations=3)
+    m = len(rows.configuration)
+    residual, columns = rng.normal(size=(m, 3)) * 1e-5, rng.normal(size=(m, 3, 2))
+    left, stays = rows.without(np.array(aside)), np.setdiff1d(np.arange(m), aside)
+    again = Rows(*(getattr(rows, field.name)[stays] for field in dataclasses.fields(rows)))
+    for one, other in zip(deleted(left, residual[stays]), deleted(again, residual[stays]), strict=True):
+        np.testing.assert_array_equal(one, other)
+    normal, afresh = (normal_equations(each, residual[stays], columns[stays]) for each in (left, again))
+    np.testing.assert_allclose(normal.matrix, afresh.matrix, rtol=1e-12)
+    np.testing.assert_allclose(normal.vector, afresh.vector, rtol=1e-12)
+    twice = left.without(np.array([len(stays) - 1]))
+    np.testing.assert_array_equal(
+        deleted(twice, residual[stays[:-1]])[0],
+        deleted(again.select(np.arange(len(stays) - 1)), residual[stays[:-1]])[0],
+    )
 
 
 def test_a_row_that_nothing_predicts_is_never_suspicious() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from calibration_core.identification.statistics.distributions import chi2_limit
@@ -27,10 +25,8 @@ def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
         residual: (m, 3) m, measured - model.
     """
     m = len(residual)
-    used = np.arange(m)
+    used, some = np.arange(m), rows
     for _ in range(ROUNDS):
-        some = rows.select(used)
-        some = dataclasses.replace(some, configuration=np.unique(some.configuration, return_inverse=True)[1])
         squared, _, _ = deleted(some, residual[used])
         suspects = np.flatnonzero(squared > deletion_limit(squared, m))
         if not len(suspects):
@@ -42,7 +38,7 @@ def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
         worst = order[np.sort(first)][: max(room, 0)]
         if not len(worst):
             break
-        used = np.delete(used, worst)
+        used, some = np.delete(used, worst), some.without(worst)
     return used
 
 

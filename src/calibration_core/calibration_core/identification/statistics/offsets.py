@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calibration_core.identification.statistics.distributions import chi2_limit
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Float4D, FloatND, Int1D, Int2D
+from calibration_core.timeseries import Bool1D, Bool2D, Float1D, Float2D, Float3D, Float4D, FloatND, Int1D, Int2D
 
 FALSE_EXCLUSION = 0.01  # probability that a clean recording loses any reading
 SET_ASIDE = 1e12  # factor on the variance of a row that does not count
@@ -45,6 +45,31 @@ class Rows:
             return self
         return Rows(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
 
+    def without(self, aside: Int1D) -> Rows:
+        """Return the other rows; what is known of configurations of which all rows stay is not found again.
+
+        Args:
+            aside: (a,) indices of the rows to leave out.
+        """
+        stays = np.ones(len(self.configuration), dtype=bool)
+        stays[aside] = False
+        left = self.select(np.flatnonzero(stays))
+        place = np.cumsum(stays) - 1
+        changed = np.unique(self.configuration[aside])
+        again = np.flatnonzero(np.isin(left.configuration, changed))
+        new = left.select(again)
+        whole = [~np.isin(group, changed) for group, *_ in self.groups]
+        known = zip(self.groups, self.predictors, whole, strict=True)
+        kept = [
+            ((group[same], place[index[same]], white[same], basis[same]), tuple(one[same] for one in predictor))
+            for (group, index, white, basis), predictor, same in known
+            if same.any()
+        ]
+        found = [(group, again[index], white, basis) for group, index, white, basis in new.groups]
+        left.__dict__["groups"] = (*(one for one, _ in kept), *found)
+        left.__dict__["predictors"] = (*(one for _, one in kept), *new.predictors)
+        return left
+
     def counting(self, used: Int1D | Bool1D) -> Rows:
         """Return the same rows, of which those not used (mask or indices) do not count for the offsets."""
         aside = np.ones(len(self.noise), dtype=bool)
@@ -55,6 +80,13 @@ class Rows:
     def groups(self) -> tuple[tuple[Int1D, Int1D, Float3D, Float3D], ...]:
         """Configurations of equal size: their indices (b,), their rows (b, m), and as `_whiten` of these."""
         return tuple((group, index, *_whiten(self, index)) for group, index in _groups(self))
+
+    @functools.cached_property
+    def predictors(self) -> tuple[tuple[Float3D, Float4D, Bool2D], ...]:
+        """Configurations of equal size: what whitens their rows and removes their offsets, (b, md, md); the covariance
+        of every row about what the others of its configuration say of it, (b, m, d, d); whether they say it, (b, m).
+        """
+        return tuple(_predictor(self.noise[index], white, basis) for _, index, white, basis in self.groups)
 
     @functools.cached_property
     def contrasts(self) -> tuple[tuple[Int1D, Int1D, Float3D], ...]:
@@ -150,21 +182,26 @@ def deleted(rows: Rows, residual: Float2D) -> tuple[Float1D, Float2D, Float3D]:
     m_all, d = residual.shape
     squared, error = np.zeros(m_all), np.zeros((m_all, d))
     covariance = np.full((m_all, d, d), np.inf)
-    for _, index, white, basis in rows.groups:
+    for (_, index, *_), (projected, inverse, known) in zip(rows.groups, rows.predictors, strict=True):
         b, m = index.shape
-        projected = white - basis @ (basis.transpose(0, 2, 1) @ white)
         flat = residual[index].reshape(b, m * d, 1)
         score = (projected.transpose(0, 2, 1) @ (projected @ flat)).reshape(b, m, d)
-        per_row = np.ascontiguousarray(projected.reshape(b, m * d, m, d).transpose(0, 2, 3, 1))
-        own = per_row @ per_row.transpose(0, 1, 3, 2)
-        scale = np.einsum("bmdd->bm", rows.noise[index]) / d**2
-        known = np.linalg.eigvalsh(own).min(-1) * scale > 1e-9
-        inverse = np.linalg.inv(np.where(known[..., None, None], own, np.eye(d)))
         predicted = np.einsum("bmij,bmj->bmi", inverse, score)
         squared[index] = np.where(known, np.einsum("bmi,bmi->bm", score, predicted), 0.0)
         error[index] = np.where(known[..., None], predicted, 0.0)
         covariance[index] = np.where(known[..., None, None], inverse, np.inf)
     return squared, error, covariance
+
+
+def _predictor(noise: Float4D, white: Float3D, basis: Float3D) -> tuple[Float3D, Float4D, Bool2D]:
+    """Return what `Rows.predictors` holds of some configurations, from their rows' noise, (b, m, d, d)."""
+    b, m, d, _ = noise.shape
+    projected = white - basis @ (basis.transpose(0, 2, 1) @ white)
+    per_row = np.ascontiguousarray(projected.reshape(b, m * d, m, d).transpose(0, 2, 3, 1))
+    own = per_row @ per_row.transpose(0, 1, 3, 2)
+    scale = np.einsum("bmdd->bm", noise) / d**2
+    known = np.linalg.eigvalsh(own).min(-1) * scale > 1e-9
+    return projected, np.linalg.inv(np.where(known[..., None, None], own, np.eye(d))), known
 
 
 def deletion_limit(squared: Float1D, readings: int) -> float:

@@ -16,6 +16,7 @@ from calibration_core.timeseries import Float1D
 Deflections = Literal["points", "pose"]
 ITERATIONS = 12
 CONVERGED = 1e-8  # of the largest compliance; what the next step would change is a thousandth of the last
+NEARLY = 1e-4  # likewise, where a fit only says which readings to use
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,7 +39,11 @@ class LoadedFit:
 
 
 def fit_compliance(
-    problem: LoadedProblem, start: Float1D, deflections: Deflections = "points", near: Float1D | None = None
+    problem: LoadedProblem,
+    start: Float1D,
+    deflections: Deflections = "points",
+    near: Float1D | None = None,
+    converged: float = CONVERGED,
 ) -> LoadedFit:
     """Fit the compliances by Gauss-Newton; K_CSM makes the problem slightly nonlinear (a few tenths of a percent).
 
@@ -47,6 +52,7 @@ def fit_compliance(
         start: (n,) first guess, rad/(N*m); also the value of what the readings do not determine.
         deflections: `points`, or `pose` for the rigid displacement of three or more points.
         near: (n,) a solution for nearly the same readings, to begin with; None: the first guess.
+        converged: Of the largest compliance: a step below it is the last.
 
     Raises:
         EquilibriumError: The load is beyond what these compliances carry.
@@ -57,7 +63,7 @@ def fit_compliance(
     for _ in range(ITERATIONS):
         change = float(np.abs(solution.value - compliance).max())
         compliance = solution.value
-        if change <= CONVERGED * max(float(np.abs(compliance).max()), 1e-30):
+        if change <= converged * max(float(np.abs(compliance).max()), 1e-30):
             break
         solution = stepped(_normal(problem, compliance, deflections), compliance, start)
     normal = _normal(problem, compliance, deflections)

@@ -25,7 +25,7 @@ from calibration_core.identification.result.estimate import (
 )
 from calibration_core.identification.result.observability import stiffness_table, weak_directions
 from calibration_core.identification.statistics.sizes import rms
-from calibration_core.identification.stiffness.fit import Deflections, LoadedFit, fit_compliance
+from calibration_core.identification.stiffness.fit import CONVERGED, NEARLY, Deflections, LoadedFit, fit_compliance
 from calibration_core.identification.stiffness.left_out import held_out_compliance
 from calibration_core.identification.stiffness.outlier_rejection import Key, OutlierRejection, reject_outliers
 from calibration_core.identification.stiffness.predict import from_step_zero
@@ -188,7 +188,10 @@ def prepare_loaded(readings: Readings, cell: Cell, options: Options) -> Prepared
     require_load(readings)
     parameters, frames = _with_frames(readings, cell, chain, nominal, guess)
     problem = build_problem(readings, cell, chain, parameters, method=options.method, weights=options.weights)
-    rejection = reject_outliers(problem, nominal.compliance, robust=options.robust, readmit=options.readmit)
+    converged = CONVERGED if frames is None else NEARLY
+    rejection = reject_outliers(
+        problem, nominal.compliance, robust=options.robust, readmit=options.readmit, converged=converged
+    )
     if frames is not None:
         near, guess = rejection.fit.compliance, None if stated_by is None else parameters.tracker
         believed = parameters.replace(compliance=near)

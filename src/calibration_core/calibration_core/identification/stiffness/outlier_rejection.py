@@ -9,8 +9,8 @@ import numpy as np
 from calibration_core.identification.checks.exclusion_anomalies import exclusion
 from calibration_core.identification.result.estimate import Exclusion
 from calibration_core.identification.statistics.offsets import deleted, deletion_limit, normal_equations
-from calibration_core.identification.stiffness.fit import LoadedFit, fit_compliance, stepped
-from calibration_core.identification.stiffness.problem import Linearised, LoadedProblem
+from calibration_core.identification.stiffness.fit import CONVERGED, NEARLY, LoadedFit, fit_compliance, stepped
+from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.timeseries import Bool1D, Float1D, Int1D
 
 MAX_SHARE = 0.05  # never more than this share of the readings
@@ -40,6 +40,7 @@ def reject_outliers(
     robust: bool = True,
     readmit: frozenset[Key] = frozenset(),
     near: Float1D | None = None,
+    converged: float = CONVERGED,
 ) -> OutlierRejection:
     """Fit the compliances and set gross errors aside.
 
@@ -55,41 +56,45 @@ def reject_outliers(
         readmit: (configuration, step, point) of readings that must be used whatever they look like; the other readings
             of the same configuration and point are then not judged either.
         near: (n,) compliances of nearly the same problem, to begin with; None: the first guess.
+        converged: Of the largest compliance: a step below it is the last of the fit that is returned.
     """
     m = len(problem.readings)
     used = np.ones(m, dtype=bool)
-    fit = fit_compliance(problem, start, near=near)
     if not robust:
-        return OutlierRejection(fit, used, ())
+        return OutlierRejection(fit_compliance(problem, start, near=near, converged=converged), used, ())
+    fit = fit_compliance(problem, start, near=near, converged=NEARLY)
     groups = {(configuration, point) for configuration, _, point in readmit}  # a reading judges its neighbours too
     kept = np.array([(configuration, point) in groups for configuration, _, point in _keys(problem)])
     exclusions: dict[int, Exclusion] = {}
     budget = max(1, int(MAX_SHARE * m))
     while len(exclusions) < budget:  # until nothing is left to set aside under the compliances of those that are left
         linear, compliance, before = problem.linearise(fit.compliance), fit.compliance, len(exclusions)
+        index = np.flatnonzero(used)
+        rows = linear.rows.select(index)
         while len(exclusions) < budget:  # about one linearisation: a few readings less change the compliances little
-            index = np.flatnonzero(used)
-            squared, size, threshold = _suspicion(linear, index, m)
+            squared, error, _ = deleted(rows, linear.residual[index])
+            size, threshold = np.linalg.norm(error, axis=1), deletion_limit(squared, m)
             squared[kept[index]] = 0.0
             worst = _worst_per_configuration(
                 squared, problem.configuration[index], threshold, problem.readings.step[index]
             )
             if not len(worst):
                 break
-            for row in worst[: budget - len(exclusions)]:
+            worst = worst[: budget - len(exclusions)]
+            for row in worst:
                 exclusions[int(index[row])] = _exclusion(problem, int(index[row]), size[row], squared[row], threshold)
                 used[index[row]] = False
-            index = np.flatnonzero(used)
-            normal = normal_equations(linear.rows.select(index), linear.residual[index], linear.columns[index])
+            rows, index = rows.without(worst), np.flatnonzero(used)
+            normal = normal_equations(rows, linear.residual[index], linear.columns[index])
             change = stepped(normal, compliance, start).value - compliance
             linear = dataclasses.replace(linear, residual=linear.residual - linear.columns @ change)
             compliance = compliance + change
         if len(exclusions) == before:
             break
-        fit = fit_compliance(problem.select(np.flatnonzero(used)), start, near=compliance)
+        fit = fit_compliance(problem.select(np.flatnonzero(used)), start, near=compliance, converged=NEARLY)
     if not exclusions:
-        return OutlierRejection(fit, used, ())
-    linear, excluded = problem.linearise(fit.compliance), len(exclusions)
+        return OutlierRejection(fit_compliance(problem, start, near=fit.compliance, converged=converged), used, ())
+    linear = problem.linearise(fit.compliance)
     squared = np.zeros(m)
     index = np.flatnonzero(used)
     squared[index] = deleted(linear.rows.select(index), linear.residual[index])[0]
@@ -102,14 +107,9 @@ def reject_outliers(
             used[row] = True
             squared = trial
             del exclusions[row]
-    if len(exclusions) < excluded:
-        fit = fit_compliance(problem.select(np.flatnonzero(used)), start, near=fit.compliance)
+    some = problem.select(np.flatnonzero(used))
+    fit = fit_compliance(some, start, near=fit.compliance, converged=converged)
     return OutlierRejection(fit, used, tuple(exclusions[row] for row in sorted(exclusions)))
-
-
-def _suspicion(linear: Linearised, index: Int1D, m: int) -> tuple[Float1D, Float1D, float]:
-    squared, error, _ = deleted(linear.rows.select(index), linear.residual[index])
-    return squared, np.linalg.norm(error, axis=1), deletion_limit(squared, m)
 
 
 def _worst_per_configuration(squared: Float1D, configuration: Int1D, threshold: float, step: Int1D) -> Int1D:
