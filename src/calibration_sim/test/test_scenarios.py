@@ -18,7 +18,7 @@ from calibration_sim.generators.draw import Draw
 from calibration_sim.generators.robots import MAGNITUDES, ROBOTS, robot_cell
 from calibration_sim.scenarios.generate import generate
 from calibration_sim.scenarios.grid import ALIAS_SNR, AMPLITUDES, SINGLES, Scenario, grid, recording_name, sample
-from calibration_sim.scenarios.influence import background, signal
+from calibration_sim.scenarios.influence import background, signal, softer
 from calibration_sim.scenarios.measure import Noise, look
 from calibration_sim.scenarios.protocols import KINDS, make_protocol, points_of
 from calibration_sim.scenarios.world import World, play
@@ -117,6 +117,20 @@ def test_protocols(kind: str) -> None:
     assert steps == expected.get(kind, expected[kind[0]] + [1] * 36)
     assert [c.number for c in protocol.configurations] == list(range(1, len(steps) + 1))
     assert len(points_of(cell, kind)) == (1 if kind == "W" else 3)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_points_follow_a_softer_joint_as_the_difference_of_two_played_worlds(robot: str) -> None:
+    cell = robot_cell(robot)
+    world, protocol, share = World(cell, draw_truth(cell, 5)), make_protocol(cell, "RA", 5), 1e-3
+    played = play(world, protocol)
+    columns = softer(world, protocol, played)
+    for joint, column in enumerate(columns.T):
+        stiffness = np.array(world.truth.stiffness)
+        stiffness[joint] /= 1.0 + share
+        other = dataclasses.replace(world, truth=dataclasses.replace(world.truth, stiffness=stiffness))
+        difference = (play(other, protocol).points - played.points).ravel() / share
+        assert np.linalg.norm(column - difference) < 1e-5 * np.linalg.norm(difference)
 
 
 @pytest.mark.parametrize(("one", "other"), [(2, 3), (4, 5), (0, None)])

@@ -27,6 +27,7 @@ from calibration_sim.mechanics.mjcf import Spring, build_mjcf
 from calibration_sim.mechanics.transforms import Placement
 
 RELATIVE_TOLERANCE = 1e-12  # of the largest torque at work
+FAR = 1e2 * RELATIVE_TOLERANCE  # so much more than is left at rest: the largest torque grows less on the way there
 SLOW = 0.1  # a step that removes less than nine tenths of the residual asks for a new derivative
 MAX_ITERATIONS = 50
 DIFFERENCE_STEP = 1e-6  # rad
@@ -119,7 +120,7 @@ class Mechanism:
         # Views of the scratch, made once: MuJoCo makes a new one whenever it is asked.
         self._qpos, self._passive, self._bias = self.data.qpos, self.data.qfrc_passive, self.data.qfrc_bias
         self._turned, self._at = self.data.xmat[self._flange].reshape(3, 3), self.data.xpos[self._flange]
-        self._load, self._parts = np.zeros(self.model.nv), np.zeros((3, self.model.nv))
+        self._load = np.zeros(self.model.nv)
         self._pushes: Sequence[Push] = ()
         self._sides: Sequence[SideTorque] = ()
 
@@ -174,6 +175,30 @@ class Mechanism:
         for row, point in zip(motion, points, strict=True):
             mujoco.mj_jac(model, data, row, None, place.apply(point), self._flange)
         return motion, load - np.array(data.qfrc_bias)
+
+    def softening(self, q: ArrayLike, wrench: ArrayLike, rest: Float1D, points: Float2D) -> Float3D:
+        """Return how points move where a joint becomes softer, by the derivative of the balance at a rest.
+
+        Args:
+            q: (n,) rad, commanded angles.
+            wrench: (6,) N and N*m, base axes, at the wrench point.
+            rest: (nv,) all coordinates at that rest, springs alone.
+            points: (p, 3) m, flange frame.
+
+        Returns:
+            (p, 3, n) m per share by which the compliance of a joint grows, base axes.
+        """
+        model, data = self.model, self.data
+        self._pushes, self._sides = (), ()
+        model.qpos_spring[:] = 0.0
+        model.qpos_spring[self._dofs] = np.asarray(q, dtype=np.float64) + self._zero
+        slope = self._slope(rest, np.asarray(wrench, dtype=np.float64))
+        gives = np.zeros((model.nv, len(self._dofs)))
+        gives[self._dofs, np.arange(len(self._dofs))] = self._passive[self._dofs]
+        place, motion = self._flange_placement(), np.empty((len(points), 3, model.nv))
+        for row, point in zip(motion, points, strict=True):
+            mujoco.mj_jac(model, data, row, None, place.apply(point), self._flange)
+        return np.asarray(motion @ np.linalg.solve(slope, gives))
 
     def origins(self, angles: ArrayLike) -> Float2D:
         """Return the origins (links, 3) of all links in the base frame, m, with the links at `angles` (n,) rad."""
@@ -238,13 +263,13 @@ class Mechanism:
 
         x = np.array(reference if start is None else start, dtype=np.float64)
         slope: Float2D | None = None  # that of the springs alone, while it serves
-        unbalanced, scale = self._unbalanced(x, w)
+        unbalanced = self._unbalanced(x, w)
         step, left = np.zeros_like(x), np.abs(unbalanced)
-        most = float(left.max())
+        most, far = float(left.max()), max(FAR * self._largest(), float(rounding.max()))
         for _ in range(MAX_ITERATIONS):
-            if (left <= np.maximum(RELATIVE_TOLERANCE * scale, rounding)).all():
+            if most <= far and self._balanced(left, rounding):
                 deflection = x[self._dofs] - commanded
-                torque = self._passive[self._dofs]
+                torque, scale = self._passive[self._dofs], self._largest()
                 place = self._flange_placement()
                 return Equilibrium(deflection, torque, place, x, most / scale if scale > 0.0 else 0.0)
             try:
@@ -252,7 +277,7 @@ class Mechanism:
             except np.linalg.LinAlgError:  # the springs buckle here
                 break
             x = x + step
-            unbalanced, scale = self._unbalanced(x, w)
+            unbalanced = self._unbalanced(x, w)
             before, left = most, np.abs(unbalanced)
             most = float(left.max())
             if not math.isfinite(most):
@@ -261,8 +286,16 @@ class Mechanism:
                 slope = self._slope(x, w)
         raise EquilibriumError(float(np.max(np.abs(step))), MAX_ITERATIONS)
 
-    def _unbalanced(self, x: Float1D, wrench: Float1D) -> tuple[Float1D, float]:
-        """Return the unbalanced torque (nv,) at rest at x, and the largest single torque in it."""
+    def _balanced(self, left: Float1D, rounding: Float1D) -> bool:
+        """Say whether what is left of the torques, (nv,), is as small as numbers can tell."""
+        return bool((left <= np.maximum(RELATIVE_TOLERANCE * self._largest(), rounding)).all())
+
+    def _largest(self) -> float:
+        """Return the largest single torque in what was summed last."""
+        return max(float(np.abs(part).max()) for part in (self._passive, self._bias, self._load))
+
+    def _unbalanced(self, x: Float1D, wrench: Float1D) -> Float1D:
+        """Return the unbalanced torque (nv,) at rest at x."""
         model, data, load = self.model, self.data, self._load
         self._qpos[:] = x
         mujoco.mj_kinematics(model, data)
@@ -278,10 +311,7 @@ class Mechanism:
             mujoco.mj_applyFT(model, data, push.force(place), np.zeros(3), place, body, load)
         for side in self._sides:
             load[self._dofs[side.joint]] += side.torque(float(x[self._dofs[side.joint]]))
-        parts = self._parts
-        parts[0], parts[1], parts[2] = self._passive, self._bias, load
-        unbalanced = parts[0] - parts[1] + load
-        return unbalanced, float(np.abs(parts, out=parts).max())
+        return np.asarray(self._passive - self._bias + load)
 
     def _slope(self, x: Float1D, wrench: Float1D) -> Float2D:
         """Return the derivative (nv, nv) of the unbalanced torque by central differences."""
@@ -289,7 +319,7 @@ class Mechanism:
         for i in range(len(x)):
             shift = np.zeros_like(x)
             shift[i] = DIFFERENCE_STEP
-            forces = self._unbalanced(x + shift, wrench)[0] - self._unbalanced(x - shift, wrench)[0]
+            forces = self._unbalanced(x + shift, wrench) - self._unbalanced(x - shift, wrench)
             columns.append(forces / (2.0 * DIFFERENCE_STEP))
         self._unbalanced(x, wrench)
         return np.array(columns).T

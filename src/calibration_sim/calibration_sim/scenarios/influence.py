@@ -17,7 +17,6 @@ from calibration_sim.cell.protocol import Protocol
 from calibration_sim.scenarios.world import Played, World, play
 from calibration_sim.scenarios.yielding import yielding
 
-STIFFNESS_STEP = 0.05
 DEPENDENT = 1e-6  # of the largest singular value of columns of length one: below that, nothing of its own
 
 
@@ -43,14 +42,16 @@ class Background:
 
 
 def background(world: World, protocol: Protocol, sigma: float, *, geometry: bool = False) -> Background:
-    """Play a world and find what is refitted anyway; with single steps, the geometry, too, where that is asked for."""
+    """Play a world and find what is refitted anyway; with single steps, the geometry, too, where that is asked for.
+
+    Args:
+        world: Of joints that are springs alone; what the sensor shows may differ.
+        protocol: What is measured.
+        sigma: m, per coordinate.
+        geometry: Whether the geometry is refitted.
+    """
     played = play(world, protocol)
-    columns = []
-    for j in range(len(world.truth.stiffness)):
-        stiffness = np.array(world.truth.stiffness)
-        stiffness[j] /= 1.0 + STIFFNESS_STEP
-        softer = dataclasses.replace(world, truth=dataclasses.replace(world.truth, stiffness=stiffness))
-        columns.append((play(softer, protocol).points - played.points).ravel() / STIFFNESS_STEP)
+    columns = list(softer(world, protocol, played).T)
     if _singles(played).any():
         columns += _frames(played) + _points(world, played)
         if geometry:
@@ -84,6 +85,18 @@ def span(columns: Float2D) -> Float2D:
 def signal_to_noise(known: Background, played: Played) -> float:
     """Return the SNR of a played world against the background."""
     return float(np.linalg.norm(signal(known, played)))
+
+
+def softer(world: World, protocol: Protocol, played: Played) -> Float2D:
+    """Return how the points (r,) move with the compliance of every joint, (r, n) m per share of it, tracker frame."""
+    mechanism, truth = world.mechanism(), world.actual
+    points, back = np.array(list(truth.points.values())), truth.tracker.rotation.T
+    loads = [(c.q, wrench) for c in protocol.configurations for wrench in c.wrenches]
+    moved = [
+        back @ mechanism.softening(q, wrench, rest, points)
+        for (q, wrench), rest in zip(loads, played.rest, strict=True)
+    ]
+    return np.array(moved).reshape(played.points.size, -1)
 
 
 def _singles(played: Played) -> Float1D:

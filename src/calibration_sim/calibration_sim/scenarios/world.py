@@ -89,6 +89,7 @@ class Played:
         points: (s, p, 3) m, tracker frame.
         wrench: (s, 6) N and N*m, sensor axes at the sensor.
         torque: (s, n) N*m, carried by the joints' springs.
+        rest: (s, nv) rad and m, all coordinates of the mechanism.
     """
 
     configuration: Int1D
@@ -99,6 +100,7 @@ class Played:
     points: Float3D
     wrench: Float2D
     torque: Float2D
+    rest: Float2D
 
 
 @dataclasses.dataclass
@@ -161,15 +163,15 @@ def play(world: World, protocol: Protocol) -> Played:
                 places = mechanism.places()
             laws.settle(-rest.torque, at)
             seen = truth.tracker.inverse_apply(rest.flange.apply(in_flange))
-            rows.append((seen, _at_sensor(truth, rest.flange, load), -rest.torque, rest.flange.rotation))
+            rows.append((seen, _at_sensor(truth, rest.flange, load), -rest.torque, rest.flange.rotation, rest.rest))
             row += 1
-    points, wrench, torque, axes = (np.array(column) for column in zip(*rows, strict=True))
+    points, wrench, torque, axes, rests = (np.array(column) for column in zip(*rows, strict=True))
     session = Session(
         when[0], when[1], time, temperature, when[2], truth.tracker.rotation.T @ axes, np.linalg.norm(when[3], axis=1)
     )
     for effect in world.effects:
         points, wrench = effect.see(points, session), effect.report(wrench, session)
-    return Played(when[0], when[1], time, temperature, when[2], points, wrench, torque)
+    return Played(when[0], when[1], time, temperature, when[2], points, wrench, torque, rests)
 
 
 def _schedule(protocol: Protocol) -> tuple[Float1D, tuple[Int1D, Int1D, Float2D, Float2D]]:
