@@ -153,17 +153,17 @@ def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
     if known is None:
         known = _search(model)
     if _sags(known):
-        return _search(_about(known, model))
+        return _search(_about(known, model), known)
     spring = spring_in_question(known.search, known.selection)
     if spring:
         about = _about(known, model)
-        again = _search(about.at(about.parameters, spring))
+        again = _search(about.at(about.parameters, spring), known)
         if again.extended.model.springs and _clearly_better(known, again):
             known = again
     for _ in range(ROUNDS):
         if not known.extended.model.springs:
             break
-        again = _search(_about(known, model))
+        again = _search(_about(known, model), known)
         if not (_unloads(again) and _clearly_better(known, again)):
             break
         before, known = known, again
@@ -208,7 +208,13 @@ def _sags(found: Estimate) -> bool:
     return not model.fitted_compliances and bool(np.any(model.parameters.compliance))
 
 
-def _search(model: NullModel) -> Estimate:
+def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
+    """Search once.
+
+    Args:
+        model: What is fitted before any hypothesis.
+        known: Another search of the recording, which says what chance gains; None: this is the first.
+    """
     readings = model.readings
     covariance_blocks = time_blocks(readings.configuration, COVARIANCE_BLOCKS)
     everything = np.arange(len(readings))
@@ -220,7 +226,8 @@ def _search(model: NullModel) -> Estimate:
     catalogue = (*(one for one, _ in model.springs if one.key not in own), *catalogue)
     field, whitening = _field(model, offer((*catalogue, *shifts(readings))))
     control = controls(model, sample_rows(model), whitening)
-    search = Search(field, control)
+    limit = None if known is None else known.search.limit
+    search = Search(field, control, limit=limit)
     selection = search.run(_these(field.offered, [one for one, _ in model.springs]))
     more = _sharper(model, search.field, selection.accepted, whitening)
     steps = [i for i in selection.accepted if field.offered.hypotheses[i].family == FAMILY]
@@ -232,6 +239,7 @@ def _search(model: NullModel) -> Estimate:
         )
         helped = {c.location["joint"] for c in more}
         physical = [field.offered.hypotheses[i] for i in selection.accepted if i not in steps]
+        limit = search.limit
         del search  # hundreds of megabytes beside the next one
         field = field.offering(
             offer((*more, *catalogue, *shifts(readings, fine))), lambda new: _whitened(model, new, whitening)
@@ -239,7 +247,7 @@ def _search(model: NullModel) -> Estimate:
         begin = [_find(field.offered, one) for one in physical if one.location.get("joint") not in helped]
         sprung = {one.location["joint"] for one in physical if one.effect == SPRING}
         springs = _these(field.offered, [one for one in more if one.location["joint"] in sprung])
-        search = Search(field, control)
+        search = Search(field, control, limit=limit)
         selection = search.run((*begin, *springs))
     search.release()
     whole = whiten(strata_of(model, everything), whitening.shared, whitening.offset)

@@ -66,14 +66,18 @@ class Selection:
 class Search(Comparisons):
     """The steps of the search, and what they refuse."""
 
-    def __init__(self, field: Field, control: Control, demands: Demands = POSITIONS) -> None:
+    def __init__(
+        self, field: Field, control: Control, demands: Demands = POSITIONS, limit: float | None = None
+    ) -> None:
+        """Prepare a search; limit: what chance gains, nats, as another search of the recording found it."""
         super().__init__(field, demands)
         self.control = control
         self.refused: dict[str, None] = {}
         self.objections: dict[tuple[Accepted, int], str] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
-        chance = chance_gain(field.gram, field.clear, self.grouped(narrow=False), demands.draws)
-        self.limit = max(chance, demands.least)
+        if limit is None:
+            limit = max(chance_gain(field.gram, field.clear, self.grouped(narrow=False), demands.draws), demands.least)
+        self.limit = limit
 
     def run(self, accepted: Accepted = ()) -> Selection:
         """Search, beginning with some hypotheses: those of which the recording shows anything.

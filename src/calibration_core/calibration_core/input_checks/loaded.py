@@ -102,6 +102,9 @@ def _readings_of(
 ) -> tuple[Explanation, list[Meant]]:
     """Fit the recording as it stands and everything that it might mean."""
     stands = _as_it_stands(motion, given)
+    noise = motion.freedom * motion.sigma**2
+    if noise >= STATED * stands.rest and not facts.base_claimed:  # it stays whatever is meant: nothing is evident
+        return stands, []
     return stands, list(_alternatives(motion, given, readings, facts, stands.rest))
 
 

@@ -21,6 +21,7 @@ from calibration_core.timeseries import Float1D, Float3D
 
 PROPOSED = 3
 JUDGED = 24  # offers that are judged in full
+ALTERNATED = 8  # of these, with loads that alternate between the extremes besides
 SEPARABLE = 0.5  # nats: an offer that is expected to give less separates nothing
 NO_GAIN = "Further measurements of this kind would gain nothing worth the time."
 
@@ -176,7 +177,7 @@ class _Choice:
     def _best(self, judge: Judge) -> tuple[Offer, float, float] | None:
         """Judge all offers roughly, the best and some taken at random in full; return the best, its gain, the usual.
 
-        The best ones are judged with the load levels of the recording, and alternating between the extremes of these.
+        They are judged with the load levels of the recording, the best of them alternating between the extremes, too.
         """
         rough = judge(self.rough)
         if not rough.useful:
@@ -187,7 +188,8 @@ class _Choice:
         if not len(order):
             return None
         chosen = [self.offers[k] for k in order]
-        chosen += [offer.alternating for offer in chosen if len(offer.steps) > 1]
+        first = np.argsort(-judge(self._in_full(chosen)).score, kind="stable")[:ALTERNATED]
+        chosen += [chosen[k].alternating for k in first if len(chosen[k].steps) > 1]
         table = self._in_full([*chosen, *self.offers[:JUDGED]])
         full = judge(table)
         best = int(np.argmax(full.score[: len(chosen)]))
