@@ -248,10 +248,9 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
     noise_seen = seen.freedom > 0
     if not noise_seen:
         seen = claimed(max(1.0, float(np.sqrt(prepared.fit.chi2 / max(prepared.fit.freedom, 1)))))
-    limit: float | None = None
     for remaining in reversed(range(ROUNDS)):
-        attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance, limit)
-        extended, limit = attempt.extended, attempt.selection.limit
+        attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
+        extended = attempt.extended
         rows = with_noise(linear.rows, problem.readings, seen, axes)
         kept = sound[readings_to_use(rows.select(sound), extended.raw[sound])] if options.robust else sound
         again = _seen(linear.rows, extended.raw, problem, axes, kept) if noise_seen else _left(attempt)
@@ -271,12 +270,11 @@ def _attempt(
     axes: Float3D,
     used: Int1D,
     compliance: Float1D,
-    limit: float | None,
 ) -> Attempt:
     problem = prepared.problem
     rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
-    selection = select(design, noise_known=seen.freedom > 0, limit=limit)
+    selection = select(design, noise_known=seen.freedom > 0)
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
     outdone = rejected_candidates(extended, selection)
     if outdone:

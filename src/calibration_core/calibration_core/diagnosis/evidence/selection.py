@@ -60,7 +60,6 @@ class LoadedSelection:
         choices: In the order of evidence.
         accepted: All accepted candidates, refinements included.
         level: Signal-to-noise ratio of the small effects that remain, each.
-        limit: Nats that the best of all candidates gains by chance.
         unsure: For each accepted candidate the (c,) signal-to-noise ratios that it lends to every candidate's place:
             its law is known to a share only, and the places that are confounded with it may hold the rest.
     """
@@ -68,7 +67,6 @@ class LoadedSelection:
     choices: tuple[Choice, ...]
     accepted: tuple[int, ...]
     level: float
-    limit: float
     unsure: tuple[Float1D, ...]
 
     @property
@@ -94,17 +92,16 @@ class LoadedSelection:
         return dataclasses.replace(self, choices=choices, accepted=accepted, unsure=unsure)
 
 
-def select(design: Design, *, noise_known: bool = True, limit: float | None = None) -> LoadedSelection:
+def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
     """Search loaded steps for what their null model leaves out.
 
     Args:
         design: The whitened model.
         noise_known: Whether the noise was seen without a model; where it is what the model leaves, small effects are
             part of it.
-        limit: As an earlier search of the recording found it; None: there was none.
     """
     demands = STEPS if noise_known else dataclasses.replace(STEPS, levels=NONE)
-    search = Search(field_of(design), Controls({}), demands, limit)
+    search = Search(field_of(design), Controls({}), demands)
     accepted = _by_joint(search, search.run().accepted)
     found = search.result(accepted)
     hypotheses = search.field.offered.hypotheses
@@ -119,7 +116,7 @@ def select(design: Design, *, noise_known: bool = True, limit: float | None = No
             choices.append(Choice(candidate, gain, _other_places(search, found, index)))
     chosen = tuple(hypotheses[index].members[0] for index in found.accepted)
     unsure = tuple(_lent(design, search, found.accepted, index) for index in found.accepted)
-    return LoadedSelection(tuple(choices), chosen, found.level, search.limit, unsure)
+    return LoadedSelection(tuple(choices), chosen, found.level, unsure)
 
 
 def field_of(design: Design) -> Field:
