@@ -27,7 +27,7 @@ from calibration_sim.mechanics.mjcf import Spring, build_mjcf
 from calibration_sim.mechanics.transforms import Placement
 
 RELATIVE_TOLERANCE = 1e-12  # of the largest torque at work
-FAR = 1e2 * RELATIVE_TOLERANCE  # so much more than is left at rest: the largest torque grows less on the way there
+FAR = 10.0 * RELATIVE_TOLERANCE  # so much more than is left at rest: the largest torque grows less on the way there
 SLOW = 0.1  # a step that removes less than nine tenths of the residual asks for a new derivative
 MAX_ITERATIONS = 50
 DIFFERENCE_STEP = 1e-6  # rad
@@ -120,7 +120,7 @@ class Mechanism:
         # Views of the scratch, made once: MuJoCo makes a new one whenever it is asked.
         self._qpos, self._passive, self._bias = self.data.qpos, self.data.qfrc_passive, self.data.qfrc_bias
         self._turned, self._at = self.data.xmat[self._flange].reshape(3, 3), self.data.xpos[self._flange]
-        self._load = np.zeros(self.model.nv)
+        self._load, self._parts = np.zeros(self.model.nv), np.zeros((3, self.model.nv))
         self._pushes: Sequence[Push] = ()
         self._sides: Sequence[SideTorque] = ()
 
@@ -267,10 +267,9 @@ class Mechanism:
         step, left = np.zeros_like(x), np.abs(unbalanced)
         most, far = float(left.max()), max(FAR * self._largest(), float(rounding.max()))
         for _ in range(MAX_ITERATIONS):
-            if most <= far and self._balanced(left, rounding):
+            if most <= far and (left <= np.maximum(RELATIVE_TOLERANCE * (scale := self._largest()), rounding)).all():
                 deflection = x[self._dofs] - commanded
-                torque, scale = self._passive[self._dofs], self._largest()
-                place = self._flange_placement()
+                torque, place = self._passive[self._dofs], self._flange_placement()
                 return Equilibrium(deflection, torque, place, x, most / scale if scale > 0.0 else 0.0)
             try:
                 step = np.asarray(unbalanced / self._rates if slope is None else np.linalg.solve(slope, -unbalanced))
@@ -286,13 +285,10 @@ class Mechanism:
                 slope = self._slope(x, w)
         raise EquilibriumError(float(np.max(np.abs(step))), MAX_ITERATIONS)
 
-    def _balanced(self, left: Float1D, rounding: Float1D) -> bool:
-        """Say whether what is left of the torques, (nv,), is as small as numbers can tell."""
-        return bool((left <= np.maximum(RELATIVE_TOLERANCE * self._largest(), rounding)).all())
-
     def _largest(self) -> float:
         """Return the largest single torque in what was summed last."""
-        return max(float(np.abs(part).max()) for part in (self._passive, self._bias, self._load))
+        self._parts[0], self._parts[1], self._parts[2] = self._passive, self._bias, self._load
+        return float(np.abs(self._parts).max())
 
     def _unbalanced(self, x: Float1D, wrench: Float1D) -> Float1D:
         """Return the unbalanced torque (nv,) at rest at x."""
