@@ -15,7 +15,7 @@ is accepted changes g by as many ranks as it has columns, so that they serve bes
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -136,37 +136,58 @@ class Grouped:
         return Grouped(len(blocks), asked, tuple(groups))
 
 
-def gains(seen: Seen, blocks: Grouped, drawn: Float2D | None = None) -> Gains:
+def gains(seen: Seen, blocks: Grouped) -> Gains:
     """Return what every block gains at its best size.
 
     Args:
         seen: The columns beside what is accepted.
         blocks: The h blocks.
-        drawn: (p, s) A' V^-1 y of other data, whose y' V^-1 y is the number of degrees of freedom; None: the data's.
     """
-    taken, own_vector = seen.of(blocks.asked)
+    taken, vector = seen.of(blocks.asked)
+    nats, best, left = np.zeros((blocks.count, 1)), np.zeros((blocks.count, 1)), np.ones((blocks.count, 1))
+    for chosen, worth, paid in _worth(seen, blocks, taken, vector[:, None], seen.square):
+        top = worth.argmin(axis=1)[:, None]
+        least = np.take_along_axis(worth, top, axis=1)[:, 0]
+        nats[chosen] = -0.5 * seen.gram.freedom * np.log(least)
+        left[chosen] = least / np.take_along_axis(paid[:, :, None], top, axis=1)[:, 0]
+        best[chosen] = GRID[top[:, 0]]
+    return Gains(nats, best, left)
+
+
+def _worth(
+    seen: Seen, blocks: Grouped, taken: Float2D, vectors: Float2D, square: float
+) -> Iterator[tuple[Int1D, Float3D, Float2D]]:
+    """Yield, of some blocks after others, what their gains at every size are -n/2 times the logarithm of.
+
+    Args:
+        seen: The columns beside what is accepted.
+        blocks: The h blocks.
+        taken: (a, c) what is accepted takes of their columns.
+        vectors: (c, s) A' V^-1 y of several data.
+        square: Y' V^-1 y of these.
+
+    Yields:
+        chosen: (b,) which blocks; (b, g, s) the share of the squares that is left, times what the size costs; (b, g)
+        the latter alone.
+    """
     freedom = seen.gram.freedom
-    vectors, square = (own_vector[:, None], seen.square) if drawn is None else (drawn[blocks.asked], float(freedom))
-    shape = blocks.count, vectors.shape[1]
-    nats, best, left = np.zeros(shape), np.zeros(shape), np.ones(shape)
     for group in blocks.groups:
         wide = basis_serves(group.columns.shape[1], len(seen.members))
         together = 1 if wide else BATCH
         for part in range(0, len(group.which), together):
             some = slice(part, part + together)
-            chosen, columns, place = group.which[some], group.columns[some], group.place[some]
+            columns, place = group.columns[some], group.place[some]
             seen_by, shown = taken[:, place], vectors[place]
             if wide:
-                off, lost = _of_wide(seen, columns[0], seen_by[:, 0], shown[0])
+                worth, lost = _of_wide(seen, columns[0], seen_by[:, 0], shown[0])
             else:
-                off, lost = _of_narrow(seen, columns, seen_by, shown)
-            remains = np.maximum(1.0 - off / square, LEAST_LEFT)
-            worth = remains * np.exp(2 / freedom * lost[:, :, None])  # its logarithm is the gain, times -n/2
-            top = worth.argmin(axis=1)[:, None]
-            nats[chosen] = -0.5 * freedom * np.log(np.take_along_axis(worth, top, axis=1)[:, 0])
-            left[chosen] = np.take_along_axis(remains, top, axis=1)[:, 0]
-            best[chosen] = GRID[top[:, 0]]
-    return Gains(nats, best, left)
+                worth, lost = _of_narrow(seen, columns, seen_by, shown)
+            worth /= -square
+            worth += 1.0
+            np.maximum(worth, LEAST_LEFT, out=worth)
+            paid = np.exp(2 / freedom * lost)
+            worth *= paid[:, :, None]
+            yield group.which[some], worth, paid
 
 
 def _of_narrow(seen: Seen, columns: Int2D, taken: Float3D, vectors: Float3D) -> tuple[Float3D, Float2D]:
@@ -235,6 +256,10 @@ def chance_gain(gram: Gram, clear: Bool1D, blocks: Grouped, draws: int) -> float
     drawn = np.zeros((len(scale), draws))
     drawn[kept] = scale[kept, None] * (lower @ np.random.default_rng(SEED).standard_normal((len(kept), draws)))
     null = Seen(gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
-    largest = gains(null, blocks, drawn).nats.max(axis=0)
+    vectors, least = drawn[blocks.asked], np.full(draws, np.inf)
+    taken = np.zeros((0, len(blocks.asked)))
+    for _, worth, _ in _worth(null, blocks, taken, vectors, float(gram.freedom)):
+        np.minimum(least, worth.min(axis=(0, 1)), out=least)
+    largest = -0.5 * gram.freedom * np.log(least)
     width = float(np.std(largest)) * np.sqrt(6) / np.pi
     return float(np.mean(largest) - np.euler_gamma * width - width * np.log(-np.log(1 - FALSE_ALARM)))

@@ -161,11 +161,10 @@ def without_offsets(rows: Rows, residual: Float2D) -> Float2D:
     """Return the (m, d) residuals after the best offsets of every configuration."""
     left = np.empty_like(residual)
     for _, index, white, basis in rows.groups:
-        b, m = index.shape
-        flat = residual[index].reshape(b, -1, 1)
-        rest = white @ flat
-        rest = rest - basis @ (basis.transpose(0, 2, 1) @ rest)
-        left[index] = np.linalg.solve(white, rest).reshape(b, m, -1)
+        flat, incidence = residual[index].reshape(len(index), -1, 1), _incidence(rows, index)
+        seen = basis.transpose(0, 2, 1) @ white
+        offsets = np.linalg.solve(seen @ incidence, seen @ flat)
+        left[index] = (flat - incidence @ offsets).reshape(*index.shape, -1)
     return left
 
 
@@ -254,11 +253,18 @@ def _whiten(rows: Rows, index: Int1D) -> tuple[Float3D, Float3D]:
             rows.noise[index[group[:, None], place]], rows.shared[index[group[:, None], place]]
         )
     white = factor.reshape(b, m * d, m * d)
+    basis, _ = np.linalg.qr(white @ _incidence(rows, index))
+    return white, basis
+
+
+def _incidence(rows: Rows, index: Int2D) -> Float3D:
+    """Return which free offset, (b, md, o), every row of some configurations, (b, m), has."""
+    b, m = index.shape
+    d = rows.noise.shape[1]
     place = _ranks(rows.offset[index])
     incidence = np.zeros((b, m, d, int(place.max()) + 1, d))
     incidence[np.arange(b)[:, None], np.arange(m), :, place, :] = np.eye(d)
-    basis, _ = np.linalg.qr(white @ incidence.reshape(b, m * d, -1))
-    return white, basis
+    return incidence.reshape(b, m * d, -1)
 
 
 def _ranks(values: Int2D) -> Int2D:
