@@ -102,11 +102,12 @@ class Suite:
             self.given[process.name] = runner.command(process)
             self.again(process.name)
 
-    def start_fast(self, speed: float = SPEED, seed: int = 1) -> None:
-        """Start everything that a measurement needs, faster than life."""
+    def start_fast(self, speed: float = SPEED, seed: int = 1, **sequencer: object) -> None:
+        """Start everything that a measurement needs, faster than life; the sequencer with more parameters."""
         self.start("simulated_cell", FAST, speed=speed, seed=seed, motion_log=self.directory / "motion.log")
-        for name in ("guard", "tracker", "force_torque", "sequencer"):
+        for name in ("guard", "tracker", "force_torque"):
             self.start(name, FAST)
+        self.start("sequencer", FAST, **sequencer)
         self.start("recorder", FAST, out=self.bag)
 
     def again(self, name: str) -> None:

@@ -158,14 +158,6 @@ class Bystander:
         return [one.text for one in self.events if one.kind == kind]
 
 
-def start(suite: Any, **sequencer: Any) -> None:
-    """Start the cell; the sequencer with other parameters where given."""
-    suite.start_fast()
-    if sequencer:
-        suite.end("sequencer")
-        suite.start("sequencer", ROOT / "config" / "simulation.yaml", **sequencer)
-
-
 def outside(session_directory: Path, plan: Path, overridden: frozenset[tuple[int, int]] = frozenset()) -> list[str]:
     """Return every confirmed reading that is not in posture or load of the plan, as the session has it."""
     cell = load_cell(CELL)
@@ -217,7 +209,7 @@ def test_a_jogged_robot_is_not_read_and_a_load_device_not_believed(suite: Any, p
 
     path = two_steps(plan, "jogged", 3)
     first, second, third = (one.number for one in read_plan(path, load_cell(CELL)).configurations)
-    start(suite)
+    suite.start_fast()
     somebody = Bystander(suite)
     run = suite.run(path)
     for number, angle, words in ((first, 0.05, "of the plan"), (second, 2e-3, "of step 0")):
@@ -248,7 +240,7 @@ def test_a_load_that_is_not_there_is_refused(suite: Any, plan: Path) -> None:
 
     path = two_steps(plan, "by_hand", 2)
     first, second = read_plan(path, load_cell(CELL)).configurations
-    start(suite, load__by="operator")
+    suite.start_fast(load__by="operator")
     somebody = Bystander(suite)
     run = suite.run(path)
     somebody.await_phase(first.number, 1, MeasurementStep.LOADING)
@@ -299,7 +291,7 @@ def test_500_random_jogs_and_loads(suite: Any, plan: Path) -> None:
     rng = np.random.default_rng(12)
     path = two_steps(plan, "random", 18)
     planned = {one.number: one for one in read_plan(path, load_cell(CELL)).configurations}
-    start(suite, load__by="operator", attempts=20)
+    suite.start_fast(load__by="operator", attempts=20)
     somebody = Bystander(suite)
     jogs = loads = sessions = rejected = refused = confirmed = 0
     directory = suite.directory

@@ -7,6 +7,7 @@ import ctypes
 import fcntl
 import importlib.util
 import os
+import signal
 import sys
 import tempfile
 import threading
@@ -20,6 +21,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[3]
 INTERFACES = ROOT / "install" / "calibration_interfaces"
 FOLDER = Path(tempfile.gettempdir()) / f"calibration-{os.getuid()}"  # locks of this user
+# A shell ignores SIGINT in what it starts in its background, and so would every process that these tests start and end.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 DOMAINS = 100  # beyond 101 the ports of DDS meet those that the system gives away
 
 
