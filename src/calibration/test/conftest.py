@@ -21,10 +21,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[3]
 INTERFACES = ROOT / "install" / "calibration_interfaces"
 FOLDER = Path(tempfile.gettempdir()) / f"calibration-{os.getuid()}"  # locks of this user
+DOMAINS = 100  # beyond 101 the ports of DDS meet those that the system gives away
+
 # A shell ignores SIGINT in what it starts in its background, and so would every process that these tests start and end.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-DOMAINS = 100  # beyond 101 the ports of DDS meet those that the system gives away
 
 
 class Domain:

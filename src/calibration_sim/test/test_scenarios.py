@@ -133,6 +133,15 @@ def test_points_follow_a_softer_joint_as_the_difference_of_two_played_worlds(rob
         assert np.linalg.norm(column - difference) < 1e-5 * np.linalg.norm(difference)
 
 
+def test_a_joint_law_besides_the_springs_is_no_derivative_of_their_balance() -> None:
+    cell = robot_cell("light")
+    draw = Draw(MAGNITUDES["light"], np.array(cell.robot.stiffness), 1.0, np.random.default_rng(0), 2, plain=True)
+    world, protocol = World(cell, draw_truth(cell, 5)), make_protocol(cell, "L", 5)
+    world = world.with_effects(GENERATORS["nonlinear_stiffness"](draw))
+    with pytest.raises(ValueError, match="not balanced by springs, weight and wrench"):
+        softer(world, protocol, play(world, protocol))
+
+
 @pytest.mark.parametrize(("one", "other"), [(2, 3), (4, 5), (0, None)])
 def test_exact_aliases_cannot_be_told_apart(one: int, other: int | None) -> None:
     """What one explains of the other, amplitude fitted, leaves less than five nats at the scenarios' loudness."""

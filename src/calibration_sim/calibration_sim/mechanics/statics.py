@@ -28,6 +28,7 @@ from calibration_sim.mechanics.transforms import Placement
 
 RELATIVE_TOLERANCE = 1e-12  # of the largest torque at work
 FAR = 10.0 * RELATIVE_TOLERANCE  # so much more than is left at rest: the largest torque grows less on the way there
+ALONE = 1e-6  # of the largest torque: what is not balanced beyond that is carried by something besides the springs
 SLOW = 0.1  # a step that removes less than nine tenths of the residual asks for a new derivative
 MAX_ITERATIONS = 50
 DIFFERENCE_STEP = 1e-6  # rad
@@ -179,6 +180,9 @@ class Mechanism:
     def softening(self, q: ArrayLike, wrench: ArrayLike, rest: Float1D, points: Float2D) -> Float3D:
         """Return how points move where a joint becomes softer, by the derivative of the balance at a rest.
 
+        With F(x, k) = 0 the balance and S = dF/dx, a compliance 1/k_j that grows by a share moves the coordinates by
+        S^-1 times what the spring of joint j carries (implicit function theorem).
+
         Args:
             q: (n,) rad, commanded angles.
             wrench: (6,) N and N*m, base axes, at the wrench point.
@@ -187,12 +191,20 @@ class Mechanism:
 
         Returns:
             (p, 3, n) m per share by which the compliance of a joint grows, base axes.
+
+        Raises:
+            ValueError: Springs, weight and wrench alone do not balance there.
         """
         model, data = self.model, self.data
         self._pushes, self._sides = (), ()
         model.qpos_spring[:] = 0.0
         model.qpos_spring[self._dofs] = np.asarray(q, dtype=np.float64) + self._zero
-        slope = self._slope(rest, np.asarray(wrench, dtype=np.float64))
+        w = np.asarray(wrench, dtype=np.float64)
+        left = float(np.abs(self._unbalanced(rest, w)).max())
+        if left > ALONE * self._largest():
+            msg = f"{left:.3g} N*m are not balanced by springs, weight and wrench"
+            raise ValueError(msg)
+        slope = self._slope(rest, w)
         gives = np.zeros((model.nv, len(self._dofs)))
         gives[self._dofs, np.arange(len(self._dofs))] = self._passive[self._dofs]
         place, motion = self._flange_placement(), np.empty((len(points), 3, model.nv))

@@ -157,7 +157,7 @@ def gains(seen: Seen, blocks: Grouped) -> Gains:
 def _worth(
     seen: Seen, blocks: Grouped, taken: Float2D, vectors: Float2D, square: float
 ) -> Iterator[tuple[Int1D, Float3D, Float2D]]:
-    """Yield, of some blocks after others, what their gains at every size are -n/2 times the logarithm of.
+    """Yield, for one batch of blocks after the other, the numbers whose logarithm times -n/2 is the gain at every size.
 
     Args:
         seen: The columns beside what is accepted.
