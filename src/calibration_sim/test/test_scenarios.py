@@ -19,7 +19,7 @@ from calibration_sim.generators.robots import MAGNITUDES, ROBOTS, robot_cell
 from calibration_sim.scenarios.generate import generate
 from calibration_sim.scenarios.grid import ALIAS_SNR, AMPLITUDES, SINGLES, Scenario, grid, recording_name, sample
 from calibration_sim.scenarios.influence import background, signal, softer
-from calibration_sim.scenarios.measure import Noise, look
+from calibration_sim.scenarios.measure import Noise, lagging_sensor, look
 from calibration_sim.scenarios.protocols import KINDS, make_protocol, points_of
 from calibration_sim.scenarios.world import World, play
 
@@ -140,6 +140,23 @@ def test_a_joint_law_besides_the_springs_is_no_derivative_of_their_balance() -> 
     world = world.with_effects(GENERATORS["nonlinear_stiffness"](draw))
     with pytest.raises(ValueError, match="not balanced by springs, weight and wrench"):
         softer(world, protocol, play(world, protocol))
+
+
+def test_the_robot_is_left_as_it_rests_where_instruments_and_frames_alone_differ() -> None:
+    cell = robot_cell("middle")
+    world, protocol = World(cell, draw_truth(cell, 7), (lagging_sensor(cell),)), make_protocol(cell, "LA", 7)
+    known, left = background(world, protocol, 1e-5), set()
+    for name in SINGLES:
+        rng = np.random.default_rng(1)
+        effect = GENERATORS[name](Draw(MAGNITUDES["middle"], np.array(cell.robot.stiffness), 1.0, rng))
+        if not world.with_effects(effect).rests_like(world):
+            continue
+        left.add(name)
+        again, anew = known.with_effects(effect), play(world.with_effects(effect), protocol)
+        for part in ("points", "wrench", "torque"):
+            np.testing.assert_array_equal(getattr(again, part), getattr(anew, part))
+    frames = {"tracker_frame_misalignment", "measurement_point_offset", "wrench_frame_misalignment"}
+    assert left == {"wrench_gain", "wrench_crosstalk", "wrench_point_offset", *frames}
 
 
 @pytest.mark.parametrize(("one", "other"), [(2, 3), (4, 5), (0, None)])

@@ -21,6 +21,10 @@ from calibration_sim.mechanics.mjcf import Spring
 from calibration_sim.mechanics.statics import Push, SideTorque
 
 Location = Mapping[str, Any]
+ON_ROBOT = (  # hooks through which an effect moves the robot; through the others it acts on instruments and frames
+    "springs", "change_chain", "temperature", "growth", "pushes", "side_torques",
+    "begin", "arrive", "deflect", "settle",
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,6 +132,11 @@ class Effect:
     """
 
     label: Label
+
+    @property
+    def moves_robot(self) -> bool:
+        """Whether it acts on the robot itself; what it changes in the truth is seen there."""
+        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in ON_ROBOT)
 
     def springs(self, chain: Chain) -> tuple[Spring, ...]:
         """Return what gives way besides the joints."""

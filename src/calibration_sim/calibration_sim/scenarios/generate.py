@@ -87,7 +87,7 @@ def generate(scenario: Scenario) -> Generated:
     small = [] if known is None else _clutter(scenario, known)
     full = world.with_effects(*effects, *small)
     seed = int(generator(scenario.seed, LOOK_STREAM).integers(2**31))
-    played = play(full, protocol)
+    played = play(full, protocol) if known is None else known.with_effects(*effects, *small)
     points = points_of(cell, scenario.protocol)
     readings = look(full, played, points, scenario.noise, seed)
     label = {
@@ -158,14 +158,14 @@ def _scaled(scenario: Scenario, stream: tuple[int, ...], planned: Planned, known
     """Draw an effect at one place and scale it."""
     amplitude = planned.amplitude
     effect = _draw(scenario, stream, planned, amplitude)
-    ratio = signal_to_noise(known, play(known.world.with_effects(effect), known.protocol))
+    ratio = signal_to_noise(known, known.with_effects(effect))
     for _ in range(3):
         enough = ratio >= planned.snr if planned.at_least else abs(ratio - planned.snr) < 0.1 * planned.snr
         if planned.snr == 0.0 or enough:
             break
         amplitude *= float(np.clip(1.05 * planned.snr / max(ratio, 1e-9), 0.05, 20.0))
         effect = _draw(scenario, stream, planned, amplitude)
-        ratio = signal_to_noise(known, play(known.world.with_effects(effect), known.protocol))
+        ratio = signal_to_noise(known, known.with_effects(effect))
     return effect, ratio
 
 
@@ -178,7 +178,7 @@ def _labelled(effects: list[Effect], known: Background | None) -> list[dict[str,
     for effect, label in zip(effects, labels, strict=True):
         if label["family"] not in {"structure", "absolute"} or "kinds" in label or "all" in label["location"].values():
             continue
-        shown = signal(known, play(known.world.with_effects(effect), known.protocol))
+        shown = signal(known, known.with_effects(effect))
         alike = look_alikes(known, blocks, shown)
         known_alike = [{"effect": label["effect"], "location": label["location"]}, *label["equivalent"]]
         label["equivalent"] += [item for item in alike if item not in known_alike]
@@ -194,7 +194,7 @@ def _clutter(scenario: Scenario, known: Background) -> list[Effect]:
     for k, name in enumerate(rng.choice(CLUTTER_NAMES, CLUTTER)):
         planned, stream = Planned(str(name)), (CLUTTER_STREAM, k)
         effect = _draw(scenario, stream, planned, 1.0)
-        ratio = signal_to_noise(known, play(known.world.with_effects(effect), known.protocol))
+        ratio = signal_to_noise(known, known.with_effects(effect))
         amplitude = min(scenario.clutter / max(ratio, 1e-9), MOST_CLUTTER)
         result.append(_draw(scenario, stream, planned, amplitude))
     return result

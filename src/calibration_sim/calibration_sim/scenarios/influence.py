@@ -14,6 +14,7 @@ import numpy as np
 
 from calibration_core.timeseries import Float1D, Float2D
 from calibration_sim.cell.protocol import Protocol
+from calibration_sim.effect_models.effect import Effect
 from calibration_sim.scenarios.world import Played, World, play
 from calibration_sim.scenarios.yielding import yielding
 
@@ -39,6 +40,11 @@ class Background:
     sigma: float
     nuisance: Float2D
     compliance: Float2D
+
+    def with_effects(self, *effects: Effect) -> Played:
+        """Play the same with more in it; the robot is left as it rests where only instruments and frames differ."""
+        world = self.world.with_effects(*effects)
+        return play(world, self.protocol, self.played.rests if world.rests_like(self.world) else None)
 
 
 def background(world: World, protocol: Protocol, sigma: float, *, geometry: bool = False) -> Background:
@@ -102,8 +108,8 @@ def softer(world: World, protocol: Protocol, played: Played) -> Float2D:
     points, back = np.array(list(truth.points.values())), truth.tracker.rotation.T
     loads = [(c.q, wrench) for c in protocol.configurations for wrench in c.wrenches]
     moved = [
-        back @ mechanism.softening(q, wrench, rest, points)
-        for (q, wrench), rest in zip(loads, played.rest, strict=True)
+        back @ mechanism.softening(q, wrench, rest.rest, points)
+        for (q, wrench), rest in zip(loads, played.rests, strict=True)
     ]
     return np.array(moved).reshape(played.points.size, -1)
 

@@ -29,6 +29,7 @@ MOVE_SECONDS = 40.0  # besides, from configuration to configuration
 USUAL_TEMPERATURE = 20.0
 AGREED = 1e-10  # rad
 MAX_ROUNDS = 40
+OF_ROBOT = ("stiffness", "gravity", "joint_zero", "joint_frame_errors", "wrench_point")  # in the truth
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,6 +62,12 @@ class World:
             lambda sensors, effect: effect.change_sensors(sensors), self.effects, self.truth.sensors
         )
 
+    def rests_like(self, other: World) -> bool:
+        """Say whether the robot rests at every step as in another world: only instruments and frames differ."""
+        mine, theirs = ([effect for effect in world.effects if effect.moves_robot] for world in (self, other))
+        truths = ([getattr(world.actual, name) for name in OF_ROBOT] for world in (self, other))
+        return mine == theirs and all(map(np.array_equal, *truths))
+
     def mechanism(self) -> Mechanism:
         """Build the robot."""
         chain = functools.reduce(lambda chain, effect: effect.change_chain(chain), self.effects, read_chain(self.cell))
@@ -89,7 +96,7 @@ class Played:
         points: (s, p, 3) m, tracker frame.
         wrench: (s, 6) N and N*m, sensor axes at the sensor.
         torque: (s, n) N*m, carried by the joints' springs.
-        rest: (s, nv) rad and m, all coordinates of the mechanism.
+        rests: The robot at rest at every step.
     """
 
     configuration: Int1D
@@ -100,7 +107,7 @@ class Played:
     points: Float3D
     wrench: Float2D
     torque: Float2D
-    rest: Float2D
+    rests: tuple[Equilibrium, ...]
 
 
 @dataclasses.dataclass
@@ -123,8 +130,13 @@ class _Laws:
         self.memories = [effect.settle(m, torque, at) for effect, m in zip(self.effects, self.memories, strict=True)]
 
 
-def play(world: World, protocol: Protocol) -> Played:
+def play(world: World, protocol: Protocol, rests: tuple[Equilibrium, ...] | None = None) -> Played:
     """Play a protocol.
+
+    Args:
+        world: The cell.
+        protocol: What is measured.
+        rests: The robot at rest at every step, where it is known of a world that it rests like; None: not known.
 
     Raises:
         CellError: The robot cannot be read.
@@ -132,11 +144,27 @@ def play(world: World, protocol: Protocol) -> Played:
     """
     time, when = _schedule(protocol)
     temperature = USUAL_TEMPERATURE + sum((e.temperature(time) for e in world.effects), np.zeros(len(time)))
+    rests = _rests(world, protocol, time, temperature) if rests is None else rests
+    truth = world.actual
+    in_flange = np.array(list(truth.points.values()))
+    loads = [load for configuration in protocol.configurations for load in configuration.wrenches]
+    points = np.array([truth.tracker.inverse_apply(rest.flange.apply(in_flange)) for rest in rests])
+    wrench = np.array([_at_sensor(truth, rest.flange, load) for rest, load in zip(rests, loads, strict=True)])
+    axes = truth.tracker.rotation.T @ np.array([rest.flange.rotation for rest in rests])
+    session = Session(when[0], when[1], time, temperature, when[2], axes, np.linalg.norm(when[3], axis=1))
+    for effect in world.effects:
+        points, wrench = effect.see(points, session), effect.report(wrench, session)
+    torque = np.array([-rest.torque for rest in rests])
+    return Played(when[0], when[1], time, temperature, when[2], points, wrench, torque, rests)
+
+
+def _rests(world: World, protocol: Protocol, time: Float1D, temperature: Float1D) -> tuple[Equilibrium, ...]:
+    """Let the robot come to rest at every step, s of them, of which time and temperature (s,) are known."""
     mechanism, truth = world.mechanism(), world.actual
     n = len(truth.stiffness)
     laws = _Laws(world.effects, [effect.begin(n) for effect in world.effects])
-    in_flange = np.array(list(truth.points.values()))
-    rows, last_q, approach, row = [], None, np.zeros(n), 0
+    rests: list[Equilibrium] = []
+    last_q, approach = None, np.zeros(n)
     for index, configuration in enumerate(protocol.configurations):
         if last_q is not None:
             approach = np.sign(configuration.q - last_q)
@@ -148,8 +176,8 @@ def play(world: World, protocol: Protocol) -> Played:
                 index,
                 configuration.number,
                 step,
-                float(time[row]),
-                float(temperature[row]),
+                float(time[len(rests)]),
+                float(temperature[len(rests)]),
                 configuration.q,
                 approach,
                 1.0 / truth.stiffness,
@@ -162,16 +190,8 @@ def play(world: World, protocol: Protocol) -> Played:
             if step == 0:
                 places = mechanism.places()
             laws.settle(-rest.torque, at)
-            seen = truth.tracker.inverse_apply(rest.flange.apply(in_flange))
-            rows.append((seen, _at_sensor(truth, rest.flange, load), -rest.torque, rest.flange.rotation, rest.rest))
-            row += 1
-    points, wrench, torque, axes, rests = (np.array(column) for column in zip(*rows, strict=True))
-    session = Session(
-        when[0], when[1], time, temperature, when[2], truth.tracker.rotation.T @ axes, np.linalg.norm(when[3], axis=1)
-    )
-    for effect in world.effects:
-        points, wrench = effect.see(points, session), effect.report(wrench, session)
-    return Played(when[0], when[1], time, temperature, when[2], points, wrench, torque, rests)
+            rests.append(rest)
+    return tuple(rests)
 
 
 def _schedule(protocol: Protocol) -> tuple[Float1D, tuple[Int1D, Int1D, Float2D, Float2D]]:
