@@ -22,6 +22,7 @@ from calibration_core.diagnosis.evidence.block_scatter import scattered_covarian
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import (
     ExtendedLoadedModel,
+    beside_small_effects,
     design_at,
     extend,
     extended_model,
@@ -257,7 +258,8 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
         moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
         if still or not remaining or not attempt.selection.accepted:
-            return attempt
+            whole = beside_small_effects(extended, cell, hypotheses, prepared.frames, attempt.selection)
+            return dataclasses.replace(attempt, extended=whole)
         seen, used, compliance = again, kept, np.clip(extended.compliance, 0.2 * compliance, 3 * compliance)
     raise AssertionError  # the last round returns
 

@@ -20,7 +20,7 @@ from calibration_core.model.statics import (
     load_torque,
     load_torque_derivative,
 )
-from calibration_core.timeseries import Float1D, Float2D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 TOLERANCE = 1e-13  # rad: below the last bit of an encoder by five orders of magnitude
 MAX_ITERATIONS = 60
@@ -42,6 +42,13 @@ class Equilibrium:
     torque: Float2D
     at: Posture
     amplification: Float3D
+
+    def of_readings(self, rows: Int1D) -> Equilibrium:
+        """Return the equilibrium of other readings, each that of one of these (indices)."""
+        deflection, torque, amplification = (
+            part.take(rows, axis=-1) for part in (self.deflection, self.torque, self.amplification)
+        )
+        return Equilibrium(deflection, torque, self.at.of_readings(rows), amplification)
 
     def point_jacobian(self, point: Float1D) -> Float3D:
         """Return d p / d theta of a point in the flange frame, (3,) or (3, m) m, here deformed, (3, n, m) m/rad."""
@@ -72,6 +79,29 @@ def solve_equilibrium(
     Raises:
         EquilibriumError: It does not converge: the load is beyond what these springs carry.
     """
+    first, place = _differing(q, load)
+    if len(first) == len(q):
+        return _solved(chain, q, compliance, load, near)
+    some = None if load is None else load.rows(first)
+    found = _solved(chain, q[first], compliance, some, None if near is None else near[:, first])
+    return found.of_readings(place)
+
+
+def _differing(q: Float2D, load: Load | None) -> tuple[Int1D, Int1D]:
+    """Return the readings that differ from the one before, and for each reading which of them it is like.
+
+    The points of one step are measured one after the other, in one posture under one load.
+    """
+    new = np.ones(len(q), dtype=bool)
+    new[1:] = np.any(q[1:] != q[:-1], axis=1)
+    if load is not None:
+        for vectors in (load.force, load.torque):
+            new[1:] |= np.any(vectors[:, 1:] != vectors[:, :-1], axis=0)
+    return np.flatnonzero(new), np.cumsum(new) - 1
+
+
+def _solved(chain: Chain, q: Float2D, compliance: Float1D, load: Load | None, near: Float2D | None) -> Equilibrium:
+    """Solve as `solve_equilibrium` for readings that all differ."""
     deflection = np.zeros((chain.n, len(q))) if near is None else compliance[:, None] * near
     amplification: Float3D | None = None
     change = np.inf

@@ -13,7 +13,7 @@ import functools
 import numpy as np
 
 from calibration_core.model.chain import Chain
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Float4D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Float4D, Int1D
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,6 +37,11 @@ class Posture:
     prismatic: tuple[bool, ...]
     flange: Float3D
     flange_origin: Float2D
+
+    def of_readings(self, rows: Int1D) -> Posture:
+        """Return the posture of other readings, each that of one of these (indices)."""
+        names = ("before", "origin", "body", "body_origin", "flange", "flange_origin")
+        return dataclasses.replace(self, **{name: getattr(self, name).take(rows, axis=-1) for name in names})
 
     def axis(self, joint: int) -> Float2D:
         """Return the (3, m) unit vectors along a joint's axis, base axes."""

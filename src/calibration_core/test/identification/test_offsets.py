@@ -7,7 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calibration_core.identification.statistics.offsets import Rows, deleted, normal_equations, without_offsets
+from calibration_core.identification.statistics.offsets import (
+    Rows,
+    deleted,
+    normal_equations,
+    whitened,
+    without_offsets,
+)
 
 
 def _rows(rng: np.random.Generator, configurations: int = 3, steps: int = 4, points: int = 2) -> Rows:
@@ -54,6 +60,24 @@ def test_normal_equations_equal_the_full_problem(shuffled: bool) -> None:
     expected = right[:5] - matrix[:5, 5:] @ np.linalg.solve(matrix[5:, 5:], right[5:])
     np.testing.assert_allclose(normal.vector.sum(0), expected, rtol=1e-8, atol=1e-6 * np.abs(expected).max())
     assert normal.freedom.sum() == 3 * m - design.shape[1]
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_whitened_rows_have_the_products_of_the_normal_equations(shuffled: bool) -> None:
+    rng = np.random.default_rng(2)
+    rows, places = _rows(rng), None
+    data = rng.normal(size=(len(rows.configuration), 3, 5))
+    if shuffled:
+        places = rng.permutation(len(rows.configuration))[:-3]
+        rows = rows.select(places)
+    own = data if places is None else data[places]
+    white, configuration = whitened(rows, data, places)
+    normal = normal_equations(rows, own[:, :, -1], own[:, :, :-1])
+    np.testing.assert_array_equal(configuration, np.repeat(np.arange(len(normal.freedom)), normal.freedom))
+    for k, (matrix, vector) in enumerate(zip(normal.matrix, normal.vector, strict=True)):
+        part = white[configuration == k]
+        np.testing.assert_allclose(part[:, :-1].T @ part[:, :-1], matrix, rtol=1e-9, atol=1e-6 * np.abs(matrix).max())
+        np.testing.assert_allclose(part[:, :-1].T @ part[:, -1], vector, rtol=1e-9, atol=1e-6 * np.abs(matrix).max())
 
 
 def test_two_readings_with_one_offset_are_one_difference() -> None:

@@ -103,3 +103,31 @@ def test_small_loads_give_the_linear_law_of_the_standard(chain: Chain) -> None:
 def test_a_load_beyond_the_springs_is_an_error(chain: Chain) -> None:
     with pytest.raises(EquilibriumError, match="no static equilibrium"):
         solve_equilibrium(chain, _angles(chain), np.full(chain.n, 1e-2), _load(sensor=False))
+
+
+@pytest.mark.parametrize("given", ["sensor axes", "base axes", "no load"])
+def test_points_of_one_step_share_its_equilibrium(chain: Chain, given: str) -> None:
+    load, some = None if given == "no load" else _load(given == "sensor axes"), np.repeat(np.arange(M), 3)
+    compliance = np.random.default_rng(9).uniform(2e-7, 3e-6, chain.n)
+    each = solve_equilibrium(chain, _angles(chain), compliance, load)
+    shared = solve_equilibrium(chain, _angles(chain)[some], compliance, None if load is None else load.rows(some))
+    for part in ("deflection", "torque", "amplification"):
+        np.testing.assert_array_equal(getattr(shared, part), getattr(each, part)[..., some])
+    for part in ("before", "origin", "body", "body_origin", "flange", "flange_origin"):
+        np.testing.assert_array_equal(getattr(shared.at, part), getattr(each.at, part)[..., some])
+    near = solve_equilibrium(
+        chain, _angles(chain)[some], compliance, None if load is None else load.rows(some), each.torque[:, some]
+    )
+    np.testing.assert_allclose(near.torque, shared.torque, rtol=1e-12, atol=1e-9)
+
+
+def test_one_load_or_one_angle_that_differs_is_a_reading_of_its_own(chain: Chain) -> None:
+    q, compliance = np.repeat(_angles(chain)[:1], 3, axis=0), np.full(chain.n, 1e-6)
+    q[1, -1] += 1e-3
+    force = np.repeat(np.array([[0.0], [10.0], [-500.0]]), 3, axis=1)
+    force[2, 2] = -400.0
+    load = Load(force, np.zeros((3, 3)), np.zeros(3), None)
+    torque = solve_equilibrium(chain, q, compliance, load).torque
+    for k in range(3):
+        alone = solve_equilibrium(chain, q[k : k + 1], compliance, load.rows(slice(k, k + 1))).torque
+        np.testing.assert_allclose(torque[:, k : k + 1], alone, rtol=1e-12, atol=1e-9)

@@ -120,7 +120,7 @@ def build_design(
     more = sum(part.shape[2] for part in (extra, *random))
     prior.append(np.ones(more))
     data = np.concatenate([null, *columns, residual[:, :, None]], axis=2)
-    white, configuration = whitened(rows, data if used is None else data[used])
+    white, configuration = whitened(rows, data, used)
     n = null.shape[2]
     return Design(
         residual=white[:, -1],

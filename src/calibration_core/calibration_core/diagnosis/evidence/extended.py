@@ -38,7 +38,7 @@ class ExtendedLoadedModel:
         used: Indices of the readings used.
         state: Null model at the final compliances, all readings.
         rows: Grouping and noise as seen, of the readings used.
-        design: Whitened there; of the catalogue only what the selection asks for has columns.
+        design: Whitened there; of the catalogue only what was accepted, or does as well, has columns.
         accepted: Candidates in the model.
         base_compliance: (n,) rad/(N*m), about which the design is linear.
         compliance: (n,) rad/(N*m), fitted.
@@ -124,6 +124,8 @@ def extend(
 ) -> ExtendedLoadedModel:
     """Refit the compliances together with what was accepted, re-linearising until they stand still.
 
+    Small effects, where they were found to be there, are left to `beside_small_effects`.
+
     Args:
         problem: All readings.
         cell: The cell file.
@@ -149,11 +151,11 @@ def extend(
         if round_number < ROUNDS - 1:
             compliance = compliance + change
     linear = problem.linearise(compliance)
-    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, frames, selection.asked)
+    state, whole = design_at(problem, cell, compliance, rows, used, hypotheses, frames, selection.named)
     shift = np.concatenate([np.zeros((state.m, 3, 0)), *(one.columns(state) for one in chosen)], axis=2) @ value[n:]
     raw = linear.residual - shift - np.einsum("mij,j->mi", linear.columns, value[:n])
     raw = raw - _by_chance(whole, accepted, value, state)
-    final, covariance = estimates(whole, accepted, selection.share)
+    final, covariance = estimates(whole, accepted)
     final = _allowed(compliance, chosen, final, covariance)
     return ExtendedLoadedModel(
         problem=problem,
@@ -170,6 +172,25 @@ def extend(
         raw=raw,
         residual=without_offsets(linear.rows.select(used), raw[used]),
     )
+
+
+def beside_small_effects(
+    extended: ExtendedLoadedModel,
+    cell: Cell,
+    hypotheses: tuple[Candidate, ...],
+    frames: FrameFit | None,
+    selection: LoadedSelection,
+) -> ExtendedLoadedModel:
+    """Return the same model, estimated with the small effects that were found to be there in the rows' covariance."""
+    share, compliance, n = selection.share, extended.base_compliance, len(extended.compliance)
+    if not np.any(share):
+        return extended
+    problem, rows, used = extended.problem, extended.rows, extended.used
+    _, design = design_at(problem, cell, compliance, rows, used, hypotheses, frames, selection.with_size)
+    chosen = tuple(hypotheses[index] for index in extended.accepted)
+    value, covariance = estimates(design, extended.accepted, share)
+    value = _allowed(compliance, chosen, value, covariance)
+    return dataclasses.replace(extended, compliance=compliance + value[:n], value=value[n:], covariance=covariance)
 
 
 def _by_chance(design: Design, accepted: tuple[int, ...], value: Float1D, state: State) -> Float2D:

@@ -75,13 +75,17 @@ class LoadedSelection:
         return np.maximum(self.level, np.max(np.array(self.unsure), axis=0, initial=0.0))
 
     @property
-    def asked(self) -> frozenset[int] | None:
-        """Candidates of which more is asked: accepted, equivalent, or in the covariance; None: all."""
+    def named(self) -> frozenset[int]:
+        """Candidates that are accepted, or do as well as one that is."""
+        return frozenset((*self.accepted, *(index for choice in self.choices for index, _ in choice.equivalents)))
+
+    @property
+    def with_size(self) -> frozenset[int] | None:
+        """Candidates that are accepted or in the covariance of the estimate; None: all."""
         share = self.share
         if not share.ndim and share:
             return None
-        equivalent = (index for choice in self.choices for index, _ in choice.equivalents)
-        return frozenset((*self.accepted, *equivalent, *np.flatnonzero(share).tolist()))
+        return frozenset((*self.accepted, *np.flatnonzero(share).tolist()))
 
     def without(self, left_out: Sequence[Choice]) -> LoadedSelection:
         """Return the selection without some of its choices."""
@@ -121,14 +125,20 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
 
 def field_of(design: Design) -> Field:
     """Return rows and hypotheses of a design for the search; what a candidate leaves to chance has its size."""
-    own = design.discrepancy.start
+    own, usual = design.discrepancy.start, design.discrepancy
     offered = offer(design.candidates)
     hypotheses = tuple(_with_chance(one, design) for one in offered.hypotheses)
-    columns = np.concatenate([design.columns[:, :own], design.columns[:, design.discrepancy.stop :]], axis=1)
-    return Field.of(
-        design.residual, design.null, design.columns[:, design.discrepancy], columns / PRIOR_WIDTH,
-        Offered(offered.candidates, offered.blocks, hypotheses), (_blocks(design.configuration),),
-    )  # fmt: skip
+    r, p = design.columns.shape
+    u = usual.stop - usual.start
+    flat = design.n + u
+    wide = np.zeros((r + u, design.n + p))
+    wide[:r, : design.n], wide[:r, design.n : flat] = design.null, design.columns[:, usual]
+    wide[r:, design.n : flat] = np.eye(u)
+    np.divide(design.columns[:, :own], PRIOR_WIDTH, out=wide[:r, flat : flat + own])
+    np.divide(design.columns[:, usual.stop :], PRIOR_WIDTH, out=wide[:r, flat + own :])
+    residual = np.concatenate([design.residual, np.zeros(u)])
+    blocks = _blocks(design.configuration)
+    return Field.within(residual, wide, flat, Offered(offered.candidates, offered.blocks, hypotheses), (blocks,))
 
 
 def _with_chance(one: Hypothesis, design: Design) -> Hypothesis:

@@ -21,7 +21,7 @@ from calibration_core.timeseries import Float1D, Float3D
 
 PROPOSED = 3
 JUDGED = 24  # offers that are judged in full
-ALTERNATED = 8  # of these, with loads that alternate between the extremes besides
+ALTERNATED = 12  # of these, with loads that alternate between the extremes besides
 SEPARABLE = 0.5  # nats: an offer that is expected to give less separates nothing
 NO_GAIN = "Further measurements of this kind would gain nothing worth the time."
 
@@ -188,8 +188,7 @@ class _Choice:
         if not len(order):
             return None
         chosen = [self.offers[k] for k in order]
-        first = np.argsort(-judge(self._in_full(chosen)).score, kind="stable")[:ALTERNATED]
-        chosen += [chosen[k].alternating for k in first if len(chosen[k].steps) > 1]
+        chosen += [offer.alternating for offer in chosen[:ALTERNATED] if len(offer.steps) > 1]
         table = self._in_full([*chosen, *self.offers[:JUDGED]])
         full = judge(table)
         best = int(np.argmax(full.score[: len(chosen)]))

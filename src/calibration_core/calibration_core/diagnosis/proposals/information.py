@@ -94,9 +94,15 @@ class HypothesisPosterior:
 
     def variances_after(self, columns: Float3D, chosen: list[int]) -> Float2D:
         """Return (k, c) the variances of the chosen parameters after each of k measurements with columns (k, d, p)."""
+        d, p = columns.shape[1:]
+        if d > p:
+            scaled = columns / self.scale
+            known = self.matrix + scaled.transpose(0, 2, 1) @ scaled
+            found = np.linalg.solve(known, np.eye(p)[:, chosen])
+            return np.asarray(found[:, chosen, np.arange(len(chosen))] / self.scale[chosen] ** 2)
         spread = self._spread(columns)
         response = spread[:, :, chosen]  # (k, d, c)
-        whole = spread @ columns.transpose(0, 2, 1) + np.eye(columns.shape[1])
+        whole = spread @ columns.transpose(0, 2, 1) + np.eye(d)
         gained = np.einsum("kdc,kdc->kc", response, np.linalg.solve(whole, response))
         return np.asarray(np.diag(self.covariance)[chosen] - gained)
 

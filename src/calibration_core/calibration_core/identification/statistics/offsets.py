@@ -137,24 +137,27 @@ def normal_equations(rows: Rows, residual: Float2D, columns: Float3D) -> Normal:
     return Normal(matrix, vector, chi2, freedom)
 
 
-def whitened(rows: Rows, data: Float3D) -> tuple[Float2D, Int1D]:
+def whitened(rows: Rows, data: Float3D, places: Int1D | None = None) -> tuple[Float2D, Int1D]:
     """Return data without offsets in units of its noise: independent rows of unit variance.
 
     Args:
         rows: Grouping and noise of the m rows.
         data: (m, d, p) p columns, all treated alike.
+        places: (m,) where in the data each of the rows is; None: in their order.
 
     Returns:
         white: (r, p) rows of unit variance; configurations follow each other.
         configuration: (r,) index of the configuration of every row.
     """
-    parts: dict[int, Float2D] = {}
-    for group, index, contrast in rows.contrasts:
-        flat = contrast @ data[index].reshape(len(index), contrast.shape[2], data.shape[2])
-        parts.update(zip(map(int, group), flat, strict=True))
-    order = sorted(parts)
-    configuration = np.concatenate([np.full(len(parts[k]), k, dtype=np.int64) for k in order])
-    return np.concatenate([parts[k] for k in order]), configuration
+    several = rows.contrasts
+    configuration = np.sort(np.concatenate([np.repeat(group, one.shape[1]) for group, _, one in several]))
+    white = np.empty((len(configuration), data.shape[2]))
+    for group, index, contrast in several:
+        flat = data[index if places is None else places[index]].reshape(*contrast.shape[::2], data.shape[2])
+        first = np.searchsorted(configuration, group)
+        for one, own, start in zip(contrast, flat, first, strict=True):
+            np.matmul(one, own, out=white[start : start + len(one)])
+    return white, configuration
 
 
 def without_offsets(rows: Rows, residual: Float2D) -> Float2D:
