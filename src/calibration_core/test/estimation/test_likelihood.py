@@ -123,7 +123,7 @@ def test_a_wide_block_beside_others_is_as_the_dense_likelihood(few: int, at: int
 def test_shared_ends_change_nothing(accepted: list) -> None:
     """Of blocks with one, two and four columns of their own; one shares its end with nobody, and one has none."""
     rng = np.random.default_rng(4)
-    columns = rng.standard_normal((120, 60)) * rng.uniform(0.01, 100.0, 60)
+    columns = rng.standard_normal((120, 60)) * np.where(np.arange(60) < 30, 10.0, rng.uniform(1e-4, 3e-2, 60))
     columns[:, 47] = columns[:, 46]  # an end that is singular
     residual = columns[:, 2] / np.abs(columns[:, 2]).max() * 5.0 + rng.standard_normal(120)
     gram = Gram(columns.T @ columns, columns.T @ residual, float(residual @ residual), 120)
@@ -138,9 +138,22 @@ def test_shared_ends_change_nothing(accepted: list) -> None:
     np.testing.assert_allclose(together.nats, apart.nats, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(together.size, apart.size)
     np.testing.assert_allclose(together.left, apart.left, rtol=1e-9)
-    clear = np.ones(60, dtype=bool)
-    chances = [chance_gain(gram, clear, one, 40) for one in (Grouped.of(blocks), Grouped.of(blocks, shared))]
-    assert chances[0] == pytest.approx(chances[1], rel=1e-9)
+    for clear in (np.ones(60, dtype=bool), np.diag(gram.matrix) > 10.0):
+        chances = [chance_gain(gram, clear, one, 40) for one in (Grouped.of(blocks), Grouped.of(blocks, shared))]
+        assert chances[0] == pytest.approx(chances[1], rel=1e-9)
+
+
+def test_ends_of_which_a_recording_shows_nothing_do_not_raise_what_chance_gains() -> None:
+    """A law of one joint is, but for its size, what it leaves to chance in every configuration."""
+    rng = np.random.default_rng(6)
+    inside = np.repeat(np.eye(12), 10, axis=0)
+    columns = np.column_stack([10.0 * inside @ rng.standard_normal((12, 4)), 0.1 * inside])
+    residual = rng.standard_normal(120)
+    gram = Gram(columns.T @ columns, columns.T @ residual, float(residual @ residual), 120)
+    blocks, clear = [np.concatenate([[k], np.arange(4, 16)]) for k in range(4)], np.arange(16) < 4
+    apart, together = (chance_gain(gram, clear, Grouped.of(blocks, one), 60) for one in (None, [12] * 4))
+    assert together == pytest.approx(apart, rel=1e-9)
+    assert together < 15.0
 
 
 def test_sizes_beyond_what_is_typical_cost() -> None:

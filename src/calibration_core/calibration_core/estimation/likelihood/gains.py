@@ -150,6 +150,16 @@ class Grouped:
             groups.append(Alike(which, own, np.searchsorted(asked, own), tails, end.reshape(-1)))
         return Grouped(len(blocks), asked, tuple(groups))
 
+    @property
+    def apart(self) -> Grouped:
+        """The same blocks, nothing shared."""
+        groups = []
+        for one in self.groups:
+            whole = np.concatenate([one.columns, one.ends[one.end]], axis=1) if len(one.ends) else one.columns
+            nothing = np.zeros((0, 0), dtype=np.int64)
+            groups.append(Alike(one.which, whole, np.searchsorted(self.asked, whole), nothing, one.which))
+        return Grouped(self.count, self.asked, tuple(groups))
+
 
 def gains(seen: Seen, blocks: Grouped) -> Gains:
     """Return what every block gains at its best size.
@@ -317,7 +327,9 @@ def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tupl
 def chance_gain(gram: Gram, clear: Bool1D, blocks: Grouped, draws: int) -> float:
     """Return what the best block gains in one per cent of recordings with the null model alone, nats.
 
-    A parametric bootstrap; the largest gain of each recording is taken to follow Gumbel's law.
+    A parametric bootstrap; the largest gain of each recording is taken to follow Gumbel's law.  Columns that are not
+    clear show nothing of what is drawn, as their products would have it: each block is judged as a whole, so that
+    directions which are as small as rounding errors do not count.
 
     Args:
         gram: The rows.
@@ -339,7 +351,7 @@ def chance_gain(gram: Gram, clear: Bool1D, blocks: Grouped, draws: int) -> float
     null = Seen(gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
     vectors, least = drawn[blocks.asked], np.full(draws, np.inf)
     taken = np.zeros((0, len(blocks.asked)))
-    for _, worth, _ in _worth(null, blocks, taken, vectors, float(gram.freedom)):
+    for _, worth, _ in _worth(null, blocks.apart, taken, vectors, float(gram.freedom)):
         np.minimum(least, worth.min(axis=(0, 1)), out=least)
     largest = -0.5 * gram.freedom * np.log(least)
     width = float(np.std(largest)) * np.sqrt(6) / np.pi
