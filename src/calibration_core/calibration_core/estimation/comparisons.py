@@ -142,9 +142,7 @@ class Comparisons:
         """Return the columns of all judged hypotheses; narrow: of those of few columns alone."""
         if narrow not in self._grouped:
             chosen = self.narrow if narrow else np.arange(len(self.judged))
-            asked = tuple(self.judged[k] for k in chosen)
-            chances = [len(self.field.offered.hypotheses[index].chance) for index in asked]
-            self._grouped[narrow] = Grouped.of(self.field.blocks(asked), chances)
+            self._grouped[narrow] = Grouped.of(self.field.blocks(tuple(self.judged[k] for k in chosen)))
         return self._grouped[narrow]
 
     def gains(self, accepted: Accepted, blocks: Grouped) -> Gains:

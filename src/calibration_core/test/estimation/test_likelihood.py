@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from calibration_core.estimation.likelihood.gains import Grouped, beside, chance_gain, gains
+from calibration_core.estimation.likelihood.gains import Grouped, beside, gains
 from calibration_core.estimation.likelihood.restricted import DEAR, WIDE, Gram, Likelihood, Sizes, fit_sizes, price
 
 ROWS, FLAT = 90, 4
@@ -117,43 +117,6 @@ def test_a_wide_block_beside_others_is_as_the_dense_likelihood(few: int, at: int
     size = np.append(before.size, gained.size[0, 0]) * np.sqrt(share)
     grown = dense(residual, flat, columns, Sizes(before.variance * share, size, 0.0), [*others, max(blocks, key=len)])
     assert gained.nats[0, 0] == pytest.approx(grown - dense(residual, flat, columns, before, others), abs=1e-6)
-
-
-@pytest.mark.parametrize("accepted", [[], [np.array([0, 1]), np.arange(30, 33)]], ids=["nothing", "two"])
-def test_shared_ends_change_nothing(accepted: list) -> None:
-    """Of blocks with one, two and four columns of their own; one shares its end with nobody, and one has none."""
-    rng = np.random.default_rng(4)
-    columns = rng.standard_normal((120, 60)) * np.where(np.arange(60) < 30, 10.0, rng.uniform(1e-4, 3e-2, 60))
-    columns[:, 47] = columns[:, 46]  # an end that is singular
-    residual = columns[:, 2] / np.abs(columns[:, 2]).max() * 5.0 + rng.standard_normal(120)
-    gram = Gram(columns.T @ columns, columns.T @ residual, float(residual @ residual), 120)
-    ends = [np.arange(30, 40), np.arange(40, 50), np.arange(50, 60)]
-    own = [np.array([2]), np.array([3]), np.array([4]), np.array([5, 6]), np.arange(7, 11), np.arange(11, 15)]
-    blocks = [np.concatenate([one, ends[k]]) for one, k in zip(own, (0, 1, 0, 1, 0, 2), strict=True)]
-    blocks.append(np.arange(15, 18))
-    shared = [10] * 6 + [0]
-    seen = beside(gram, accepted, Sizes(1.3, np.full(len(accepted), 0.7), 0.0))
-    apart, together = gains(seen, Grouped.of(blocks)), gains(seen, Grouped.of(blocks, shared))
-    assert apart.nats.max() > 3.0
-    np.testing.assert_allclose(together.nats, apart.nats, rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(together.size, apart.size)
-    np.testing.assert_allclose(together.left, apart.left, rtol=1e-9)
-    for clear in (np.ones(60, dtype=bool), np.diag(gram.matrix) > 10.0):
-        chances = [chance_gain(gram, clear, one, 40) for one in (Grouped.of(blocks), Grouped.of(blocks, shared))]
-        assert chances[0] == pytest.approx(chances[1], rel=1e-9)
-
-
-def test_ends_of_which_a_recording_shows_nothing_do_not_raise_what_chance_gains() -> None:
-    """A law of one joint is, but for its size, what it leaves to chance in every configuration."""
-    rng = np.random.default_rng(6)
-    inside = np.repeat(np.eye(12), 10, axis=0)
-    columns = np.column_stack([10.0 * inside @ rng.standard_normal((12, 4)), 0.1 * inside])
-    residual = rng.standard_normal(120)
-    gram = Gram(columns.T @ columns, columns.T @ residual, float(residual @ residual), 120)
-    blocks, clear = [np.concatenate([[k], np.arange(4, 16)]) for k in range(4)], np.arange(16) < 4
-    apart, together = (chance_gain(gram, clear, Grouped.of(blocks, one), 60) for one in (None, [12] * 4))
-    assert together == pytest.approx(apart, rel=1e-9)
-    assert together < 15.0
 
 
 def test_sizes_beyond_what_is_typical_cost() -> None:

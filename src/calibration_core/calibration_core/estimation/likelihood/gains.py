@@ -8,9 +8,6 @@ q = sum((U'w)^2 t^2/(1 + t^2 l)) off Q.  V then shrinks by the same share, so th
 maximised over t.  (At a fixed noise all large effects would look alike.)  Sizes beyond what the catalogue calls typical
 pay for it.
 
-Laws of one joint end with the same columns of what they leave to chance: the eigenvectors of these serve for all of
-them, and what is left of their few own columns (Schur complement) is eliminated column by column at every size.
-
 A wide block, as all orders of all gears, keeps the eigenvectors of its own part of A'A (`restricted.Gram.basis`): what
 is accepted changes g by as many ranks as it has columns, so that they serve beside everything (Woodbury).
 """
@@ -99,21 +96,17 @@ class Gains:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Alike:
-    """Blocks of one width that end with equally many shared columns.
+    """Blocks of one width.
 
     Attributes:
         which: (c,) indices of the blocks.
-        columns: (c, k) of each, without the shared ones.
+        columns: (c, k) of each.
         place: (c, k) where these stand among all that are asked for.
-        ends: (d, e) the columns that blocks end with, each end once; (0, 0) where nothing is shared.
-        end: (c,) which of the ends each block has.
     """
 
     which: Int1D
     columns: Int2D
     place: Int2D
-    ends: Int2D
-    end: Int1D
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -131,34 +124,16 @@ class Grouped:
     groups: tuple[Alike, ...]
 
     @staticmethod
-    def of(blocks: Sequence[Int1D], shared: Sequence[int] | None = None) -> Grouped:
-        """Group blocks, given as columns (k,) each, by their widths.
-
-        Args:
-            blocks: The h blocks.
-            shared: (h,) how many columns, the last of each, they may share with others; None: none.
-        """
+    def of(blocks: Sequence[Int1D]) -> Grouped:
+        """Group blocks, given as columns (k,) each."""
         asked = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *blocks]))
-        ends = np.zeros(len(blocks), dtype=np.int64) if shared is None else np.array(shared, dtype=np.int64)
-        widths = np.array([len(block) for block in blocks], dtype=np.int64)
+        count = np.array([len(block) for block in blocks], dtype=np.int64)
         groups = []
-        for width, e in np.unique(np.column_stack([widths, ends]), axis=0):
-            which = np.flatnonzero((widths == width) & (ends == e))
-            whole = np.stack([blocks[int(h)] for h in which])
-            own, tails = np.split(whole, [width - e], axis=1)
-            tails, end = np.unique(tails, axis=0, return_inverse=True) if e else (np.zeros((0, 0), np.int64), which)
-            groups.append(Alike(which, own, np.searchsorted(asked, own), tails, end.reshape(-1)))
+        for width in np.unique(count):
+            which = np.flatnonzero(count == width)
+            columns = np.stack([blocks[int(h)] for h in which])
+            groups.append(Alike(which, columns, np.searchsorted(asked, columns)))
         return Grouped(len(blocks), asked, tuple(groups))
-
-    @property
-    def apart(self) -> Grouped:
-        """The same blocks, nothing shared."""
-        groups = []
-        for one in self.groups:
-            whole = np.concatenate([one.columns, one.ends[one.end]], axis=1) if len(one.ends) else one.columns
-            nothing = np.zeros((0, 0), dtype=np.int64)
-            groups.append(Alike(one.which, whole, np.searchsorted(self.asked, whole), nothing, one.which))
-        return Grouped(self.count, self.asked, tuple(groups))
 
 
 def gains(seen: Seen, blocks: Grouped) -> Gains:
@@ -195,21 +170,15 @@ def _worth(
         chosen: (b,) which blocks; (b, g, s) the share of the squares that is left, times what the size costs; (b, g)
         the latter alone.
     """
-    freedom, known = seen.gram.freedom, dict[bytes, _Ends]()
+    freedom = seen.gram.freedom
     for group in blocks.groups:
-        wide = not len(group.ends) and basis_serves(group.columns.shape[1], len(seen.members))
+        wide = basis_serves(group.columns.shape[1], len(seen.members))
         together = 1 if wide else BATCH
         for part in range(0, len(group.which), together):
             some = slice(part, part + together)
             columns, place = group.columns[some], group.place[some]
             seen_by, shown = taken[:, place], vectors[place]
-            if len(group.ends):
-                key = group.ends.tobytes()
-                if key not in known:
-                    at = np.searchsorted(blocks.asked, group.ends)
-                    known[key] = _Ends.of(seen, group.ends, taken[:, at], vectors[at])
-                worth, lost = known[key].with_own(seen, columns, group.end[some], seen_by, shown)
-            elif wide:
+            if wide:
                 worth, lost = _of_wide(seen, columns[0], seen_by[:, 0], shown[0])
             else:
                 worth, lost = _of_narrow(seen, columns, seen_by, shown)
@@ -221,61 +190,6 @@ def _worth(
             yield group.which[some], worth, paid
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Ends:
-    """Columns with which blocks end, and what is theirs alone.
-
-    Attributes:
-        columns: (d, e).
-        taken: (a, d, e) what is accepted takes of them.
-        turn: (d, e, e) eigenvectors of their products.
-        along: (d, e, s) what these have of the data.
-        weight: (d, g, e) by which their squares count at every size.
-        lost: (d, g) what they cost, nats.
-    """
-
-    columns: Int2D
-    taken: Float3D
-    turn: Float3D
-    along: Float3D
-    weight: Float3D
-    lost: Float2D
-
-    @staticmethod
-    def of(seen: Seen, columns: Int2D, taken: Float3D, vectors: Float3D) -> _Ends:
-        """Find them; arguments as those of `_of_narrow`."""
-        own, turn, along = _turned(seen, columns, taken, vectors)
-        wide = 1.0 + SQUARED[:, None] * own[:, None]
-        return _Ends(columns, taken, turn, along, SQUARED[:, None] / wide, 0.5 * np.log(wide).sum(axis=2))
-
-    def with_own(
-        self, seen: Seen, columns: Int2D, end: Int1D, taken: Float3D, vectors: Float3D
-    ) -> tuple[Float3D, Float2D]:
-        """Return the same as `_of_narrow` of c blocks: their own columns (c, k), and the ends that they have, (c,)."""
-        matrix, tails = seen.gram.matrix, self.columns[end]
-        by_own, by_end = taken.transpose(1, 2, 0), self.taken.transpose(1, 0, 2)[end]  # (c, k, a), (c, a, e)
-        beside = (matrix[columns[:, :, None], tails[:, None]] - by_own @ by_end) / seen.variance
-        beside = beside @ self.turn[end]  # (c, k, e)
-        own = (matrix[columns[:, :, None], columns[:, None]] - by_own @ by_own.transpose(0, 2, 1)) / seen.variance
-        weight, along = self.weight[end], self.along[end]
-        (c, k, e), s, g = beside.shape, along.shape[2], weight.shape[1]
-        pairs = (beside[:, :, None] * beside[:, None]).reshape(c, k * k, e).transpose(0, 2, 1)
-        left = own[:, None] - (weight @ pairs).reshape(c, g, k, k)
-        shown = (beside.transpose(0, 2, 1)[..., None] * along[:, :, None]).reshape(c, e, k * s)
-        rest = np.ascontiguousarray(np.moveaxis(vectors[:, None] - (weight @ shown).reshape(c, g, k, s), 2, 0))
-        off, lost = weight @ along**2, self.lost[end] + PRICE
-        inner = np.ascontiguousarray(np.moveaxis(SQUARED[:, None, None] * left, (2, 3), (0, 1)))
-        inner += np.eye(k)[:, :, None, None]
-        for i in range(k):
-            pivot = np.maximum(inner[i, i], 1.0)  # less is a rounding error
-            off += SQUARED[:, None] * rest[i] ** 2 / pivot[:, :, None]
-            lost += 0.5 * np.log(pivot)
-            share = inner[i + 1 :, i] / pivot
-            inner[i + 1 :, i + 1 :] -= share[:, None] * inner[i, i + 1 :]
-            rest[i + 1 :] -= share[..., None] * rest[i]
-        return off, lost
-
-
 def _of_narrow(seen: Seen, columns: Int2D, taken: Float3D, vectors: Float3D) -> tuple[Float3D, Float2D]:
     """Return what c blocks take off y' V^-1 y at every size, (c, g, s), and what they cost, (c, g) nats.
 
@@ -285,18 +199,13 @@ def _of_narrow(seen: Seen, columns: Int2D, taken: Float3D, vectors: Float3D) -> 
         taken: (a, c, k) what is accepted takes of them.
         vectors: (c, k, s) A' V^-1 y.
     """
-    own, _, along = _turned(seen, columns, taken, vectors)
-    wide = 1.0 + SQUARED[:, None] * own[:, None]  # (c, g, k)
-    return (SQUARED[:, None] / wide) @ along**2, 0.5 * np.log(wide).sum(axis=2) + PRICE
-
-
-def _turned(seen: Seen, columns: Int2D, taken: Float3D, vectors: Float3D) -> tuple[Float2D, Float3D, Float3D]:
-    """Return eigenvalues (c, k), eigenvectors (c, k, k) and what these have of the data (c, k, s); as `_of_narrow`."""
     seen_by = taken.transpose(1, 0, 2)  # (c, a, k)
     among = seen.gram.matrix[columns[:, :, None], columns[:, None]]
     own, turn = np.linalg.eigh((among - seen_by.transpose(0, 2, 1) @ seen_by) / seen.variance)
     shown = own > SHOWN * own[:, -1:]
-    return np.where(shown, own, 0.0), turn, (turn.transpose(0, 2, 1) @ vectors) * shown[:, :, None]
+    along = (turn.transpose(0, 2, 1) @ vectors) ** 2 * shown[:, :, None]
+    wide = 1.0 + SQUARED[:, None] * np.where(shown, own, 0.0)[:, None]  # (c, g, k)
+    return (SQUARED[:, None] / wide) @ along, 0.5 * np.log(wide).sum(axis=2) + PRICE
 
 
 def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tuple[Float3D, Float2D]:
@@ -327,9 +236,7 @@ def _of_wide(seen: Seen, block: Int1D, taken: Float2D, vectors: Float2D) -> tupl
 def chance_gain(gram: Gram, clear: Bool1D, blocks: Grouped, draws: int) -> float:
     """Return what the best block gains in one per cent of recordings with the null model alone, nats.
 
-    A parametric bootstrap; the largest gain of each recording is taken to follow Gumbel's law.  Columns that are not
-    clear show nothing of what is drawn, as their products would have it: each block is judged as a whole, so that
-    directions which are as small as rounding errors do not count.
+    A parametric bootstrap; the largest gain of each recording is taken to follow Gumbel's law.
 
     Args:
         gram: The rows.
@@ -351,7 +258,7 @@ def chance_gain(gram: Gram, clear: Bool1D, blocks: Grouped, draws: int) -> float
     null = Seen(gram, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
     vectors, least = drawn[blocks.asked], np.full(draws, np.inf)
     taken = np.zeros((0, len(blocks.asked)))
-    for _, worth, _ in _worth(null, blocks.apart, taken, vectors, float(gram.freedom)):
+    for _, worth, _ in _worth(null, blocks, taken, vectors, float(gram.freedom)):
         np.minimum(least, worth.min(axis=(0, 1)), out=least)
     largest = -0.5 * gram.freedom * np.log(least)
     width = float(np.std(largest)) * np.sqrt(6) / np.pi
