@@ -54,9 +54,10 @@ class Field:
         residual: Float1D,
         flat: Float2D,
         usual: Float2D,
-        columns: Float2D,
+        columns: Sequence[Float2D],
         offered: Offered,
         partitions: tuple[Blocks, ...],
+        unit: float = 1.0,
     ) -> Field:
         """Condense the rows.
 
@@ -65,16 +66,19 @@ class Field:
             flat: (r, f) whitened columns of the null model.
             usual: (r, u) whitened columns of what is always a little wrong, per standard deviation: refitted likewise,
                 each with a row of its own that holds it to its size.
-            columns: (r, p) whitened columns of all candidates, per typical size.
+            columns: Whitened columns of all candidates, in parts, (r, k) each.
             offered: What they are.
             partitions: Of the readings, into blocks; the rows of priors are in none.
+            unit: Typical sizes per which the columns of candidates are given.
         """
         r, f = flat.shape
         u = usual.shape[1]
         residual = np.concatenate([residual, np.zeros(u)])
-        wide = np.zeros((r + u, f + u + columns.shape[1]))
+        ends = list(itertools.accumulate((part.shape[1] for part in columns), initial=f + u))
+        wide = np.zeros((r + u, ends[-1]))
         wide[:r, :f], wide[:r, f : f + u], wide[r:, f : f + u] = flat, usual, np.eye(u)
-        wide[:r, f + u :] = columns
+        for part, (start, stop) in zip(columns, itertools.pairwise(ends), strict=True):
+            np.divide(part, unit, out=wide[:r, start:stop])
         return Field.within(residual, wide, f + u, offered, partitions)
 
     @staticmethod

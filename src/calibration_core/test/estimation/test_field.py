@@ -48,7 +48,7 @@ def test_a_field_that_offers_something_else_is_that_of_a_fresh_start(
 
     def field(chosen: Sequence[int]) -> Field:
         some = [candidates[k] for k in chosen]
-        return Field.of(residual[:, 0], flat, usual, of(some), offer(some), partitions)
+        return Field.of(residual[:, 0], flat, usual, [of(some)], offer(some), partitions)
 
     fresh, found = field(then), field(first).offering(offer([candidates[k] for k in then]), of)
     assert np.array_equal(found.clear, fresh.clear)
@@ -71,7 +71,7 @@ def test_products_of_columns_are_those_of_the_rows() -> None:
     columns[:, 0] = flat[:, 2]  # nothing of it is left
     offered = offer(candidates)
     partition = (Blocks("time", np.arange(READINGS) // 6),)
-    field = Field.of(residual, flat, np.zeros((3 * READINGS, 0)), columns, offered, partition)
+    field = Field.of(residual, flat, np.zeros((3 * READINGS, 0)), [columns], offered, partition)
     for own in (np.arange(1, 5), np.arange(4)):
         chosen = field.wide[:, [*range(FLAT), *(FLAT + own)]]
         np.testing.assert_allclose(field.products(chosen, own), chosen.T @ chosen, rtol=0, atol=1e-10)

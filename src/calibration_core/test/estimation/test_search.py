@@ -41,7 +41,7 @@ def search_of(residual: np.ndarray, flat: Float2D, columns: Float2D, candidates:
     offered: Offered = offer(candidates)
     label = np.arange(READINGS) * BLOCKS // READINGS
     partitions = (Blocks("time", label), Blocks("posture", np.arange(READINGS) % BLOCKS))
-    field = Field.of(residual, flat, np.zeros((len(residual), 0)), columns, offered, partitions)
+    field = Field.of(residual, flat, np.zeros((len(residual), 0)), [columns], offered, partitions)
     return Search(field, lambda _: "")
 
 

@@ -48,7 +48,7 @@ def field(seed: int, truth: dict[int, float], crowd: float = 0.0, places: int = 
     for column, value in truth.items():
         residual = residual + value * columns[:, column]
     blocks = Blocks("time", np.arange(READINGS) * 10 // READINGS)
-    return Field.of(residual, flat, np.zeros((len(residual), 0)), columns, offered, (blocks,))
+    return Field.of(residual, flat, np.zeros((len(residual), 0)), [columns], offered, (blocks,))
 
 
 def dense(rows: Field, sizes: Sizes, several: list[np.ndarray], weight: Float1D) -> float:
@@ -113,7 +113,7 @@ def test_of_equal_explanations_the_usual_size_is_the_more_probable() -> None:
     wide = rows.wide.copy()
     wide[:, FLAT + 5] = 30.0 * wide[:, FLAT + 2]
     other = Field.of(
-        rows.residual, wide[:, :FLAT], np.zeros((len(wide), 0)), wide[:, FLAT:], rows.offered, rows.partitions
+        rows.residual, wide[:, :FLAT], np.zeros((len(wide), 0)), [wide[:, FLAT:]], rows.offered, rows.partitions
     )
     fits = SmallEffects(other.gram, other.offered, LEVELS).fits([], None)
     assert likelihood_at(fits, np.array([2]), 3.0) > likelihood_at(fits, np.array([5]), 3.0) + 2.0

@@ -28,7 +28,7 @@ from calibration_sim.mechanics.transforms import Placement
 
 RELATIVE_TOLERANCE = 1e-12  # of the largest torque at work
 FAR = 10.0 * RELATIVE_TOLERANCE  # so much more than is left at rest: the largest torque grows less on the way there
-ALONE = 1e-6  # of the largest torque: what is not balanced beyond that is carried by something besides the springs
+ALONE = 1e-6  # of the largest torque: where more is not balanced, something besides the springs holds the robot
 SLOW = 0.1  # a step that removes less than nine tenths of the residual asks for a new derivative
 MAX_ITERATIONS = 50
 DIFFERENCE_STEP = 1e-6  # rad

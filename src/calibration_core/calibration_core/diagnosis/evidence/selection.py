@@ -128,17 +128,11 @@ def field_of(design: Design) -> Field:
     own, usual = design.discrepancy.start, design.discrepancy
     offered = offer(design.candidates)
     hypotheses = tuple(_with_chance(one, design) for one in offered.hypotheses)
-    r, p = design.columns.shape
-    u = usual.stop - usual.start
-    flat = design.n + u
-    wide = np.zeros((r + u, design.n + p))
-    wide[:r, : design.n], wide[:r, design.n : flat] = design.null, design.columns[:, usual]
-    wide[r:, design.n : flat] = np.eye(u)
-    np.divide(design.columns[:, :own], PRIOR_WIDTH, out=wide[:r, flat : flat + own])
-    np.divide(design.columns[:, usual.stop :], PRIOR_WIDTH, out=wide[:r, flat + own :])
-    residual = np.concatenate([design.residual, np.zeros(u)])
-    blocks = _blocks(design.configuration)
-    return Field.within(residual, wide, flat, Offered(offered.candidates, offered.blocks, hypotheses), (blocks,))
+    columns = design.columns[:, :own], design.columns[:, usual.stop :]
+    return Field.of(
+        design.residual, design.null, design.columns[:, usual], columns,
+        Offered(offered.candidates, offered.blocks, hypotheses), (_blocks(design.configuration),), PRIOR_WIDTH,
+    )  # fmt: skip
 
 
 def _with_chance(one: Hypothesis, design: Design) -> Hypothesis:

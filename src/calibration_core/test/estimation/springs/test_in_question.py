@@ -44,7 +44,7 @@ def _search(share: float, control: Callable[[Trial], str] = lambda _: "") -> Sea
     ]
     partitions = tuple(Blocks(kind, np.arange(READINGS) * BLOCKS // READINGS) for kind in ("time", "posture"))
     flat, usual = rng.standard_normal((3 * READINGS, 3)), np.zeros((3 * READINGS, 0))
-    return Search(Field.of(truth, flat, usual, columns, offer(candidates), partitions), control)
+    return Search(Field.of(truth, flat, usual, [columns], offer(candidates), partitions), control)
 
 
 def test_the_spring_is_returned_with_its_size() -> None:
