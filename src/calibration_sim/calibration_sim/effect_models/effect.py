@@ -136,7 +136,11 @@ class Effect:
     @property
     def moves_robot(self) -> bool:
         """Whether it acts on the robot itself; what it changes in the truth is seen there."""
-        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in ON_ROBOT)
+        return any(map(self.acts_through, ON_ROBOT))
+
+    def acts_through(self, hook: str) -> bool:
+        """Say whether it does anything through one of the hooks below, of which the name is given."""
+        return getattr(type(self), hook) is not getattr(Effect, hook)
 
     def springs(self, chain: Chain) -> tuple[Spring, ...]:
         """Return what gives way besides the joints."""

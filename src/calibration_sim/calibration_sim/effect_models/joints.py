@@ -9,6 +9,7 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calibration_core.timeseries import Float1D
 from calibration_sim.effect_models.effect import At, Effect
@@ -166,26 +167,25 @@ class LogCreep(JointLaw):
     constant: float
 
     def begin(self, joints: int) -> Any:
-        """Remember the changes of torque: [(time, change), ...] and the last torque."""
-        return ((), 0.0)
+        """Remember when the torque changed (k,), by how much (k,), and the last torque."""
+        return np.zeros(0), np.zeros(0), 0.0
 
     def extra(self, memory: Any, torque: float, at: At) -> float:
         """Add up what all changes have crept by now; the change of this step begins half a step before."""
-        changes, last = memory
-        crept = sum(change * self._grown(at.time - when) for when, change in changes)
-        crept += (torque - last) * self._grown(self.lead)
+        when, changes, last = memory
+        crept = float(changes @ self._grown(at.time - when)) + (torque - last) * float(self._grown(self.lead))
         return float(self.share * at.compliance[self.joint] * crept)
 
     def settle(self, memory: Any, torque: Float1D, at: At) -> Any:
         """Remember this step's change."""
-        changes, last = memory
+        when, changes, last = memory
         now = float(torque[self.joint])
-        return ((*changes, (at.time - self.lead, now - last)), now)
+        return np.append(when, at.time - self.lead), np.append(changes, now - last), now
 
     @property
     def lead(self) -> float:
         """Time (s) from a change of load to its reading."""
         return 10.0
 
-    def _grown(self, since: float) -> float:
-        return float(np.log10(1.0 + since / self.constant))
+    def _grown(self, since: ArrayLike) -> Float1D:
+        return np.log10(1.0 + np.asarray(since) / self.constant)

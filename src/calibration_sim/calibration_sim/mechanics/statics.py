@@ -118,12 +118,14 @@ class Mechanism:
         self._links = [int(self.model.body(link.name).id) for link in chain.links]
         self._origins = np.array(self.model.body_pos)
         self._rates = np.array(self.model.jnt_stiffness, dtype=np.float64).reshape(self.model.nv, -1)[:, 0]
+        self._grain = 8.0 * np.finfo(np.float64).eps * self._rates  # torque that rounding alone leaves, per rad
         # Views of the scratch, made once: MuJoCo makes a new one whenever it is asked.
         self._qpos, self._passive, self._bias = self.data.qpos, self.data.qfrc_passive, self.data.qfrc_bias
         self._turned, self._at = self.data.xmat[self._flange].reshape(3, 3), self.data.xpos[self._flange]
         self._load, self._parts = np.zeros(self.model.nv), np.zeros((3, self.model.nv))
         self._pushes: Sequence[Push] = ()
         self._sides: Sequence[SideTorque] = ()
+        self._force, self._moment = np.zeros(3), np.zeros(3)  # at the wrench point, base axes
 
     def forward(self, angles: ArrayLike) -> Placement:
         """Return the flange frame in the base frame with the links (not the motors) at `angles` (n,) rad."""
@@ -199,12 +201,12 @@ class Mechanism:
         self._pushes, self._sides = (), ()
         model.qpos_spring[:] = 0.0
         model.qpos_spring[self._dofs] = np.asarray(q, dtype=np.float64) + self._zero
-        w = np.asarray(wrench, dtype=np.float64)
-        left = float(np.abs(self._unbalanced(rest, w)).max())
+        self._hang(wrench)
+        left = float(np.abs(self._unbalanced(rest)).max())
         if left > ALONE * self._largest():
             msg = f"{left:.3g} N*m are not balanced by springs, weight and wrench"
             raise ValueError(msg)
-        slope = self._slope(rest, w)
+        slope = self._slope(rest)
         gives = np.zeros((model.nv, len(self._dofs)))
         gives[self._dofs, np.arange(len(self._dofs))] = self._passive[self._dofs]
         place, motion = self._flange_placement(), np.empty((len(points), 3, model.nv))
@@ -265,17 +267,17 @@ class Mechanism:
         Raises:
             EquilibriumError: Newton's method did not converge: the load is beyond what the springs can carry.
         """
-        w = np.zeros(6) if wrench is None else np.asarray(wrench, dtype=np.float64)
+        self._hang(np.zeros(6) if wrench is None else wrench)
         reference = np.zeros(self.model.nv)
         commanded = np.asarray(q, dtype=np.float64) + self._zero
         reference[self._dofs] = commanded if shift is None else commanded + np.asarray(shift)
         self._pushes, self._sides = pushes, sides
         self.model.qpos_spring[:] = reference
-        rounding = 8.0 * np.finfo(np.float64).eps * self._rates * np.maximum(1.0, np.abs(reference))
+        rounding = self._grain * np.maximum(1.0, np.abs(reference))
 
         x = np.array(reference if start is None else start, dtype=np.float64)
         slope: Float2D | None = None  # that of the springs alone, while it serves
-        unbalanced = self._unbalanced(x, w)
+        unbalanced = self._unbalanced(x)
         step, left = np.zeros_like(x), np.abs(unbalanced)
         most, far = float(left.max()), max(FAR * self._largest(), float(rounding.max()))
         for _ in range(MAX_ITERATIONS):
@@ -288,13 +290,13 @@ class Mechanism:
             except np.linalg.LinAlgError:  # the springs buckle here
                 break
             x = x + step
-            unbalanced = self._unbalanced(x, w)
+            unbalanced = self._unbalanced(x)
             before, left = most, np.abs(unbalanced)
             most = float(left.max())
             if not math.isfinite(most):
                 break
             if most > SLOW * before:
-                slope = self._slope(x, w)
+                slope = self._slope(x)
         raise EquilibriumError(float(np.max(np.abs(step))), MAX_ITERATIONS)
 
     def _largest(self) -> float:
@@ -302,7 +304,12 @@ class Mechanism:
         self._parts[0], self._parts[1], self._parts[2] = self._passive, self._bias, self._load
         return float(np.abs(self._parts).max())
 
-    def _unbalanced(self, x: Float1D, wrench: Float1D) -> Float1D:
+    def _hang(self, wrench: ArrayLike) -> None:
+        """Let a wrench (6,) act at the wrench point, base axes."""
+        w = np.asarray(wrench, dtype=np.float64)
+        self._force, self._moment = w[:3], w[3:]
+
+    def _unbalanced(self, x: Float1D) -> Float1D:
         """Return the unbalanced torque (nv,) at rest at x."""
         model, data, load = self.model, self.data, self._load
         self._qpos[:] = x
@@ -310,9 +317,9 @@ class Mechanism:
         mujoco.mj_comPos(model, data)
         mujoco.mj_passive(model, data)
         mujoco.mj_rne(model, data, 0, self._bias)
-        load[:] = 0.0
-        point = self._wrench_point @ self._turned.T + self._at
-        mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], point, self._flange, load)
+        load.fill(0.0)
+        point = self._turned.dot(self._wrench_point) + self._at
+        mujoco.mj_applyFT(model, data, self._force, self._moment, point, self._flange, load)
         for push in self._pushes:
             body = model.body(push.link).id
             place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ push.place
@@ -321,15 +328,15 @@ class Mechanism:
             load[self._dofs[side.joint]] += side.torque(float(x[self._dofs[side.joint]]))
         return np.asarray(self._passive - self._bias + load)
 
-    def _slope(self, x: Float1D, wrench: Float1D) -> Float2D:
+    def _slope(self, x: Float1D) -> Float2D:
         """Return the derivative (nv, nv) of the unbalanced torque by central differences."""
         columns = []
         for i in range(len(x)):
             shift = np.zeros_like(x)
             shift[i] = DIFFERENCE_STEP
-            forces = self._unbalanced(x + shift, wrench) - self._unbalanced(x - shift, wrench)
+            forces = self._unbalanced(x + shift) - self._unbalanced(x - shift)
             columns.append(forces / (2.0 * DIFFERENCE_STEP))
-        self._unbalanced(x, wrench)
+        self._unbalanced(x)
         return np.array(columns).T
 
     def _flange_placement(self) -> Placement:

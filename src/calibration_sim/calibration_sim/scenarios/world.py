@@ -22,7 +22,6 @@ from calibration_sim.cell.truth import Truth
 from calibration_sim.effect_models.effect import At, Effect, Session
 from calibration_sim.mechanics.chain import read_chain
 from calibration_sim.mechanics.statics import Equilibrium, Mechanism
-from calibration_sim.mechanics.transforms import Placement
 
 STEP_SECONDS = 20.0  # from a change of load to the next
 MOVE_SECONDS = 40.0  # besides, from configuration to configuration
@@ -110,24 +109,27 @@ class Played:
     rests: tuple[Equilibrium, ...]
 
 
-@dataclasses.dataclass
 class _Laws:
-    """The effects of a world with what each remembers."""
+    """The effects of a world that act on the robot as it comes to rest, with what each law of a joint remembers."""
 
-    effects: Sequence[Effect]
-    memories: list[Any]
+    def __init__(self, effects: Sequence[Effect], joints: int) -> None:
+        self.growing, self.pushing, self.beside = (
+            [effect for effect in effects if effect.acts_through(hook)] for hook in ("growth", "pushes", "side_torques")
+        )
+        self.laws = [effect for effect in effects if any(map(effect.acts_through, ("arrive", "deflect", "settle")))]
+        self.memories: list[Any] = [law.begin(joints) for law in self.laws]
 
     def arrive(self, at: At) -> None:
-        self.memories = [effect.arrive(m, at) for effect, m in zip(self.effects, self.memories, strict=True)]
+        self.memories = [law.arrive(m, at) for law, m in zip(self.laws, self.memories, strict=True)]
 
     def shift(self, torque: Float1D, at: At) -> Float1D | None:
         """Return the sum (n,) of all shifts, rad; None if there is none."""
-        shifts = [effect.deflect(m, torque, at) for effect, m in zip(self.effects, self.memories, strict=True)]
+        shifts = [law.deflect(m, torque, at) for law, m in zip(self.laws, self.memories, strict=True)]
         present = [shift for shift in shifts if shift is not None]
-        return None if not present else np.asarray(np.sum(present, axis=0))
+        return None if not present else functools.reduce(np.add, present)
 
     def settle(self, torque: Float1D, at: At) -> None:
-        self.memories = [effect.settle(m, torque, at) for effect, m in zip(self.effects, self.memories, strict=True)]
+        self.memories = [law.settle(m, torque, at) for law, m in zip(self.laws, self.memories, strict=True)]
 
 
 def play(world: World, protocol: Protocol, rests: tuple[Equilibrium, ...] | None = None) -> Played:
@@ -148,9 +150,9 @@ def play(world: World, protocol: Protocol, rests: tuple[Equilibrium, ...] | None
     truth = world.actual
     in_flange = np.array(list(truth.points.values()))
     loads = [load for configuration in protocol.configurations for load in configuration.wrenches]
-    points = np.array([truth.tracker.inverse_apply(rest.flange.apply(in_flange)) for rest in rests])
-    wrench = np.array([_at_sensor(truth, rest.flange, load) for rest, load in zip(rests, loads, strict=True)])
-    axes = truth.tracker.rotation.T @ np.array([rest.flange.rotation for rest in rests])
+    turned, at = (np.array([getattr(rest.flange, part) for rest in rests]) for part in ("rotation", "translation"))
+    points = truth.tracker.inverse_apply(in_flange @ turned.transpose(0, 2, 1) + at[:, None])
+    wrench, axes = _at_sensor(truth, turned, np.array(loads)), truth.tracker.rotation.T @ turned
     session = Session(when[0], when[1], time, temperature, when[2], axes, np.linalg.norm(when[3], axis=1))
     for effect in world.effects:
         points, wrench = effect.see(points, session), effect.report(wrench, session)
@@ -162,7 +164,7 @@ def _rests(world: World, protocol: Protocol, time: Float1D, temperature: Float1D
     """Let the robot come to rest at every step, s of them, of which time and temperature (s,) are known."""
     mechanism, truth = world.mechanism(), world.actual
     n = len(truth.stiffness)
-    laws = _Laws(world.effects, [effect.begin(n) for effect in world.effects])
+    laws = _Laws(world.effects, n)
     rests: list[Equilibrium] = []
     last_q, approach = None, np.zeros(n)
     for index, configuration in enumerate(protocol.configurations):
@@ -185,7 +187,7 @@ def _rests(world: World, protocol: Protocol, time: Float1D, temperature: Float1D
             )
             if step == 0:
                 laws.arrive(at)
-            mechanism.grow(sum(effect.growth(at) for effect in world.effects))
+            mechanism.grow(sum(effect.growth(at) for effect in laws.growing))
             rest = _rest(mechanism, laws, at, load, rest)
             if step == 0:
                 places = mechanism.places()
@@ -207,8 +209,8 @@ def _schedule(protocol: Protocol) -> tuple[Float1D, tuple[Int1D, Int1D, Float2D,
 
 def _rest(mechanism: Mechanism, laws: _Laws, at: At, load: Float1D, last: Equilibrium | None) -> Equilibrium:
     """Let springs and joint laws agree."""
-    pushes = [push for effect in laws.effects for push in effect.pushes(at)]
-    sides = [side for effect in laws.effects for side in effect.side_torques(at)]
+    pushes = [push for effect in laws.pushing for push in effect.pushes(at)]
+    sides = [side for effect in laws.beside for side in effect.side_torques(at)]
     shift: Float1D | None = None
     if last is not None:
         shift = laws.shift(-last.torque, at)
@@ -226,9 +228,14 @@ def _rest(mechanism: Mechanism, laws: _Laws, at: At, load: Float1D, last: Equili
     raise EquilibriumError(change, MAX_ROUNDS)
 
 
-def _at_sensor(truth: Truth, flange: Placement, load: Float1D) -> Float1D:
-    """Return the wrench (6,) that a sensor at its true place shows for a load (6,) at the wrench point, base axes."""
-    x, y, z = flange.rotation @ (truth.wrench_point - truth.force_torque.translation)
-    axes = flange.rotation @ truth.force_torque.rotation
-    by_arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ load[:3]
-    return np.concatenate([axes.T @ load[:3], axes.T @ (load[3:] + by_arm)])
+def _at_sensor(truth: Truth, flange: Float3D, load: Float2D) -> Float2D:
+    """Return the wrenches (s, 6) that a sensor at its true place shows.
+
+    Args:
+        truth: The cell as it is.
+        flange: (s, 3, 3) flange axes in the base frame, columns.
+        load: (s, 6) at the wrench point, base axes.
+    """
+    arm, axes = flange @ (truth.wrench_point - truth.force_torque.translation), flange @ truth.force_torque.rotation
+    force, torque = load[:, :3], load[:, 3:] + np.cross(arm, load[:, :3])
+    return np.concatenate([np.einsum("sji,sj->si", axes, part) for part in (force, torque)], axis=1)
