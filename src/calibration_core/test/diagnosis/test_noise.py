@@ -69,6 +69,26 @@ def test_range_and_angles_may_differ(prepared: PreparedLoaded) -> None:
     np.testing.assert_allclose(found.own, [0.5, 1.2, 1.2], rtol=0.12)
 
 
+@pytest.mark.parametrize("claims", ["by step", "by point", "by reading"])
+def test_offsets_are_not_taken_for_noise_where_the_claim_differs_from_reading_to_reading(
+    prepared: PreparedLoaded, claims: str
+) -> None:
+    """Averages of a bag state a covariance each; what the geometry is off by stays an offset all the same."""
+    rng = np.random.default_rng(6)
+    problem = prepared.problem
+    readings, linear = problem.readings, problem.linearise(prepared.fit.compliance)
+    drawn = {"by step": (150, 1), "by point": (1, 3), "by reading": (150, 3)}[claims]
+    sizes = SIGMA * np.broadcast_to(rng.uniform(0.6, 1.8, drawn), (150, 3)).ravel()
+    rows = dataclasses.replace(
+        linear.rows, noise=sizes[:, None, None] ** 2 * np.eye(3), shared=np.zeros_like(linear.rows.shared)
+    )
+    offsets = 2e-3 * rng.standard_normal((30, 3))[readings.configuration - readings.configuration.min()]
+    residual = offsets + sizes[:, None] * rng.standard_normal((450, 3))
+    found = scatter(rows, residual, readings, directions(readings, None))
+    assert found.total == pytest.approx(1.0, rel=0.08)
+    assert found.shared == 0
+
+
 def test_two_steps_cannot_tell(prepared: PreparedLoaded) -> None:
     problem = prepared.problem.select(np.flatnonzero(prepared.problem.readings.step < 2))
     rows = problem.linearise(prepared.fit.compliance).rows

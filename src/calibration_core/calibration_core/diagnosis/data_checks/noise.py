@@ -134,9 +134,9 @@ class StepGroup:
 def step_groups(rows: Rows, residual: Float2D, readings: Readings, axes: Float3D) -> dict[int, StepGroup]:
     """Return what jumps from step to step, by configuration; arguments as `scatter`."""
     sigma = claimed_along(rows, axes)
-    seen = np.einsum("mia,ma->mi", axes, residual) / sigma
+    along = np.einsum("mia,ma->mi", axes, residual)
     known = np.einsum("mia,mak->mik", axes, rows.shared) / sigma[:, :, None]
-    several = {int(n): _group(seen, known, rows, readings, n) for n in np.unique(rows.configuration)}
+    several = {int(n): _group(along, sigma, known, rows, readings, n) for n in np.unique(rows.configuration)}
     return {number: group for number, group in several.items() if group is not None}
 
 
@@ -145,22 +145,41 @@ def claimed_along(rows: Rows, axes: Float3D) -> Float2D:
     return np.asarray(np.sqrt(np.einsum("mia,mab,mib->mi", axes, rows.noise, axes)))
 
 
-def _group(seen: Float2D, known: Float3D, rows: Rows, readings: Readings, number: int) -> StepGroup | None:
+def _group(
+    along: Float2D, sigma: Float2D, known: Float3D, rows: Rows, readings: Readings, number: int
+) -> StepGroup | None:
+    """Return what jumps from step to step in one configuration; None with fewer than three whole steps.
+
+    The claim may differ from step to step.  Smooth functions of the load, of which an offset may be a hundred times the
+    noise, are therefore taken out in units in which they still are what they are: each step has one size of its claim,
+    by which data and functions alike are divided.
+
+    Args:
+        along: (m, 3) m, residuals along the axes.
+        sigma: (m, 3) m, claimed standard deviations.
+        known: (m, 3, k) what the wrench's noise moves, in units of the claim.
+        rows: Grouping.
+        readings: The same readings.
+        number: Of the configuration.
+    """
     inside = np.flatnonzero(rows.configuration == number)
     recording = readings.recording
     point = readings.point if recording is None else readings.point[recording == recording[inside[0]]]
     several = _steps(readings, inside, np.unique(point))
     if several is None:
         return None
-    index, basis = several
-    rest = np.einsum("sl,spi->lpi", basis, seen[index])
+    index, smooth = several
+    of_point = np.sqrt(np.mean(sigma[index] ** 2, axis=0))
+    of_step = np.sqrt(np.mean((sigma[index] / of_point) ** 2, axis=(1, 2)))
+    basis = _free_of(smooth / of_step[:, None])
+    rest = np.einsum("sl,spi->lpi", basis, along[index] / (of_point * of_step[:, None, None]))
     mean = rest.mean(axis=1)
     within = ((rest - mean[:, None]) ** 2).sum(axis=(0, 1))
     return StepGroup(mean, basis, within, (known[inside] ** 2).sum(axis=2).mean(axis=0), index.shape[1])
 
 
 def _steps(readings: Readings, inside: Int1D, points: Int1D) -> tuple[Int2D, Float2D] | None:
-    """Return what may jump from step to step in one configuration; None with fewer than three whole steps.
+    """Return the whole steps of one configuration and what physics may do along them; None with fewer than three.
 
     Args:
         readings: All readings.
@@ -169,7 +188,7 @@ def _steps(readings: Readings, inside: Int1D, points: Int1D) -> tuple[Int2D, Flo
 
     Returns:
         index: (s, p) readings of the steps at which all points were read.
-        basis: (s, l) directions of these steps that are free of smooth functions of the load.
+        smooth: (s, q) smooth functions of the load along these steps.
     """
     steps = np.unique(readings.step[inside])
     index = np.full((len(steps), len(points)), -1)
@@ -177,8 +196,12 @@ def _steps(readings: Readings, inside: Int1D, points: Int1D) -> tuple[Int2D, Flo
     index = index[(index >= 0).all(axis=1)]
     if len(index) < 3:
         return None
-    smooth = _smooth(_load(readings, index[:, 0]))
-    return index, np.linalg.svd(smooth, full_matrices=True)[0][:, smooth.shape[1] :]
+    return index, _smooth(_load(readings, index[:, 0]))
+
+
+def _free_of(smooth: Float2D) -> Float2D:
+    """Return (s, l) orthonormal directions of the steps that are free of functions, (s, q) independent ones."""
+    return np.asarray(np.linalg.svd(smooth, full_matrices=True)[0][:, smooth.shape[1] :], dtype=np.float64)
 
 
 def _alone(groups: list[StepGroup]) -> float:
@@ -266,7 +289,7 @@ def left_over(problem: LoadedProblem, state: State, used: Bool1D) -> dict[int, F
     found = {}
     for number in np.unique(readings.configuration):
         several = _steps(readings, np.flatnonzero(readings.configuration == number), points)
-        if several is not None and several[1].shape[1]:
-            index, basis = several
-            found[int(number)] = np.einsum("sl,spi->lpi", basis, local[index])
+        if several is not None and len(several[1]) > several[1].shape[1]:
+            index, smooth = several
+            found[int(number)] = np.einsum("sl,spi->lpi", _free_of(smooth), local[index])
     return found
