@@ -7,15 +7,22 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calibration_core.diagnosis.data_checks.change_points import Step, target_step, tracker_step
+from calibration_core.diagnosis.data_checks.change_points import (
+    Step,
+    averages,
+    stands_beside_geometry,
+    target_step,
+    tracker_step,
+)
 from calibration_core.diagnosis.data_checks.noise import Scatter, left_over
 from calibration_core.diagnosis.data_checks.tool_shape import Shape, own_variances, shape_of
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.statistics.distributions import f_tail
 from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Bool1D, Readings
+from calibration_core.timeseries import Bool1D, Float3D, Readings
 
 LOOSE = 4.0  # times the variance of the other points
 SWINGING = 4.0  # times the variance that the other configurations have
@@ -69,16 +76,18 @@ def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
     axes = np.moveaxis(state.at.flange, -1, 0)
     found: list[Anomaly] = []
     shape = shape_of(residual, readings, axes)
-    point = None
+    point, geometry = None, _geometry(state)
     if shape.points >= 2:
         step = target_step(shape)
-        if step is not None:
+        seen = averages(residual, state.point.T, axes, readings)
+        if step is not None and stands_beside_geometry(step, seen, geometry):
             found.append(_target_moved(step, shape, readings))
             point = int(shape.which[step.point])
             moved = np.isin(readings.configuration, _minority(step, shape))
             sound &= ~(moved & (readings.point == point))
     others = np.ones(len(readings), dtype=bool) if point is None else readings.point != point
-    bumped = tracker_step(residual[others], state.point.T[others], axes[others], readings.select(others))
+    seen = averages(residual[others], state.point.T[others], axes[others], readings.select(others))
+    bumped = tracker_step(seen, geometry[others])
     if bumped is not None:
         found.append(_tracker_moved(bumped, shape))
     loose = _loose_target(prepared, state, shape) if shape.points >= 3 else None
@@ -90,6 +99,12 @@ def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
         found.append(restless[0])
         sound &= ~np.isin(readings.configuration, restless[1])
     return Checked(tuple(found), sound)
+
+
+def _geometry(state: State) -> Float3D:
+    """Return the (m, 3, g) movement of the readings by errors of the geometry, per unit."""
+    candidates = effect_named("geometry_error").candidates(state)
+    return np.concatenate([one.columns(state) for one in candidates], axis=2)
 
 
 def noise_understated(seen: Scatter, claimed: float) -> tuple[Anomaly, ...]:
