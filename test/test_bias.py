@@ -15,11 +15,14 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.evaluation.identify import Identified, evaluate
 from calibration_core.diagnosis.bias import with_bias
 from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.identify import identify
+from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.report.content import build
 from calibration_core.report.document import Paragraph
+from calibration_core.report.results.diagnosis import diagnosis_dict
 from calibration_core.timeseries import Readings
 from calibration_sim.scenarios.generate import generate
 from calibration_sim.scenarios.grid import Scenario, grid
@@ -89,14 +92,22 @@ def test_coverage_over_many_concealed_recordings(tmp_path: Path) -> None:
     assert 0.92 <= share <= 0.98
 
 
-def test_positions_at_rest_state_the_bias_of_what_is_left_out(tmp_path: Path) -> None:
-    chosen = [one for one in second_grid(20264) if one.seed == 1606293867]
-    readings, cell, true = made(chosen[0], tmp_path)
-    found, searched = identify(readings, cell), diagnose(readings, cell)
+@pytest.fixture(scope="module")
+def at_rest(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scenario, Identification, Diagnosis, np.ndarray, Cell]:
+    """Return positions at rest of which something is left out, what both commands say, and the true stiffness."""
+    chosen = next(one for one in second_grid(20264) if one.seed == 1606293867)
+    readings, cell, true = made(chosen, tmp_path_factory.mktemp("rest"))
+    return chosen, identify(readings, cell), diagnose(readings, cell), true, cell
+
+
+def test_positions_at_rest_state_the_bias_of_what_is_left_out(
+    at_rest: tuple[Scenario, Identification, Diagnosis, np.ndarray, Cell],
+) -> None:
+    chosen, found, searched, true, _ = at_rest
     wide = with_bias(found, searched)
     told = [k for k, joint in enumerate(found.stiffness) if joint.identifiable]
     narrow = [not found.stiffness[k].interval[0] <= true[k] <= found.stiffness[k].interval[1] for k in told]
-    assert (chosen[0].group, found.kind, len(told)) == ("rest", "absolute", 2)
+    assert (chosen.group, found.kind, len(told)) == ("rest", "absolute", 2)
     assert searched.findings != ()
     assert any(narrow)  # what the interval of the noise alone misses
     for k in told:
@@ -105,6 +116,31 @@ def test_positions_at_rest_state_the_bias_of_what_is_left_out(tmp_path: Path) ->
         assert outer[0] <= true[k] <= outer[1]
         assert wide.stiffness[k].extended is not None
     assert [joint.interval for joint in searched.identification.stiffness] == [one.interval for one in wide.stiffness]
+
+
+def test_a_compliance_that_the_extended_model_does_without_is_known_to_its_least_stiffness_alone(
+    at_rest: tuple[Scenario, Identification, Diagnosis, np.ndarray, Cell],
+) -> None:
+    """Then other effects explain all that it would: `identify` must not keep what `diagnose` refutes."""
+    _, found, searched, _, cell = at_rest
+    n = len(found.stiffness)
+    without = dataclasses.replace(
+        searched,
+        identification=found,
+        compliance=np.zeros(n),
+        compliance_covariance=np.diag(np.full(n, np.inf)),
+        stiffness={},
+    )
+    told = [k for k, joint in enumerate(found.stiffness) if joint.identifiable]
+    assert told
+    table, said = with_bias(found, without).stiffness, diagnosis_dict(without, cell)["stiffness"]
+    for k in told:
+        assert not table[k].identifiable
+        assert "other effects" in table[k].reason
+        assert table[k].interval[0] < found.stiffness[k].interval[0]
+        assert table[k].interval[1] > found.stiffness[k].interval[1]
+        assert table[k].value == found.stiffness[k].value
+        assert (said[k]["value"], said[k]["identifiable"], said[k]["compliance"]) == (None, False, 0.0)
 
 
 def test_a_residual_that_is_not_noise_is_never_called_consistent(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 A joint stiffness of the standard's model takes up part of whatever physics is missing beside the joints.  The extended
 model says by how much: the compliance c of the standard is off by b = c - c_e, with the uncertainty u of c_e.  The
-standard's value stays as it is, and its 95 % interval becomes c +- (|b| + 1.96 u).
+standard's value stays as it is, and its 95 % interval becomes c +- (|b| + 1.96 u).  Where the extended model does
+without the compliance of a joint, because other effects explain what it would, all of c may be bias.
 Source: GUM (JCGM 100:2008), F.2.4.5: a known bias that is not corrected is added to the expanded uncertainty.
 """
 
@@ -17,12 +18,14 @@ from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.result.estimate import Identification, JointStiffness
 from calibration_core.identification.result.stiffness_interval import TWO_SIDED, joint_stiffness
 
+EXPLAINED = "other effects that were found explain what its compliance would explain"
+
 
 def with_bias(found: Identification, searched: Diagnosis) -> Identification:
     """Return the identification with intervals that include the bias, and the extended model's stiffness beside.
 
-    Nothing changes where the search knows no covariance of the compliances, at joints that the recording does not
-    determine or that are declared rigid, and for positions at rest of which nothing is left out: there the search
+    Nothing changes where the search knows no covariance of the compliances, at joints that neither model determines or
+    that are declared rigid, and for positions at rest of which nothing is left out: there the search
     refits every stated stiffness, and not only those that the recording tells.
 
     Args:
@@ -43,8 +46,10 @@ def with_bias(found: Identification, searched: Diagnosis) -> Identification:
 
 
 def _widened(joint: JointStiffness, compliance: float, std: float, *, beside: bool) -> JointStiffness:
-    if not (math.isfinite(joint.compliance_std) and math.isfinite(std) and std > 0 and joint.compliance_std > 0):
+    if not (math.isfinite(joint.compliance_std) and joint.compliance_std > 0 and std > 0):
         return joint
+    if not math.isfinite(std):
+        return _all_bias(joint) if beside and compliance == 0 else joint
     own = joint_stiffness(
         joint.joint, compliance, std, identifiable=joint.identifiable, reason=joint.reason, unit=joint.unit
     )
@@ -60,6 +65,19 @@ def _widened(joint: JointStiffness, compliance: float, std: float, *, beside: bo
     if not beside:
         return wide
     return dataclasses.replace(wide, interval=_union(wide.interval, own.interval), extended=own)
+
+
+def _all_bias(joint: JointStiffness) -> JointStiffness:
+    """Return the stiffness of a joint of which the extended model has no compliance: its least value is known alone."""
+    half = joint.compliance + TWO_SIDED * joint.compliance_std
+    wide = joint_stiffness(joint.joint, joint.compliance, half / TWO_SIDED, unit=joint.unit)
+    reason = f"{EXPLAINED}: the stiffness is at least {wide.interval[0]:.3g} {joint.unit}"
+    return dataclasses.replace(wide, identifiable=False, reason=reason)
+
+
+def without_compliance(joint: JointStiffness) -> JointStiffness:
+    """Return what the extended model says of a joint whose compliance it does without: nothing."""
+    return joint_stiffness(joint.joint, 0.0, math.inf, identifiable=False, reason=EXPLAINED, unit=joint.unit)
 
 
 def _union(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:

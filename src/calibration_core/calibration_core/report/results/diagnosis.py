@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.bias import without_compliance
 from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.location import Located
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
@@ -98,7 +99,8 @@ def _extended(joint: JointStiffness, diagnosis: Diagnosis) -> JointStiffness:
         return joint.extended or joint
     value, std = diagnosis.stiffness.get(joint.joint, (np.inf, np.inf))
     if not (np.isfinite(value) and value > 0):
-        return joint
+        fitted = joint.compliance > 0 and bool(diagnosis.findings)
+        return without_compliance(joint) if fitted and not loads else joint
     return joint_stiffness(
         joint.joint,
         1 / value,
