@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
+from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.observations.observe import observe
@@ -65,3 +66,19 @@ def test_joints_that_are_coupled_give_way_together_as_springs_do(fanuc: Diagnosi
             (between,) = (p.value for p in finding.parameters)
             assert between**2 < fanuc.compliance[first] * fanuc.compliance[second]
     assert {finding.effect for finding in fanuc.findings} == {"off_axis_compliance", "joint_coupling"}
+
+
+@pytest.mark.parametrize(
+    ("recording", "cell", "least"), [("fanuc", "fanuc", 1), ("ur5_grid", "ur5", 3), ("wam_grid", "wam", 3)]
+)
+def test_what_cannot_be_told_apart_is_within_five_nats_nearest_first(recording: str, cell: str, least: int) -> None:
+    """What is far more probable than a finding was refused for what it predicts: it is no alternative either."""
+    where = load_cell(REAL / f"{cell}.cell.yaml")
+    found = diagnose(observe(REAL / f"{recording}.csv", where), where)
+    several = [(finding, finding.cannot_be_told_from) for finding in found.findings if finding.cannot_be_told_from]
+    assert len(several) >= least
+    for finding, alternatives in several:
+        apart = [abs(other.log_bayes_factor - finding.log_bayes_factor) for other in alternatives]
+        assert len(apart) <= 5
+        assert max(apart) <= 5 + 1e-9
+        assert apart == sorted(apart)

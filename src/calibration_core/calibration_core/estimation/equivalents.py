@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -19,6 +19,8 @@ PLAUSIBLE = 6.0  # typical sizes
 
 def equivalents(search: Search, selection: Selection, members: Sequence[int]) -> tuple[tuple[int, float], ...]:
     """Return single other places that explain the data as well as the accepted hypotheses of a finding, all refitted.
+
+    What is far more probable than the finding is none of them: the search tried it, and refused it.
 
     Args:
         search: Rows, hypotheses and what was asked of them.
@@ -48,10 +50,14 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
         asked += 1
         instead = min(search.fitted((*others, i)), key=lambda fit: abs(fit.level - selection.level))
         behind = whole - instead.sizes.value
-        if behind <= EQUIVALENT and not search.objection(search.trial(others, i)):
+        if abs(behind) <= EQUIVALENT and not search.objection(search.trial(others, i)):
             best[other.place] = i, float(stated - behind)
-    nearest = sorted(best.values(), key=lambda pair: -pair[1])
-    return tuple(nearest[:LISTED])
+    return nearest_first(best.values(), stated)[:LISTED]
+
+
+def nearest_first(several: Iterable[tuple[int, float]], stated: float) -> tuple[tuple[int, float], ...]:
+    """Return hypotheses and their log Bayes factors, nats, in the order of how near they come to a stated one."""
+    return tuple(sorted(several, key=lambda pair: abs(pair[1] - stated)))
 
 
 def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[int, float], ...]:
@@ -65,7 +71,7 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
         index: An accepted hypothesis.
 
     Returns:
-        Hypothesis and its gain in the stead of the accepted one, nats.
+        Hypothesis and its log Bayes factor, nats: that of the accepted one less what would be lost.
     """
     hypotheses = search.field.offered.hypotheses
     others = tuple(i for i in selection.accepted if i != index)
@@ -76,7 +82,7 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
     seen = (gram.matrix[:, block] - taken.T @ taken[:, block]) / known.variance
     mean = np.linalg.solve(np.eye(len(block)) / size[index] ** 2 + seen[block], vector[block])
     image = seen @ mean
-    power = float(mean @ image[block])
+    power, stated = float(mean @ image[block]), selection.gain[selection.accepted.index(index)]
     scores = search.scores(others)
     found = []
     for k, i in enumerate(search.judged):
@@ -89,5 +95,5 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
         matrix += np.eye(len(matrix)) / WIDE**2
         lost = 0.5 * (power - float(image[other.columns] @ np.linalg.solve(matrix, image[other.columns])))
         if lost < EQUIVALENT and not search.objection(search.trial(others, i)):
-            found.append((i, float(scores.nats[k])))
+            found.append((i, float(stated - max(lost, 0.0))))
     return tuple(found)

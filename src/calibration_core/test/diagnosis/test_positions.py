@@ -276,15 +276,19 @@ def test_a_compliance_of_several_waves_a_turn_is_no_transmission_error() -> None
 
 def test_a_finding_of_several_terms_names_what_explains_as_much() -> None:
     """Waves of a gear that together imitate a compliance which follows the angle are not told from it."""
-    readings, stated = with_ripple(0.2)
-    found = estimate(readings, stated, evaluate_absolute(readings, stated))
-    search, hypotheses = found.search, found.offered.hypotheses
-    waves = [i for i in search.judged if hypotheses[i].words == "transmission_error (joint_3)"]
-    low = {hypotheses[i].variant: i for i in waves}
-    members = tuple(low[f"order {n}"] for n in (1, 2, 3, 4))
-    selection = dataclasses.replace(found.selection, accepted=members, gain=(20.0,) * 4)
-    listed = equivalents(found.search, selection, members)
-    places = [(hypotheses[i].effect, dict(hypotheses[i].location)) for i, _ in listed]
-    assert places[0] == ("pose_dependent_stiffness", {"joint": "joint_3"})
-    assert listed[0][1] > 80.0 - EQUIVALENT
-    assert equivalents(found.search, selection, members[:1]) != listed
+    imitated = ("pose_dependent_stiffness", {"joint": "joint_3"})
+    for size, near in ((0.02, True), (0.2, False)):  # far more probable, it is no alternative but the finding
+        readings, stated = with_ripple(size)
+        found = estimate(readings, stated, evaluate_absolute(readings, stated))
+        search, hypotheses = found.search, found.offered.hypotheses
+        waves = [i for i in search.judged if hypotheses[i].words == "transmission_error (joint_3)"]
+        low = {hypotheses[i].variant: i for i in waves}
+        members = tuple(low[f"order {n}"] for n in (1, 2, 3, 4))
+        together = search.sizes(members).value - search.sizes(()).value
+        selection = dataclasses.replace(found.selection, accepted=members, gain=(together / 4,) * 4)
+        listed = equivalents(search, selection, members)
+        places = [(hypotheses[i].effect, dict(hypotheses[i].location)) for i, _ in listed]
+        assert (imitated in places) is near
+        apart = [abs(nats - together) for _, nats in listed]
+        assert apart == sorted(apart)
+        assert max(apart, default=0.0) <= EQUIVALENT

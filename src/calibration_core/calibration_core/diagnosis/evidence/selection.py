@@ -24,7 +24,7 @@ from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.comparisons import STEPS
 from calibration_core.estimation.controls import Controls
-from calibration_core.estimation.equivalents import equivalents, resembling
+from calibration_core.estimation.equivalents import equivalents, nearest_first, resembling
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import LAW, Hypothesis, Offered, offer
 from calibration_core.estimation.likelihood.small_effects import NONE, visible
@@ -42,7 +42,8 @@ class Choice:
     Attributes:
         candidate: Its index.
         log_bayes_factor: Given all other accepted ones, nats.
-        equivalents: Other places that come within five nats at a plausible size: (index, log Bayes factor), best first.
+        equivalents: Other places that come within five nats at a plausible size, nearest first, and their log Bayes
+            factors.
         refinements: Accepted candidates that are this one's law or neighbour, not causes of their own.
     """
 
@@ -152,12 +153,12 @@ def _blocks(configuration: Int1D) -> Blocks:
 
 
 def _other_places(search: Search, found: Selection, index: int) -> tuple[tuple[int, float], ...]:
-    """Return candidates at other places that do as well as an accepted hypothesis, best first, and their gains."""
+    """Return candidates at other places that do as well as an accepted hypothesis, nearest first, and their gains."""
     hypotheses = search.field.offered.hypotheses
     both = (*equivalents(search, found, (index,)), *resembling(search, found, index))
     best: dict[object, tuple[int, float]] = {}
     taken = {hypotheses[i].place for i in found.accepted}
-    for i, nats in sorted(both, key=lambda pair: -pair[1]):
+    for i, nats in nearest_first(both, found.gain[found.accepted.index(index)]):
         if len(hypotheses[i].members) == 1 and hypotheses[i].place not in taken:
             best.setdefault(hypotheses[i].place, (hypotheses[i].members[0], nats))
     return tuple(best.values())
