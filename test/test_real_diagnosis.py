@@ -82,3 +82,15 @@ def test_what_cannot_be_told_apart_is_within_five_nats_nearest_first(recording: 
         assert len(apart) <= 5
         assert max(apart) <= 5 + 1e-9
         assert apart == sorted(apart)
+
+
+def test_what_the_model_leaves_is_never_stated_as_the_noise(fanuc: Diagnosis) -> None:
+    """Two steps a configuration show no noise: what is stated is the tracker's claim."""
+    assert fanuc.rms_after > 2 * fanuc.noise
+    assert fanuc.noise == pytest.approx(20e-6)
+
+
+def test_the_bias_of_all_findings_together_is_not_told_as_that_of_one(fanuc: Diagnosis) -> None:
+    assert len(fanuc.findings) == 2
+    for finding in fanuc.findings:
+        assert "Leaving all findings out biases the stiffness of joint_1" in finding.explanation

@@ -122,7 +122,7 @@ def diagnose_loaded(
         fitted = law_findings(law, prepared.problem.chain.joints, prepared.problem.readings)
         findings = by_size((*findings, *fitted))
         rest = dataclasses.replace(rest, text=f"{rest.text} {law_sentence(law)}")
-    noise = identification.noise.claimed * seen.total
+    unit = identification.noise.claimed * seen.total  # of one whitened row
     joints = prepared.problem.chain.joints
     model = extended_model(prepared.parameters, extended)
     proposals = NONE_ASKED
@@ -143,9 +143,9 @@ def diagnose_loaded(
         },
         rms_before=attempt.rms_before,
         rms_after=rms(extended.residual),
-        held_out_before=held_out_error(attempt.design, ()) * noise,
-        held_out_after=held_out_error(extended.design, selection.accepted) * noise,
-        noise=noise,
+        held_out_before=held_out_error(attempt.design, ()) * unit,
+        held_out_after=held_out_error(extended.design, selection.accepted) * unit,
+        noise=unit if seen.freedom else identification.noise.claimed,  # what a model leaves is no noise
         level=selection.level,
         located=(),
         residual=_without_offsets(extended, extended.raw),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 
 LISTED = 5
+SEEN = 0.02  # relative change of a stiffness that is told
 DETERMINED = 2.0  # standard deviations from zero, at which a compliance counts as known
 
 
@@ -51,7 +52,14 @@ def findings_of(
                 log_bayes_factor=choice.log_bayes_factor,
                 held_out_gain=_gain(extended, selection, choice),
                 magnitude=magnitude,
-                explanation=_explanation(candidate, location, choice, magnitude, changes, alternatives[:LISTED])
+                explanation=_explanation(
+                    candidate,
+                    location,
+                    choice,
+                    magnitude,
+                    _bias(changes, len(selection.choices)),
+                    alternatives[:LISTED],
+                )
                 + ("" if settled else UNSETTLED),
                 separate_by=separating([candidate.effect, *(a.effect for a in alternatives)]),
                 cannot_be_told_from=alternatives[:LISTED],
@@ -107,15 +115,21 @@ def _explanation(
     location: Location,
     choice: Choice,
     magnitude: float,
-    changes: dict[str, float],
+    bias: str,
     alternatives: tuple[Alternative, ...],
 ) -> str:
     text = (
         f"{opening(candidate.effect, location)}. This moves the measured points by {1e6 * magnitude:.0f} µm rms; "
         f"{evidence_words(choice.log_bayes_factor)}."
     )
-    moved = {joint: change for joint, change in changes.items() if abs(change) > 0.02}
-    if moved:
-        listed = ", ".join(f"{joint} {100 * change:+.0f} %" for joint, change in moved.items())
-        text += f" Leaving it out biases the stiffness of {listed}."
-    return text + confounded_with(alternatives)
+    return text + bias + confounded_with(alternatives)
+
+
+def _bias(changes: dict[str, float], findings: int) -> str:
+    """Say which stiffnesses of the standard's model are biased by all findings together; empty where none is."""
+    moved = {joint: change for joint, change in changes.items() if abs(change) > SEEN}
+    if not moved:
+        return ""
+    listed = ", ".join(f"{joint} {100 * change:+.0f} %" for joint, change in moved.items())
+    which = "it" if findings == 1 else "all findings"
+    return f" Leaving {which} out biases the stiffness of {listed}."
