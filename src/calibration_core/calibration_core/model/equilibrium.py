@@ -12,7 +12,7 @@ import numpy as np
 
 from calibration_core.errors import EquilibriumError
 from calibration_core.model.chain import Chain
-from calibration_core.model.kinematics import Posture, by_axis, linear_jacobian, posture
+from calibration_core.model.kinematics import Posture, by_axis, differing, linear_jacobian, posture
 from calibration_core.model.statics import (
     Load,
     gravity_torque,
@@ -79,25 +79,12 @@ def solve_equilibrium(
     Raises:
         EquilibriumError: It does not converge: the load is beyond what these springs carry.
     """
-    first, place = _differing(q, load)
+    first, place = differing(q.T, *(() if load is None else (load.force, load.torque)))
     if len(first) == len(q):
         return _solved(chain, q, compliance, load, near)
     some = None if load is None else load.rows(first)
     found = _solved(chain, q[first], compliance, some, None if near is None else near[:, first])
     return found.of_readings(place)
-
-
-def _differing(q: Float2D, load: Load | None) -> tuple[Int1D, Int1D]:
-    """Return the readings that differ from the one before, and for each reading which of them it is like.
-
-    The points of one step are measured one after the other, in one posture under one load.
-    """
-    new = np.ones(len(q), dtype=bool)
-    new[1:] = np.any(q[1:] != q[:-1], axis=1)
-    if load is not None:
-        for vectors in (load.force, load.torque):
-            new[1:] |= np.any(vectors[:, 1:] != vectors[:, :-1], axis=0)
-    return np.flatnonzero(new), np.cumsum(new) - 1
 
 
 def _solved(chain: Chain, q: Float2D, compliance: Float1D, load: Load | None, near: Float2D | None) -> Equilibrium:

@@ -13,7 +13,7 @@ import functools
 import numpy as np
 
 from calibration_core.model.chain import Chain
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Float4D, Int1D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Float4D, FloatND, Int1D
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -89,6 +89,21 @@ def by_axis(vectors: Float3D) -> Float3D:
 
 
 by_joint = by_axis  # and back
+
+
+def differing(*several: FloatND) -> tuple[Int1D, Int1D]:
+    """Return which of m readings differ from the one before, and for each reading which of those it is like.
+
+    The points of one step are measured one after the other, in one posture under one load.
+
+    Args:
+        several: Arrays whose last axis is the readings', (..., m).
+    """
+    new = np.ones(several[0].shape[-1], dtype=bool)
+    new[1:] = False
+    for values in several:
+        new[1:] |= np.any(values[..., 1:] != values[..., :-1], axis=tuple(range(values.ndim - 1)))
+    return np.flatnonzero(new), np.cumsum(new) - 1
 
 
 def posture(chain: Chain, q: Float2D) -> Posture:

@@ -14,9 +14,9 @@ import dataclasses
 import numpy as np
 
 from calibration_core.model.chain import Chain
-from calibration_core.model.kinematics import Posture, by_axis, by_joint, cross, dot
+from calibration_core.model.kinematics import Posture, by_axis, by_joint, cross, differing, dot
 from calibration_core.model.statics import masses_beyond
-from calibration_core.timeseries import Float1D, Float2D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +58,11 @@ class ExternalWrench:
     where: Float2D
     follows: bool
 
+    def of_readings(self, rows: Int1D) -> ExternalWrench:
+        """Return the load of some readings (indices)."""
+        force, moment, where = (part.take(rows, axis=-1) for part in (self.force, self.moment, self.where))
+        return ExternalWrench(force, moment, where, self.follows)
+
 
 class VirtualJoints:
     """Wrenches on the cuts of a loaded robot, and its answers to twists there; each cut is worked out once."""
@@ -79,17 +84,16 @@ class VirtualJoints:
             load: On the flange.
             by_torque: (3, n, m) m/(N*m), how the points move with a torque on each joint, K_CSM included.
         """
-        self._at, self._point, self._load, self._by_torque = at, point, load, by_torque
-        self._external = np.concatenate([load.moment + cross(load.where, load.force), load.force])
-        self._gravity = chain.gravity[:, None, None]
-        self._mass, self._first_moment = masses_beyond(chain, at)
+        self._point, self._by_torque = point, by_torque
+        first, self._place = differing(at.body, at.body_origin, load.force, load.moment, load.where)
+        self._robot = _LoadedRobot.of(chain, at.of_readings(first), load.of_readings(first))
         self._wrenches: dict[int, Float2D] = {}
         self._answers: dict[Cut, Float3D] = {}
 
     def wrench(self, cut: Cut) -> Float2D:
         """Return the (6, m) wrench of load and weight on what lies beyond the cut."""
         if cut.weight not in self._wrenches:
-            self._wrenches[cut.weight] = self._external + self._weight(cut.weight)
+            self._wrenches[cut.weight] = self._robot.wrench(cut.weight).take(self._place, axis=-1)
         return self._wrenches[cut.weight]
 
     def answer(self, cut: Cut) -> Float3D:
@@ -115,32 +119,64 @@ class VirtualJoints:
         return np.einsum("akm,km->ma", self.answer(cut), moved * work)
 
     def torque_slope(self, cut: Cut) -> Float3D:
+        """Return the (n, 6, m) change of the joints' torques per unit twist of what lies beyond the cut, N*m."""
+        return self._robot.torque_slope(cut).take(self._place, axis=-1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _LoadedRobot:
+    """What all points of one step have in common: posture, load and weight, for m of them.
+
+    Attributes:
+        at: The deformed posture.
+        load: On the flange.
+        external: (6, m) the same as a wrench about the base origin.
+        gravity: (3, 1, 1) m/s^2, base axes.
+        mass: (n + 1,) kg, of every link and all beyond.
+        first_moment: (n + 1, 3, m) kg*m, likewise.
+    """
+
+    at: Posture
+    load: ExternalWrench
+    external: Float2D
+    gravity: Float3D
+    mass: Float1D
+    first_moment: Float3D
+
+    @staticmethod
+    def of(chain: Chain, at: Posture, load: ExternalWrench) -> _LoadedRobot:
+        external = np.concatenate([load.moment + cross(load.where, load.force), load.force])
+        return _LoadedRobot(at, load, external, chain.gravity[:, None, None], *masses_beyond(chain, at))
+
+    def wrench(self, link: int) -> Float2D:
+        """Return the (6, m) wrench of the load, and of the weight of a link and all beyond it."""
+        first, gravity = self.first_moment[link], self.gravity[:, 0]
+        weight = [cross(first, gravity), np.broadcast_to(self.mass[link] * gravity, first.shape)]
+        return np.asarray(self.external + np.concatenate(weight))
+
+    def torque_slope(self, cut: Cut) -> Float3D:
         """Return the (n, 6, m) change of the joints' torques per unit twist of what lies beyond the cut, N*m.
 
         A joint before the cut sees the wrench beyond it move; a joint beyond moves itself, too.  Source: product rule
         on tau_i = screw_i . wrench_i.
         """
-        n = len(self._mass) - 1
+        n = len(self.mass) - 1
         weight = np.maximum(np.arange(n), cut.weight)
-        mass, first = self._mass[weight, None], by_axis(self._first_moment[weight])
-        spin, shift, gravity = by_axis(self._at.spins), by_axis(self._at.shifts), self._gravity
-        moment, force = self._external[:3, None], self._external[3:, None]
+        mass, first = self.mass[weight, None], by_axis(self.first_moment[weight])
+        spin, shift, gravity = by_axis(self.at.spins), by_axis(self.at.shifts), self.gravity
+        moment, force = self.external[:3, None], self.external[3:, None]
         before, beyond = slice(0, cut.joint), slice(cut.joint, n)
         by_weight, by_force = cross(gravity, spin), cross(force, spin)
         by_turn, by_shift = cross(first, by_weight), mass * by_weight + by_force
         by_shift[:, beyond] = 0.0
         by_turn[:, beyond] += (cross(spin, cross(first, gravity)) + cross(shift, mass * gravity))[:, beyond]
         turned = cross(spin, moment) + cross(shift, force)
-        if self._load.follows:  # joints beyond and wrench move together
+        if self.load.follows:  # joints beyond and wrench move together
             by_turn[:, before] -= turned[:, before]
         else:
-            by_turn += cross(self._load.where[:, None], by_force)
+            by_turn += cross(self.load.where[:, None], by_force)
             by_turn[:, beyond] += turned[:, beyond]
         return by_joint(np.concatenate([by_turn, by_shift]))
-
-    def _weight(self, link: int) -> Float2D:
-        first, gravity = self._first_moment[link], self._gravity[:, 0]
-        return np.concatenate([cross(first, gravity), np.broadcast_to(self._mass[link] * gravity, first.shape)])
 
 
 def rotation_twist(axis: Float2D, origin: Float2D) -> Float2D:

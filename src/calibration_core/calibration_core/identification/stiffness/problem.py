@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Literal, TypeVar
 
@@ -122,8 +123,12 @@ class LoadedProblem:
             predicted, columns, by_wrench = self._equilibrium(compliance)
         columns = columns * ~np.array(self.chain.rigid)  # what is declared rigid is not asked for
         shared = np.einsum("mij,mjk->mik", by_wrench, self.wrench_root)
-        rows = Rows(self.configuration, self.readings.point, _shared_loads(self.readings), self.noise, shared)
+        rows = Rows(self.configuration, self.readings.point, self._loads, self.noise, shared)
         return Linearised(predicted, self.measured - predicted, columns, rows)
+
+    @functools.cached_property
+    def _loads(self) -> Int1D:
+        return _shared_loads(self.readings)
 
     def _points(self) -> Float2D:
         names = self.readings.points
