@@ -1,6 +1,7 @@
 """What each command does: read, call the core, write the whole set of results, and say in short what came out.
 
-One module per command, loaded only when it is asked for; each has `run(arguments) -> str`.
+One module per command, loaded only when it is asked for; each has `run(arguments) -> str`.  None of them begins where
+its results would take the place of an input, or of a file that it did not write.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ NAMES = tuple(MODULES)
 
 
 def command(name: str) -> Callable[[argparse.Namespace], str]:
-    """Return what runs the command of this name: arguments in, summary out.
+    """Return what runs the command of this name: arguments in, summary out; it begins with `require_place`.
 
     Raises:
         CalibrationError: There is no such command.
@@ -37,7 +38,34 @@ def command(name: str) -> Callable[[argparse.Namespace], str]:
         msg = f"no command {name!r}, choose one of {', '.join(NAMES)}"
         raise CalibrationError(msg)
     run: Callable[[argparse.Namespace], str] = importlib.import_module(f"{__name__}.{MODULES[name]}").run
-    return run
+    if name in WITHOUT_RESULT:
+        return run
+
+    def run_beside(options: argparse.Namespace) -> str:
+        require_place(options, name)
+        return run(options)
+
+    return run_beside
+
+
+def require_place(options: argparse.Namespace, name: str) -> None:
+    """Refuse an output folder in which a command would replace an input, or what it did not write.
+
+    Raises:
+        OutputError: It would.
+    """
+    from calibration_core.report.writing.ownership import refuse_inputs, require_own
+
+    refuse_inputs(options.out, name, inputs_of(options))
+    require_own(options.out, name)
+
+
+def inputs_of(options: argparse.Namespace) -> tuple[Path, ...]:
+    """Return every file and directory that the options of a command name, but the output folder."""
+    values = [value for name, value in vars(options).items() if name != "out"]
+    each = [one for value in values for one in (value if isinstance(value, list) else [value])]
+    robot = [Path(options.robot)] if getattr(options, "robot", None) else []  # a file, or a name of the library
+    return (*(one for one in each if isinstance(one, Path)), *robot)
 
 
 def result_of(options: argparse.Namespace) -> str:

@@ -16,6 +16,7 @@ from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.result import Columns, Tables, columns_of
 from calibration_core.outcomes.inputs import Inputs, naming_model
 from calibration_core.report.writing.output import RESULT, Content, write_files
+from calibration_core.report.writing.ownership import require_own
 
 Format = Literal["urdf", "dh", "ur", "mjcf", "table"]
 
@@ -70,9 +71,10 @@ class ExportResult(Tables):
             directory: Where to; made if missing.
 
         Raises:
-            OutputError: They cannot be written; then nothing is.
+            OutputError: They cannot be written, or would replace what the same command did not write; then nothing is.
         """
         directory = Path(directory)
+        require_own(directory, str(self.to_dict()["command"]))
         write_files(directory, self.files(directory))
         return directory / RESULT
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from calibration_core.cell import Cell
 from calibration_core.errors import CalibrationError, InputError, quoted
 from calibration_core.report.writing.output import RESULT, Content, write_files
+from calibration_core.report.writing.ownership import require_own
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -152,9 +153,10 @@ class Result(Tables):
             report: Whether `report.html` and `report.pdf` are made, which takes a second.
 
         Raises:
-            OutputError: They cannot be written; then nothing is.
+            OutputError: They cannot be written, or would replace what the same command did not write; then nothing is.
         """
         directory = Path(directory)
+        require_own(directory, str(self.to_dict()["command"]))
         write_files(directory, self.files(report=report))
         return directory / RESULT
 

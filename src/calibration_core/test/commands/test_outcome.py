@@ -17,13 +17,14 @@ from calibration_core.commands.terminal import outcome
 
 BAG = CELL.parents[2] / "bags" / "small_loaded"
 SOURCE = Path("some.csv")
+EARLIER = '{"schema": 1, "command": "diagnose"}'
 
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
     folder = tmp_path / "out"
     folder.mkdir()
-    (folder / "result.json").write_text("earlier")
+    (folder / "result.json").write_text(EARLIER)
     return folder
 
 
@@ -71,7 +72,7 @@ def test_other_endings(
 ) -> None:
     assert ending(out, error) == code
     assert word in capsys.readouterr().err
-    assert (out / "result.json").read_text() == "earlier"
+    assert (out / "result.json").read_text() == EARLIER
 
 
 def test_warnings_of_libraries_reach_nobody(out: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -125,7 +126,7 @@ def test_signals_end_with_one_line_and_leave_the_earlier_result(out: Path, numbe
         assert process.returncode in (code, -number), errors
         assert len(errors.decode().splitlines()) == 1
         assert everything(out.parent) == ["out", "out/result.json"]
-        assert (out / "result.json").read_text() == "earlier"
+        assert (out / "result.json").read_text() == EARLIER
 
 
 def test_an_error_that_a_signal_became_is_an_interruption(out: Path, capsys: pytest.CaptureFixture[str]) -> None:

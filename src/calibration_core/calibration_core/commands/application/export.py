@@ -22,6 +22,7 @@ from calibration_core.outcomes.inputs import Inputs, digest_of, naming_model
 from calibration_core.report.results.command import input_record
 from calibration_core.report.results.result import SCHEMA
 from calibration_core.report.writing.output import RESULT, Content, write_files
+from calibration_core.report.writing.ownership import refuse_inputs
 
 WITHOUT_FORMAT = (
     "KUKA's, FANUC's, ABB's and Yaskawa's own calibration files have no published format: correct the targets instead "
@@ -38,6 +39,7 @@ def run(arguments: argparse.Namespace) -> str:
         EquilibriumError: The robot cannot carry its own weight.
     """
     cell = load_cell(arguments.cell)
+    refuse_inputs(arguments.out, "export", () if cell.urdf_path is None else (cell.urdf_path,))
     with naming_model(arguments.model):
         robot = calibrated_robot(cell, read_model(arguments.model, cell))
         exported = exported_as(robot, arguments)

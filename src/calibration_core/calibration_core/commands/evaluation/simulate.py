@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,6 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.planning.plan import PLAN, plan_files
 from calibration_core.commands.shared.common import report_line, report_progress
-from calibration_core.errors import OutputError
 from calibration_core.model.identified.given import read_given
 from calibration_core.outcomes.inputs import digest_of, refuse_lengths
 from calibration_core.outcomes.simulation import BAG, TABLE, Simulated, for_streams, simulate
@@ -39,7 +36,6 @@ def run(arguments: argparse.Namespace) -> str:
     plan = None if arguments.plan is None else read_plan(arguments.plan, cell)
     inputs = {} if arguments.plan is None else {"plan": digest_of(arguments.plan)}
     simulated = simulate(cell, plan, given, arguments.seed, inputs)
-    _require_own(arguments.out)
     report_progress(arguments, 0.5, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, files_of(simulated, cell, report=arguments.report))
     where = f"recording: {arguments.out / BAG} and {arguments.out / TABLE}"
@@ -63,24 +59,6 @@ def files_of(simulated: Simulated, cell: Cell, *, report: bool) -> dict[str, Con
     from calibration_core.report.writing.rendering import rendered
 
     return {**files, **rendered(simulation_document(simulated, cell, result), space_view(simulated.space, cell))}
-
-
-def _require_own(directory: Path) -> None:
-    """Refuse to replace a recording that is not known to be simulated.
-
-    Raises:
-        OutputError: A recording stands in the directory without a result of this command beside it.
-    """
-    there = [name for name in (BAG, TABLE) if (directory / name).exists()]
-    if not there:
-        return
-    try:
-        content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        content = None
-    if not isinstance(content, dict) or content.get("command") != "simulate":
-        expected = "a directory without recordings, or one that this command has written"
-        raise OutputError(directory, there[0], "a recording that was not simulated here", expected)
 
 
 def simulation_result(simulated: Simulated, cell: Cell) -> dict[str, Any]:

@@ -106,18 +106,18 @@ def _kept(target: Path, new: Path, files: Mapping[str, Content]) -> Collection[s
         if old_is != new_is:
             code = errno.EISDIR if old_is else errno.ENOTDIR
             raise OSError(code, os.strerror(code), str(there[name]))
-    gone = _earlier(target) if RESULT in files else frozenset()
+    gone = WRITTEN.get(made_by(target) or "", ALWAYS) if RESULT in files else frozenset()
     return [name for name in there if name not in files and name not in gone]
 
 
-def _earlier(target: Path) -> frozenset[str]:
-    """Return the names that the result in a directory may consist of."""
+def made_by(directory: Path) -> str | None:
+    """Return the command whose result stands in a directory; None where no result of this program does."""
     try:
-        content = json.loads(read_regular(target / RESULT, MAX_RESULT, "result"))
+        content = json.loads(read_regular(directory / RESULT, MAX_RESULT, "result"))
     except (InputError, ValueError, RecursionError):
-        return ALWAYS
+        return None
     command = content.get("command") if isinstance(content, dict) else None
-    return WRITTEN.get(command, ALWAYS) if isinstance(command, str) else ALWAYS
+    return command if isinstance(command, str) and command in WRITTEN else None
 
 
 def _stage(directory: Path, name: str, content: Content) -> None:
