@@ -6,21 +6,18 @@ How a command ends, and with which exit code, stands in `commands.outcome`.
 from __future__ import annotations
 
 import argparse
-import difflib
 import gc
 import os
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
 
 from calibration_core import __version__
-from calibration_core.commands.planning.arguments import plan_arguments, seed
+from calibration_core.commands.planning.arguments import plan_arguments
 from calibration_core.commands.shared.population_arguments import population_arguments
 from calibration_core.commands.terminal.outcome import NOTHING, carry_out, tolerate
 from calibration_core.engine.arguments import cluster_arguments
-from calibration_core.errors import InputError
+from calibration_core.engine.command_line import OneLineParser, path, whole
 
 RECORDING_KINDS = "rosbag2 directory, .mcap file, measurement table (.csv), or a session (its directory or session.db)"
 
@@ -64,28 +61,11 @@ def _output(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--json", action="store_true", help="print result.json instead of the summary")
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong with the arguments."""
-
-    def error(self, message: str) -> NoReturn:
-        message = _with_suggestion(message)
-        self.exit(2, f"{InputError(self.prog, '', message, f'arguments as in {self.prog} --help')}\n")
-
-
-def _with_suggestion(message: str) -> str:
-    """Add the nearest choice to what argparse says of a wrong one."""
-    wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
-    if wrong is None:
-        return message
-    near = difflib.get_close_matches(wrong.group(1), re.findall(r"[\w-]+", wrong.group(2)), n=1)
-    return f"{message}: did you mean {near[0]}?" if near else message
-
-
 def argument_parser() -> argparse.ArgumentParser:
     """Return the arguments of every command."""
     from calibration_core.commands.files.init_arguments import init_arguments
 
-    parser: argparse.ArgumentParser = _Parser(
+    parser: argparse.ArgumentParser = OneLineParser(
         prog="calibration", description="Elastostatic compliance calibration of industrial robots (CWA 17384)."
     )
     parser.add_argument("--version", action="version", version=f"calibration {__version__}")
@@ -119,14 +99,14 @@ def _completion(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _describe(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "what a result says, in words"
     parser = commands.add_parser("describe", help=text, description=text[0].upper() + text[1:] + ".")
-    parser.add_argument("result", type=Path, metavar="RESULT", help="a result.json, or the directory that holds it")
+    parser.add_argument("result", type=path, metavar="RESULT", help="a result.json, or the directory that holds it")
     _output(parser)
     parser.set_defaults(recording=None, cell=None, out=None)
 
 
 def _check(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("cell", type=Path, metavar="CELL.yaml", help="the cell file")
-    parser.add_argument("recording", type=Path, nargs="?", metavar="RECORDING", help="a recording to be read with it")
+    parser.add_argument("cell", type=path, metavar="CELL.yaml", help="the cell file")
+    parser.add_argument("recording", type=path, nargs="?", metavar="RECORDING", help="a recording to be read with it")
     _no_report(parser)
 
 
@@ -141,7 +121,7 @@ def _bare(
 ) -> argparse.ArgumentParser:
     """Add a command that needs no cell file."""
     parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-    parser.add_argument("--out", type=Path, metavar="DIR", help=f"where results go (default build/calibration/{name})")
+    parser.add_argument("--out", type=path, metavar="DIR", help=f"where results go (default build/calibration/{name})")
     _output(parser)
     parser.set_defaults(recording=None, cell=None)
     return parser
@@ -157,13 +137,13 @@ def _command(
 
 
 def _cell(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--cell", type=Path, required=True, metavar="CELL.yaml", help="the cell file")
+    parser.add_argument("--cell", type=path, required=True, metavar="CELL.yaml", help="the cell file")
 
 
 def _recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recording",
-        type=Path,
+        type=path,
         metavar="RECORDING",
         help=RECORDING_KINDS,
     )
@@ -172,7 +152,7 @@ def _recording(parser: argparse.ArgumentParser) -> None:
 def _recordings(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recordings",
-        type=Path,
+        type=path,
         nargs="+",
         metavar="RECORDING",
         help=f"{RECORDING_KINDS}; several recordings of one robot are evaluated together",
@@ -185,7 +165,7 @@ def _cells(parser: argparse.ArgumentParser, each: str) -> None:
     parser.add_argument(
         "--cell",
         dest="cells",
-        type=Path,
+        type=path,
         action="append",
         required=True,
         metavar="CELL.yaml",
@@ -196,7 +176,7 @@ def _cells(parser: argparse.ArgumentParser, each: str) -> None:
 def _given(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model",
-        type=Path,
+        type=path,
         metavar="MODEL.yaml",
         help="start from this model instead of the cell's; its effects are known: they are taken off the readings",
     )
@@ -205,7 +185,7 @@ def _given(parser: argparse.ArgumentParser) -> None:
 def _identify(parser: argparse.ArgumentParser) -> None:
     _recordings(parser)
     _given(parser)
-    parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
+    parser.add_argument("--test", type=path, metavar="OTHER", help="a second recording: predicted, not fitted")
     parser.add_argument(
         "--method",
         choices=("equilibrium", "linear"),
@@ -240,25 +220,25 @@ def _diagnose(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulation",
         dest="simulations",
-        type=Path,
+        type=path,
         action="append",
         default=[],
         metavar="SIM",
         help="what a simulation says of the same measurement, to compare with; repeatable, for each recording",
     )
-    parser.add_argument("--test", type=Path, metavar="OTHER", help="a second recording: predicted, not fitted")
+    parser.add_argument("--test", type=path, metavar="OTHER", help="a second recording: predicted, not fitted")
     parser.add_argument("--no-robust", action="store_true", help="use every reading, gross errors too")
     population_arguments(parser)
 
 
 def _predict(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
-    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+    parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
 
 
 def _use(parser: argparse.ArgumentParser) -> None:
     """Add what both commands take that use a model on a load."""
-    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+    parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
     parser.add_argument(
         "--wrench",
         metavar='"fx fy fz tx ty tz"',
@@ -274,7 +254,7 @@ def _deflect(parser: argparse.ArgumentParser) -> None:
     _use(parser)
     parser.add_argument("--q", metavar='"q1 ... qn"', help="joint angles, rad (m where a joint slides)")
     parser.add_argument(
-        "--poses", type=Path, metavar="FILE.csv", help="places of the tool or joint angles, and wrenches"
+        "--poses", type=path, metavar="FILE.csv", help="places of the tool or joint angles, and wrenches"
     )
     parser.add_argument("--plane", choices=("xy", "xz", "yz"), default="xz", help="plane of the map (default xz)")
 
@@ -282,7 +262,7 @@ def _deflect(parser: argparse.ArgumentParser) -> None:
 def _compensate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "task",
-        type=Path,
+        type=path,
         metavar="TASK.csv",
         help="places of the tool (x y z roll pitch yaw) or q1 ... qn, and wrenches",
     )
@@ -294,7 +274,7 @@ def _compensate(parser: argparse.ArgumentParser) -> None:
 
 def _export(parser: argparse.ArgumentParser) -> None:
     _cell(parser)
-    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+    parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
     parser.add_argument(
         "--format",
         choices=("urdf", "dh", "ur", "mjcf", "table"),
@@ -302,7 +282,7 @@ def _export(parser: argparse.ArgumentParser) -> None:
         help="URDF; Denavit-Hartenberg rows; Universal Robots' kinematics file; MuJoCo; table of angle corrections",
     )
     parser.add_argument(
-        "--template", type=Path, metavar="FILE", help="ur: the kinematics file extracted from this robot's controller"
+        "--template", type=path, metavar="FILE", help="ur: the kinematics file extracted from this robot's controller"
     )
     parser.add_argument(
         "--joints", type=int, nargs="+", default=[2, 3], metavar="N", help="table: joints it runs over (default 2 3)"
@@ -321,24 +301,24 @@ def _export(parser: argparse.ArgumentParser) -> None:
 def _import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "files",
-        type=Path,
+        type=path,
         nargs="+",
         metavar="FILES",
         help="a table with everything, or tables of points, of joint angles and of wrenches, or a robot program",
     )
     parser.add_argument(
-        "--map", type=Path, metavar="MAP.yaml", help="states what is not recognised: columns, units, names"
+        "--map", type=path, metavar="MAP.yaml", help="states what is not recognised: columns, units, names"
     )
 
 
 def _fleet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recording",
-        type=Path,
+        type=path,
         metavar="MANIFEST",
         help="CSV or Parquet with recording, cell, robot, type, date; or a folder TYPE/ROBOT/DATE with recordings",
     )
-    parser.add_argument("--jobs", type=_count, metavar="N", help="processes on this machine (default: its cores)")
+    parser.add_argument("--jobs", type=whole(1), metavar="N", help="processes on this machine (default: its cores)")
     cluster_arguments(parser)
     parser.add_argument(
         "--alone", nargs="+", default=[], metavar="ROBOT", help="robots that are not pooled with their sisters"
@@ -346,17 +326,9 @@ def _fleet(parser: argparse.ArgumentParser) -> None:
     _no_report(parser)
 
 
-def _count(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        msg = f"{number}, expected at least 1"
-        raise argparse.ArgumentTypeError(msg)
-    return number
-
-
 def _verify(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
-    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.yaml", help="an identified model")
+    parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
     parser.add_argument(
         "--tolerance", type=float, required=True, metavar="M", help="what the error of a point may not exceed, m"
     )
@@ -368,7 +340,7 @@ def _verify(parser: argparse.ArgumentParser) -> None:
 def _compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "measurements",
-        type=Path,
+        type=path,
         nargs="+",
         metavar="MEASUREMENT",
         help="two or more: recordings, or output folders of identify or diagnose; the first beside the others",
@@ -383,14 +355,14 @@ def _compare(parser: argparse.ArgumentParser) -> None:
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--plan", type=Path, metavar="PLAN.yaml", help="the plan; without it one is made")
+    parser.add_argument("--plan", type=path, metavar="PLAN.yaml", help="the plan; without it one is made")
     parser.add_argument(
         "--model",
-        type=Path,
+        type=path,
         metavar="MODEL.yaml",
         help="an identified or extended model, effects included, instead of the cell's",
     )
-    parser.add_argument("--seed", type=seed, help="add instrument noise from this seed (default: none)")
+    parser.add_argument("--seed", type=whole(0), help="add instrument noise from this seed (default: none)")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import yaml
 from rosbags.rosbag2 import Reader
 
 from calibration_core.cell import Cell
+from calibration_core.errors import EquilibriumError
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.recording.bags.bag import read_bag
 from calibration_core.recording.tables.table import read_table
@@ -105,16 +106,69 @@ def test_unusable_input_ends_with_two_and_one_line(
 
 
 @pytest.mark.parametrize(
-    "option",
+    "words",
     [
-        ["--seed", "-1"],
-        ["--configurations", "0"],
-        ["--storage", "tape"],
-        ["--storage", "sqlite3", "--compression", "lz4"],
+        ["record", "--out", "/dev/null/x"],
+        ["record", "--out", "/proc/a/b"],
+        ["record", "--out", "new/" + 300 * "a"],
+        ["record", "--out", "new/bag", "--truth-out", "/proc/x.yaml"],
+        ["record", "--out", "new/bag", "--table", "/proc/x.csv"],
+        ["record", "--out", "new/bag", "--table", "new/bag"],
+        ["record", "--out", "new/bag", "--table", "new/deep/table.csv", "--truth-out", "/dev/null/deep/x.yaml"],
+        ["plant", "--out", "/dev/null/x", "--robots", "1", "--dates", "1"],
+        ["plant", "--out", "old", "--robots", "1", "--dates", "1"],
     ],
 )
-def test_wrong_arguments_are_refused(demo: Cell, tmp_path: Path, option: list[str]) -> None:
+def test_what_cannot_be_written_leaves_nothing(
+    demo: Cell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "old").touch()
+    more = ["--cell", str(demo.path), "--configurations", "1"] if words[0] == "record" else []
+    assert main([*words, *more]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "found" in error
+    assert [path.name for path in tmp_path.rglob("*")] == ["old"]
+
+
+def test_a_robot_that_cannot_carry_its_load_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object) -> None:
+        raise EquilibriumError(1.0, 50)
+
+    monkeypatch.setattr("calibration_sim.plant.play", broken)
+    assert main(["plant", "--out", str(tmp_path / "p"), "--robots", "1"]) == 2
+    assert capsys.readouterr().err.startswith("calibration-sim plant --spread: found no static equilibrium")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        (["record", "--seed", "-1"], "'-1', expected an integer of at least 0"),
+        (["record", "--seed", "x"], "'x', expected an integer of at least 0"),
+        (["record", "--configurations", "0"], "'0', expected an integer of at least 1"),
+        (["record", "--storage", "tape"], "invalid choice"),
+        (["record", "--storage", "sqlite3", "--compression", "lz4"], "exists for mcap alone"),
+        (["record", "--table", ""], "an empty name"),
+        (["record", "--bogus"], "calibration-sim record --help"),
+        (["plant", "--spread", "nan"], "'nan', expected a number from 0 to 1"),
+        (["plant", "--spread", "-1"], "'-1', expected a number from 0 to 1"),
+        (["plant", "--dates", "7"], "invalid choice"),
+        (["frob"], "invalid choice"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_one_line(
+    demo: Cell, tmp_path: Path, option: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = ["--cell", str(demo.path)] if option[0] == "record" else []
     with pytest.raises(SystemExit) as caught:
-        main(["record", "--cell", str(demo.path), "--out", str(tmp_path / "bag"), *option])
+        main([option[0], *cell, "--out", str(tmp_path / "bag"), *option[1:]])
     assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert expected in error
+    assert "_" not in error.partition("found")[2].partition("expected")[0]
     assert not (tmp_path / "bag").exists()

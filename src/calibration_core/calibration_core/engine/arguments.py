@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+
+from calibration_core.engine.command_line import path
 
 
 def cluster_arguments(parser: argparse.ArgumentParser) -> None:
@@ -13,7 +14,7 @@ def cluster_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--tls",
-        type=Path,
+        type=path,
         nargs=3,
         metavar=("CA", "CERTIFICATE", "KEY"),
         help="PEM files for a tls:// scheduler (default: as Dask is configured)",

@@ -3,23 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from calibration_core.commands.shared.population_arguments import population_arguments
-
-
-def seed(text: str) -> int:
-    """Return the seed of a search or of noise.
-
-    Raises:
-        ValueError: It is no integer.
-        argparse.ArgumentTypeError: It is negative.
-    """
-    number = int(text)
-    if number < 0:
-        msg = f"{number} is negative"
-        raise argparse.ArgumentTypeError(msg)
-    return number
+from calibration_core.engine.command_line import path, whole
 
 
 def plan_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +24,7 @@ def plan_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SHARE",
         help="spare configurations as a share of those to measure (default 0.5, as the standard asks for)",
     )
-    parser.add_argument("--seed", type=seed, default=0, help="seed of the search (default 0)")
+    parser.add_argument("--seed", type=whole(0), default=0, help="seed of the search (default 0)")
     parser.add_argument(
         "--criterion",
         choices=("D", "A", "worst", "condition", "observability", "trace"),
@@ -100,7 +86,7 @@ def plan_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--task",
-        type=Path,
+        type=path,
         metavar="FILE.csv",
         help="the operating space is that of a task: columns x, y, z (m), or q1 ... (rad), or theta_1 ... (degrees)",
     )
@@ -112,4 +98,4 @@ def plan_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SHARE",
         help="--population: wanted standard deviation of every stiffness, of its value (default 0.01)",
     )
-    parser.add_argument("--model", type=Path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
+    parser.add_argument("--model", type=path, metavar="MODEL.yaml", help="an identified model instead of the cell's")

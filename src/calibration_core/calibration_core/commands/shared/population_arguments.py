@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calibration_core.engine.command_line import path
 from calibration_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ def population_arguments(parser: argparse.ArgumentParser) -> None:
     """State the arguments."""
     parser.add_argument(
         "--population",
-        type=Path,
+        type=path,
         metavar="POPULATION.yaml",
         help="what is known of robots of this type, from calibration fleet: stands beside what is found, and into it",
     )

@@ -210,8 +210,12 @@ def write_table(path: Path, readings: Readings) -> None:
     columns.append(("point", [inert(readings.points[i]) for i in readings.point.tolist()]))
     columns += [(name, list(map(repr, one.tolist()))) for name, one in zip(POSITION, readings.position.T, strict=True)]
     partial = Path(path).with_name(f".{Path(path).name}.part")
-    with partial.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([name for name, _ in columns])
-        writer.writerows(zip(*(values for _, values in columns), strict=True))
-    partial.replace(path)
+    try:
+        with partial.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow([name for name, _ in columns])
+            writer.writerows(zip(*(values for _, values in columns), strict=True))
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
