@@ -49,9 +49,9 @@ def serial_chain(path: Path, base_link: str | None = None, flange: str | None = 
     root = ET.fromstring(urdf_bytes(path))
     links = [str(link.get("name")) for link in root.findall("link")]
     above = {_link(joint, "child"): joint for joint in root.findall("joint")}
-    for name in (base_link, flange):
+    for place, name in (("base link", base_link), ("flange", flange)):
         if name is not None and name not in links:
-            raise CellError(path, "link", quoted(name), f"a link of the URDF: {', '.join(links[:40])}")
+            raise CellError(path, place, quoted(name), f"a link of the URDF: {', '.join(links[:40])}")
     chains = [
         (moving, base, end)
         for end in ([flange] if flange else links)

@@ -99,6 +99,45 @@ def test_what_is_missing_is_said_in_one_line(
         assert not (tmp_path / "my").exists()
 
 
+@pytest.mark.parametrize("robot", ["ur5e", str(CELL.parent.parent / "robots" / "kr240.urdf")])
+@pytest.mark.parametrize(
+    ("option", "values"),
+    [
+        *(("--rated-load", [value]) for value in ("-5", "0", "nan", "inf", "1e12")),
+        *(("--tracker-sigma", [value]) for value in ("-1", "0", "nan", "1e9")),
+        *((option, [value]) for option in ("--force-sigma", "--torque-sigma") for value in ("-1", "nan", "1e9")),
+        *((option, ["0", "nan", "0", "0", "0", "0"]) for option in ("--tracker", "--sensor")),
+        ("--wrench-point", ["0", "0", "inf"]),
+        ("--point", ["mp1=nan,0,0"]),
+        ("--point", ["mp1=0,0,0", "--point", "mp1=1,0,0"]),
+        ("--name", [""]),
+    ],
+)
+def test_a_wrong_option_is_named(
+    robot: str, option: str, values: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    load = [] if robot == "ur5e" else ["--rated-load", "5"]
+    assert run("init", robot, *load, option, *values, "--out", tmp_path / "my") == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"{option}: found ")
+    assert error.count("\n") == 1
+    assert not (tmp_path / "my").exists()
+
+
+@pytest.mark.parametrize("robot", ["ur5e", str(CELL.parent.parent / "robots" / "kr240.urdf")])
+def test_a_wrong_link_is_named_with_the_robot(robot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for option, place in (("--base-link", "base link"), ("--flange", "flange")):
+        assert run("init", robot, "--rated-load", 5, option, "foo", "--out", tmp_path / "my") == 2
+        assert capsys.readouterr().err.startswith(f"{robot}: {place}: found 'foo', expected a link of the URDF: ")
+
+
+def test_a_noiseless_sensor_that_is_stated_is_not_taken_for_unknown(tmp_path: Path) -> None:
+    assert run("init", "ur5e", "--force-sigma", 0, "--torque-sigma", 0, "--out", tmp_path / "my") == 0
+    sensor = load_cell(tmp_path / "my" / "cell.yaml").instruments.force_torque
+    assert sensor is not None
+    assert (sensor.sigma_force, sensor.sigma_torque) == (0.0, 0.0)
+
+
 def test_an_edited_file_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("init", "ur5e", "--out", tmp_path / "my") == 0
     (tmp_path / "my" / "cell.yaml").write_text("mine")

@@ -6,12 +6,14 @@ import dataclasses
 import json
 import re
 from collections.abc import Mapping, Sequence
+from typing import TypeVar
 
 from calibration_core.cell.schema import FIRST_LINE
 from calibration_core.cell.serial_chain import SerialChain
 
 SCHEMA_NAME, URDF_NAME = "cell.schema.json", "robot.urdf"
 GUESS = "TO BE MEASURED"
+Value = TypeVar("Value")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,12 +70,13 @@ def cell_text(answers: Answers, chain: SerialChain, reach: float) -> str:
         chain: What the URDF says.
         reach: m, by which usual values are sized.
     """
-    points = answers.points or _usual_points(reach)
-    sensor = answers.sensor or (0.0,) * 6
-    wrench_point = answers.wrench_point or (0.0, 0.0, round(0.08 * reach, 3))
+    points = _stated(answers.points, _usual_points(reach))
+    sensor = _stated(answers.sensor, (0.0,) * 6)
+    wrench_point = _stated(answers.wrench_point, (0.0, 0.0, round(0.08 * reach, 3)))
     weight = answers.rated_load * 9.81
-    sigma = answers.tracker_sigma or 2.0e-5
-    force, torque = answers.force_sigma or max(4e-4 * weight, 0.02), answers.torque_sigma or max(1e-4 * weight, 0.005)
+    sigma = _stated(answers.tracker_sigma, 2.0e-5)
+    force = _stated(answers.force_sigma, max(4e-4 * weight, 0.02))
+    torque = _stated(answers.torque_sigma, max(1e-4 * weight, 0.005))
     masses = (
         f"it states masses of {chain.masses:.4g} kg in all"
         if chain.masses
@@ -108,6 +111,11 @@ measurements:
   wrench_axes: sensor  # or base: the axes in which the wrench is recorded
   wrench_at: sensor  # or wrench_point: the point that the recorded torque is about
 """
+
+
+def _stated(value: Value | None, usual: Value) -> Value:
+    """Return what is known, zero too, and else the usual value."""
+    return usual if value is None else value
 
 
 def _tracker(pose: Sequence[float] | None) -> str:

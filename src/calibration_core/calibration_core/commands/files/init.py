@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +16,7 @@ from calibration_core.cell.library import library_robot
 from calibration_core.cell.schema import cell_schema_text
 from calibration_core.cell.serial_chain import SerialChain, serial_chain
 from calibration_core.commands.files.cell_text import SCHEMA_NAME, URDF_NAME, Answers, cell_text, guessed
-from calibration_core.commands.files.init_arguments import numbers, point
+from calibration_core.commands.files.init_arguments import numbers, point, points
 from calibration_core.errors import InputError, OutputError, RecordingError, shown_path
 from calibration_core.model.robot import chain_of
 from calibration_core.outcomes.inputs import digest_of
@@ -28,6 +29,18 @@ from calibration_core.report.writing.output import RESULT, write_files
 CELL_NAME = "cell.yaml"
 TOPIC = "/robot_description"
 BAGS = (".mcap", ".db3")
+OPTIONS = {
+    "name": "--name",
+    "robot.rated_load": "--rated-load",
+    "frames.tracker": "--tracker",
+    "frames.force_torque": "--sensor",
+    "frames.wrench_point": "--wrench-point",
+    "frames.measurement_points": "--point",
+    "instruments.tracker": "--tracker-sigma",
+    "instruments.force_torque.sigma_force": "--force-sigma",
+    "instruments.force_torque.sigma_torque": "--torque-sigma",
+}
+"""Place in the cell file -> the option that states it."""
 Value = TypeVar("Value")
 
 
@@ -44,9 +57,10 @@ def run(arguments: argparse.Namespace) -> str:
     with tempfile.TemporaryDirectory(prefix="calibration-init-") as folder:
         urdf = Path(folder) / URDF_NAME
         origin, answers = _robot(arguments, urdf)
-        chain = serial_chain(_named(urdf, origin), arguments.base_link, arguments.flange)
-        asked = _asked(arguments, answers or _stated(arguments, origin, chain))
-        text, joints = _tested(Path(folder), asked, chain)
+        with _naming(Path(folder), origin if answers is None else arguments.robot):
+            chain = serial_chain(urdf, arguments.base_link, arguments.flange)
+            asked = _asked(arguments, answers or _stated(arguments, origin, chain))
+            text, joints = _tested(Path(folder), asked, chain)
         files = {
             CELL_NAME: text.encode(),
             URDF_NAME: urdf.read_bytes(),
@@ -92,15 +106,23 @@ def _robot(arguments: argparse.Namespace, urdf: Path) -> tuple[str, Answers | No
     known = library_robot(arguments.robot)
     urdf.write_bytes(known.urdf.read_bytes())
     name = f"{known.maker} {known.name}"
-    load = arguments.rated_load or known.rated_load
     stated = _options(arguments)
-    return known.source, Answers(arguments.name or f"cell of the {known.name}", name, known.source, load, **stated)
+    load = known.rated_load if arguments.rated_load is None else arguments.rated_load
+    return known.source, Answers(_name(arguments, f"the {known.name}"), name, known.source, load, **stated)
 
 
-def _named(urdf: Path, origin: str) -> Path:
-    """Let errors about the URDF name the file that was given, where there is one."""
-    given = Path(origin)
-    return given if given.suffix.lower() in {".urdf", ".xml"} and given.exists() else urdf
+@contextlib.contextmanager
+def _naming(folder: Path, origin: str) -> Iterator[None]:
+    """Let errors about files in a folder that nobody will see name the option at fault, or where the robot is from."""
+    try:
+        yield
+    except InputError as error:
+        if not Path(error.file).is_relative_to(folder):
+            raise
+        option = next((name for place, name in OPTIONS.items() if f"{error.place}.".startswith(f"{place}.")), None)
+        if option is not None:
+            raise InputError(option, "", error.found, error.expected) from None
+        raise InputError(origin, error.place, error.found, error.expected) from None
 
 
 def _stated(arguments: argparse.Namespace, origin: str, chain: SerialChain) -> Answers:
@@ -109,8 +131,11 @@ def _stated(arguments: argparse.Namespace, origin: str, chain: SerialChain) -> A
         load = _question(arguments, "Rated load of the robot in kg", None, float)
     if load is None:
         raise InputError(origin, "rated load", "nothing (a URDF does not state it)", "--rated-load KG")
-    name = arguments.name or f"cell of {chain.name}"
-    return Answers(name, chain.name, origin, load, **_options(arguments))
+    return Answers(_name(arguments, chain.name), chain.name, origin, load, **_options(arguments))
+
+
+def _name(arguments: argparse.Namespace, robot: str) -> str:
+    return f"cell of {robot}" if arguments.name is None else str(arguments.name)
 
 
 def _options(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -118,11 +143,18 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
         "tracker": arguments.tracker,
         "sensor": arguments.sensor,
         "wrench_point": arguments.wrench_point,
-        "points": dict(arguments.point) if arguments.point else None,
+        "points": _stated_points(arguments.point),
         "tracker_sigma": arguments.tracker_sigma,
         "force_sigma": arguments.force_sigma,
         "torque_sigma": arguments.torque_sigma,
     }
+
+
+def _stated_points(given: list[tuple[str, tuple[float, ...]]] | None) -> dict[str, tuple[float, ...]] | None:
+    try:
+        return None if given is None else points(given)
+    except ValueError as error:
+        raise InputError("--point", "", str(error), "every target once") from None
 
 
 def _asked(arguments: argparse.Namespace, answers: Answers) -> Answers:
@@ -159,7 +191,7 @@ def _question(
 
 
 def _points(text: str) -> dict[str, tuple[float, ...]]:
-    return dict(point(word) for word in text.split())
+    return points([point(word) for word in text.split()])
 
 
 def _tested(folder: Path, answers: Answers, chain: SerialChain) -> tuple[str, tuple[str, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 
 
 def numbers(words: list[str]) -> tuple[float, ...]:
@@ -33,6 +34,20 @@ def point(text: str) -> tuple[str, tuple[float, ...]]:
         msg = f"{text!r} instead of NAME=x,y,z (m, flange frame)"
         raise argparse.ArgumentTypeError(msg)
     return name.strip(), values
+
+
+def points(places: Sequence[tuple[str, tuple[float, ...]]]) -> dict[str, tuple[float, ...]]:
+    """Return name -> place of targets.
+
+    Raises:
+        ValueError: A name stands twice.
+    """
+    names = [name for name, _ in places]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        msg = f"{twice[0]!r} {names.count(twice[0])} times"
+        raise ValueError(msg)
+    return dict(places)
 
 
 def init_arguments(parser: argparse.ArgumentParser) -> None:
