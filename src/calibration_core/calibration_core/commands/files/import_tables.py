@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ def run(arguments: argparse.Namespace) -> str:
         RecordingError: A file or the map cannot be used, or can be read in more than one way.
         OutputError: The results cannot be written.
     """
-    imported = import_files(arguments.files, _map(arguments.map))
+    imported = import_files(arguments.files, _map(arguments.map, arguments.files))
     result = json.dumps(_result(imported, arguments), indent=2, ensure_ascii=False) + "\n"
     write_files(
         arguments.out,
@@ -59,12 +60,14 @@ def _columns(source: Source) -> list[str]:
     return lines
 
 
-def _map(path: Path | None) -> ImportMap | None:
+def _map(path: Path | None, files: Sequence[Path]) -> ImportMap | None:
     if path is None:
         return None
     file = read_yaml(path, MAX_MAP, "map (YAML)", RecordingError)
     with file.locating():
-        return import_map(file.path, file.data)
+        how = import_map(file.path, file.data)
+        how.check_used(file.path, files)
+    return how
 
 
 def _result(imported: Imported, arguments: argparse.Namespace) -> dict[str, Any]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from calibration_core.errors import RecordingError, quoted
@@ -16,6 +17,7 @@ from calibration_core.recording.foreign.units import unit_of
 SEPARATORS = ("\t", ";", "|", ",")  # blanks are tried last, because names contain them
 BLANKS = " "
 LEAST_NUMBERS = 3  # in a row of data: the coordinates of a point
+READABLE = 0.5  # share of the rows below the first row of data that a separator must make readable
 COMMENT = re.compile(r"^\s*(?:#|//|!|%|\*|;(?=\s*[A-Za-z]))+\s*")
 _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"),
@@ -23,6 +25,8 @@ _NUMBER = {
 }
 _GROUPED = {".": re.compile(r"[+-]?\d{1,3}(?:,\d{3})+\.\d+"), ",": re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d+")}
 _COULD_BE_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:,\d{3})+")
+
+_Line = tuple[int, list[str]]  # index and fields
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +37,7 @@ class Grid:
         path: The file.
         header: Names of the columns; empty if the file has none.
         units: Row of units below the header; empty if there is none.
-        rows: Fields of the rows of data, all as long as the first.
+        rows: Fields of all rows of data, all equally many; what is missing at the end of a row is empty.
         lines: Line number of each row.
         separator: Between fields; a blank stands for any run of blanks.
         decimal: Decimal mark.
@@ -58,20 +62,25 @@ class Grid:
         text = self.rows[row][column].strip()
         value = number_of(text, self.decimal)
         if value is None:
-            name = self.header[column] if self.header else str(column + 1)
-            place = f"line {self.lines[row]}, column {name}"
-            raise RecordingError(self.path, place, quoted(text), f"a number (decimal mark {quoted(self.decimal)})")
+            raise self.fault(row, column, f"a finite number (decimal mark {quoted(self.decimal)})")
         return value
+
+    def fault(self, row: int, column: int, expected: str) -> RecordingError:
+        """Return an error at a field."""
+        name = self.header[column] if self.header else str(column + 1)
+        place = f"line {self.lines[row]}, column {name}"
+        return RecordingError(self.path, place, quoted(self.rows[row][column]), expected)
 
 
 def number_of(text: str, decimal: str) -> float | None:
-    """Return the number that a field holds, None if it is none; `1.234,5` is read with a decimal comma."""
+    """Return the finite number that a field holds, None if it is none; `1.234,5` is read with a decimal comma."""
     text = text.strip()
     if _GROUPED[decimal].fullmatch(text):
         text = text.replace("." if decimal == "," else ",", "")
     elif not _NUMBER[decimal].fullmatch(text):
         return None
-    return float(text.replace(",", "."))
+    value = float(text.replace(",", "."))
+    return value if math.isfinite(value) else None
 
 
 def split_line(line: str, separator: str) -> list[str]:
@@ -88,7 +97,7 @@ def split_line(line: str, separator: str) -> list[str]:
 def read_grid(
     text: Text, separator: str | None = None, decimal: str | None = None, header_line: int | None = None
 ) -> Grid:
-    """Find the table in a text.
+    """Find the table in a text; below its header, all but empty lines, comments and a repeated header are data.
 
     Args:
         text: The file.
@@ -97,75 +106,63 @@ def read_grid(
         header_line: Line number of the header; 0: there is none; None: found.
 
     Raises:
-        RecordingError: No table is found, or its decimal mark is ambiguous.
+        RecordingError: No table is found, its decimal mark is ambiguous, or a row has more fields than columns.
     """
     for candidate in (separator,) if separator else (*SEPARATORS, BLANKS):
         for mark in (decimal,) if decimal else ((".",) if candidate == "," else (".", ",")):
             found = _data(text.lines, candidate, mark)
             if found is not None:
-                lines, rows = found
                 if decimal is None and candidate != ",":
-                    _refuse_ambiguous(text, rows, lines)
-                return _framed(text, candidate, mark, lines, rows, header_line)
+                    _refuse_ambiguous(text, found)
+                return _framed(text, candidate, mark, found, header_line)
     expected = f"rows of at least {LEAST_NUMBERS} numbers, separated by tab, semicolon, bar, comma or blanks"
     raise RecordingError(text.path, "", "no table", expected)
 
 
-def _data(lines: Sequence[str], separator: str, decimal: str) -> tuple[list[int], list[list[str]]] | None:
-    """Return indices and fields of the rows of data, or None if this separator makes no table."""
+def _data(lines: Sequence[str], separator: str, decimal: str) -> list[_Line] | None:
+    """Return the rows of data that are plain at once, or None if this separator makes no table."""
     numbered = []
     for index, line in enumerate(lines):
-        if line.strip() and not COMMENT.match(line):
+        if not _is_comment(line, separator):
             fields = split_line(line, separator)
             if sum(number_of(field, decimal) is not None for field in fields) >= LEAST_NUMBERS:
                 numbered.append((index, fields))
     if not numbered:
         return None
-    width, count = Counter(len(fields) for _, fields in numbered).most_common(1)[0]
-    after = sum(bool(line.strip()) and not COMMENT.match(line) for line in lines[numbered[0][0] :])
-    if count < 0.8 * after:
-        return None
-    kept = [(index, fields) for index, fields in numbered if len(fields) == width]
-    return [index for index, _ in kept], [fields for _, fields in kept]
+    width, _ = Counter(len(fields) for _, fields in numbered).most_common(1)[0]
+    first = numbered[0][0]
+    plain = [(index, fields) for index, fields in numbered if len(fields) == width]
+    after = sum(bool(split_line(line, separator)) and not _is_comment(line, separator) for line in lines[first:])
+    return plain if len(plain) >= READABLE * after else None
 
 
-def _refuse_ambiguous(text: Text, rows: list[list[str]], lines: list[int]) -> None:
+def _refuse_ambiguous(text: Text, rows: Sequence[_Line]) -> None:
     """Refuse a table in which every number with a comma could have thousands marked by it."""
-    commas = [(row, field) for row, fields in enumerate(rows) for field in fields if "," in field]
-    numbers = [(row, field) for row, field in commas if _NUMBER[","].fullmatch(field)]
+    commas = [(index, field) for index, fields in rows for field in fields if "," in field]
+    numbers = [(index, field) for index, field in commas if _NUMBER[","].fullmatch(field)]
     if numbers and all(_COULD_BE_THOUSANDS.fullmatch(field) for _, field in numbers):
-        row, field = numbers[0]
-        raise RecordingError(
-            text.path,
-            f"line {lines[row] + 1}",
-            quoted(field),
-            "a number that can be read in one way only: give `decimal`",
-        )
+        index, field = numbers[0]
+        expected = "a number that can be read in one way only: give `decimal`"
+        raise RecordingError(text.path, f"line {index + 1}", quoted(field), expected)
 
 
-def _framed(
-    text: Text, separator: str, decimal: str, lines: list[int], rows: list[list[str]], header_line: int | None
-) -> Grid:
-    width = len(rows[0])
-    first = lines[0]
+def _framed(text: Text, separator: str, decimal: str, plain: Sequence[_Line], header_line: int | None) -> Grid:
+    first, width = plain[0][0], len(plain[0][1])
     above = [
         (index, split_line(COMMENT.sub("", line), separator))
         for index, line in enumerate(text.lines[:first])
         if line.strip()
     ]
+
+    def data(index: int, fields: Sequence[str]) -> bool:
+        numbers = sum(number_of(field, decimal) is not None for field in fields)
+        least = 1 if len(fields) == width else LEAST_NUMBERS
+        return numbers >= least and not _is_comment(text.lines[index], separator)
+
     header: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     used = first
-    if header_line is None:
-        for index, fields in reversed(above):
-            if len(fields) == width and not units and _are_units(fields):
-                units, used = tuple(fields), index
-            elif len(fields) == width and any(not _is_number(field) for field in fields):
-                header, used = tuple(fields), index
-                break
-            elif not units:
-                break  # the header stands directly above the data
-    elif header_line > 0:
+    if header_line:
         found = next((fields for index, fields in above if index == header_line - 1), None)
         if found is None or len(found) != width:
             here = f"{len(found)} names" if found else "no header"
@@ -173,10 +170,49 @@ def _framed(
         header, used = tuple(found), header_line - 1
         below = next((fields for index, fields in above if index > used), None)
         units = tuple(below) if below and len(below) == width and _are_units(below) else ()
+        first = header_line
+    else:
+        for index, fields in reversed(above):
+            if data(index, fields):
+                first = used = index  # with a field that is no number where one is expected
+            elif header_line == 0:
+                break
+            elif len(fields) == width and not units and _are_units(fields):
+                units, used = tuple(fields), index
+            elif len(fields) == width:
+                header, used = tuple(fields), index
+                break
+            elif not units:
+                break  # the header stands directly above the data
+    rows = list(_rows(text, separator, first, (header, units), width))
     remarks = tuple(line.strip() for line in text.lines[:used] if line.strip())
-    remarks += tuple(line.strip() for line in text.lines[first:] if COMMENT.match(line))
-    numbers = tuple(index + 1 for index in lines)
-    return Grid(text.path, header, units, tuple(map(tuple, rows)), numbers, separator, decimal, remarks)
+    remarks += tuple(line.strip() for line in text.lines[first:] if _is_comment(line, separator))
+    numbers = tuple(index + 1 for index, _ in rows)
+    return Grid(text.path, header, units, tuple(fields for _, fields in rows), numbers, separator, decimal, remarks)
+
+
+def _rows(
+    text: Text, separator: str, first: int, headers: Sequence[tuple[str, ...]], width: int
+) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """Yield index and fields of every row of data: what is neither empty, nor a comment, nor the header once more.
+
+    Raises:
+        RecordingError: A row has more fields than there are columns, or fewer where no header or blanks tell which.
+    """
+    for index, line in enumerate(text.lines[first:], first):
+        fields = split_line(line, separator)
+        if not fields or _is_comment(line, separator) or tuple(fields) in headers:
+            continue
+        if len(fields) > width or (len(fields) < width and (separator == BLANKS or not headers[0])):
+            found = f"{len(fields)} fields ({quoted(line.strip())})"
+            raise RecordingError(text.path, f"line {index + 1}, column {min(len(fields), width) + 1}", found,
+                                 f"{width} fields, one for each column")  # fmt: skip
+        yield index, (*fields, *[""] * (width - len(fields)))
+
+
+def _is_comment(line: str, separator: str) -> bool:
+    """Say whether a line is a comment; a semicolon that separates columns begins none."""
+    return bool(COMMENT.match(line)) and not (separator == ";" and line.lstrip().startswith(";"))
 
 
 def _are_units(fields: Sequence[str]) -> bool:

@@ -63,6 +63,8 @@ def import_files(paths: Sequence[Path], how: ImportMap | None = None) -> Importe
     account: list[str] = []
     sources = tuple(read_source(Path(path), how.of(Path(path))) for path in paths)
     positions = [source for source in sources if source.has_points]
+    for source in positions:
+        _refuse_repeated(source)
     if not positions:
         raise RecordingError(paths[0], "", "no file with positions x y z", "the points that the tracker measured")
     whole = positions[0] if len(positions) == 1 else _stacked(positions, account)
@@ -84,6 +86,17 @@ def import_files(paths: Sequence[Path], how: ImportMap | None = None) -> Importe
             account.append(f"{wrench.path.name} has no torques: they are taken as zero.")
         force = np.column_stack([*(wrench.numbers[name][w_rows] for name in FORCES), *torque])
     return Imported(_readings(rows, q, force, paths, account), sources, tuple(account))
+
+
+def _refuse_repeated(source: Source) -> None:
+    """Refuse a row that equals an earlier one in every column: no instrument measures the same point twice alike."""
+    seen: dict[tuple[object, ...], int] = {}
+    columns = [*(values.tolist() for values in source.numbers.values()), *source.texts.values()]
+    for row, key in enumerate(zip(*columns, strict=True)):
+        if key in seen:
+            found = f"the same reading as in line {source.lines[seen[key]]}"
+            raise source.fault(row, source.taken[0].column, found, "every reading once")
+        seen[key] = row
 
 
 def _only(others: Sequence[Source], wanted: Callable[[Source], bool], what: str, first: Path) -> Source | None:
@@ -110,17 +123,22 @@ def _stacked(positions: Sequence[Source], account: list[str]) -> Source:
             numbers["configuration"] = np.concatenate(counts).astype(float)
             account.append("The number in each file's name is the configuration.")
     lines = tuple(line for one in positions for line in one.lines)
-    return dataclasses.replace(first, numbers=numbers, texts=texts, lines=lines)
+    files = tuple(one.path for one in positions for _ in one.lines)
+    return dataclasses.replace(first, numbers=numbers, texts=texts, lines=lines, files=files)
 
 
 def _keyed(source: Source, how: ImportMap, account: list[str]) -> _Rows:
     configuration = _integers(source, "configuration")
     step = _integers(source, "step")
-    labels = source.texts.get("point") or source.texts.get("name")
+    column = "point" if source.texts.get("point") else "name"
+    labels = source.texts.get(column)
     if labels is None:
         point = tuple([ONLY_POINT] * len(source))
         account.append(f"No column names a point: all positions belong to one, called {ONLY_POINT}.")
         return _Rows(source, configuration, step, point, np.arange(len(source)))
+    for row, label in enumerate(labels):
+        if not label.isprintable() or not label:
+            raise source.fault(row, column, quoted(label), "the name of a point, of printable characters")
     point = labels
     pattern = how.of(source.path).name
     if pattern is not None:
@@ -288,6 +306,14 @@ def _readings(rows: _Rows, q: Float2D, wrench: Float2D | None, paths: Sequence[P
     account.append(
         f"{configurations} configurations, {steps} steps, {len(points)} points ({shown}), {q.shape[1]} joints."
     )
+    keys: dict[tuple[int, int, str], int] = {}
+    for row, key in enumerate(zip(configuration.tolist(), step.tolist(), rows.point, strict=True)):
+        if key in keys:
+            first = keys[key]
+            found = f"configuration {key[0]}, step {key[1]}, point {key[2]} as in line {source.lines[first]}"
+            found += f" of {source.file(first).name}" if source.file(first) != source.file(row) else ""
+            raise source.fault(row, "point", found, "every reading once")
+        keys[key] = row
     order = np.arange(len(q))
     if not _in_order(configuration, step):
         order = np.lexsort((order, step, configuration))

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -29,6 +30,7 @@ from calibration_core.recording.foreign.text import ENCODINGS
 from calibration_core.recording.foreign.units import UNITS, ForeignUnit, unit_of
 
 MEANINGS = (*AXES, *FORCES, *TORQUES, *COUNTS, *NAMES, "time", "temperature", IGNORED)
+UNIT_KEYS = ("q", "q1 ... qn", "xyz", *AXES, "f", *FORCES, "t", *TORQUES, "time", "temperature")
 GROUPS = ("configuration", "step", "point")
 Text = Annotated[str, Field(max_length=1000)]
 EXPECTED = {
@@ -80,7 +82,9 @@ class FileMap(BaseModel):
     @field_validator("units")
     @classmethod
     def _units(cls, value: dict[str, str]) -> dict[str, str]:
-        for text in value.values():
+        for meaning, text in value.items():
+            if not JOINT.fullmatch(meaning):
+                _choice(meaning, UNIT_KEYS)
             if unit_of(text) is None:
                 _choice(text, sorted({unit.name for unit in UNITS.values()}))
         return value
@@ -94,7 +98,7 @@ class FileMap(BaseModel):
             except re.error as error:
                 raise ValueError(f"{value!r} is no regular expression: {error}") from None
             if "configuration" not in groups or not set(groups) <= set(GROUPS):
-                raise ValueError(f"the groups {sorted(groups)}: configuration, and at most step and point, are wanted")
+                raise ValueError("a group (?P<configuration>...), and at most groups named step and point besides")
         return value
 
     def unit(self, meaning: str) -> ForeignUnit | None:
@@ -119,6 +123,20 @@ class ImportMap(BaseModel):
     def of(self, path: Path) -> FileMap:
         """Return what is stated of a file."""
         return next((one for one in self.files if fnmatch.fnmatch(path.name, one.match)), FileMap())
+
+    def check_used(self, map_file: Path, paths: Sequence[Path]) -> None:
+        """Refuse an entry that fits no file: what it states would not be heeded.
+
+        Raises:
+            RecordingError: Names the entry's place in the map.
+        """
+        used = [self.of(path) for path in paths]
+        for index, one in enumerate(self.files):
+            if not any(one is entry for entry in used):
+                place = f"files.{index}.match" if "match" in one.model_fields_set else f"files.{index}"
+                names = ", ".join(path.name for path in paths[:8]) + (", ..." if len(paths) > 8 else "")
+                expected = f"a pattern that fits one of the files ({names}) and stands before others that fit it"
+                raise RecordingError(map_file, place, quoted(one.match), expected)
 
 
 def import_map(path: Path, content: object) -> ImportMap:

@@ -68,6 +68,7 @@ class Source:
         lines: Line of each row, for messages.
         taken: What the columns were taken for.
         ignored: Columns that were not used.
+        files: File of each row, where several files of positions were put one below the other.
     """
 
     path: Path
@@ -77,6 +78,7 @@ class Source:
     lines: tuple[int, ...]
     taken: tuple[Taken, ...]
     ignored: tuple[str, ...]
+    files: tuple[Path, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -99,7 +101,11 @@ class Source:
 
     def fault(self, row: int, column: str, found: str, expected: str) -> RecordingError:
         """Return an error at a row."""
-        return RecordingError(self.path, f"line {self.lines[row]}, column {column}", found, expected)
+        return RecordingError(self.file(row), f"line {self.lines[row]}, column {column}", found, expected)
+
+    def file(self, row: int) -> Path:
+        """Return the file of a row."""
+        return self.files[row] if self.files else self.path
 
 
 def read_source(path: Path, how: FileMap) -> Source:
@@ -136,7 +142,7 @@ def read_source(path: Path, how: FileMap) -> Source:
             _times(grid, i) if dimension == "time" else np.array([grid.number(row, i) for row in range(len(grid.rows))])
         )
         if meaning in COUNTS:
-            _check_integers(grid, i, names[i], raw)
+            _check_integers(grid, i, raw)
         numbers[meaning] = raw
         unit = how.unit(meaning) or stated[i] or remarked.get(dimension)
         taken.append(
@@ -213,10 +219,9 @@ def _check_whole(grid: Grid, columns: Mapping[str, int]) -> None:
         raise RecordingError(grid.path, "columns", seen, "positions x y z, joint angles or forces among them")
 
 
-def _check_integers(grid: Grid, column: int, name: str, values: Float1D) -> None:
+def _check_integers(grid: Grid, column: int, values: Float1D) -> None:
     for row in np.flatnonzero((values != np.round(values)) | (np.abs(values) > 2**53)):
-        place = f"line {grid.lines[row]}, column {name}"
-        raise RecordingError(grid.path, place, quoted(grid.rows[row][column]), "an integer")
+        raise grid.fault(int(row), column, "an integer")
 
 
 def _times(grid: Grid, column: int) -> Float1D:
@@ -227,8 +232,7 @@ def _times(grid: Grid, column: int) -> Float1D:
         number = number_of(text, grid.decimal)
         stamp = number if number is not None else _stamp(text)
         if stamp is None:
-            place = f"line {grid.lines[row]}, column {column + 1}"
-            raise RecordingError(grid.path, place, quoted(text), "seconds, or a date and time")
+            raise grid.fault(row, column, "seconds, or a date and time")
         values.append(stamp)
     return np.array(values)
 
