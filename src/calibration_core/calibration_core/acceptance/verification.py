@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 
 from calibration_core.acceptance.decision import Decision, decide, overall
+from calibration_core.acceptance.prediction_covariance import by_wrench, model_columns, propagated, repeatability
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError
 from calibration_core.identification.stiffness.predict import predict_readings, references
 from calibration_core.model.identified.calibrated import CalibratedModel
-from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.named_values import with_values
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.observations.covariance import position_covariance, wrench_covariance
+from calibration_core.observations.covariance import position_covariance
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Readings
 
 FEWEST = 3  # places from which a frame is fitted
-SAME_LOAD = 0.02  # of the largest load: steps so near to each other repeat a load
 GEOMETRY = ("geometry", "tracker", "measurement_points", "wrench_point", "force_torque")
 Source = Literal["tracker", "wrench", "geometry", "model", "repeatability"]
 SOURCES: tuple[Source, ...] = ("tracker", "wrench", "geometry", "model", "repeatability")
@@ -99,16 +96,16 @@ def verify(
     keep = np.ones(len(readings), dtype=bool)
     if displacement:  # the first step of every configuration and point is the reference: zero by definition
         keep = ~references(readings)
-    known, columns = _model_columns(readings, cell, parameters, model.estimate, frame)
+    known, columns = model_columns(readings, cell, parameters, model.estimate, frame)
     tracker = position_covariance(readings, cell)
     covariances: dict[Source, Float3D] = {
         "tracker": tracker,
-        "wrench": _by_wrench(readings, cell, parameters),
-        "geometry": _propagated(known, columns, lambda group: group in GEOMETRY),
-        "model": _propagated(known, columns, lambda group: group not in GEOMETRY),
-        "repeatability": _repeatability(readings, error, tracker),
+        "wrench": by_wrench(readings, cell, parameters),
+        "geometry": propagated(known, columns, lambda group: group in GEOMETRY),
+        "model": propagated(known, columns, lambda group: group not in GEOMETRY),
+        "repeatability": repeatability(readings, error, tracker),
     }
-    both = _propagated(known, columns, lambda _: True)
+    both = propagated(known, columns, lambda _: True)
     total = covariances["tracker"] + covariances["wrench"] + covariances["repeatability"] + both
     size = np.linalg.norm(error, axis=1)
     direction = _directions(error, total)
@@ -126,7 +123,7 @@ def verify(
         decision=overall(decisions),
         tolerance=tolerance,
         fitted=fit_tracker,
-        elsewhere=None if fit_tracker or displacement or places < FEWEST else _refitted(readings, cell, parameters),
+        elsewhere=None if fit_tracker or displacement or places < FEWEST else refitted_rms(readings, cell, parameters),
         outside=_outside(readings, model)[keep],
         with_intervals=model.estimate is not None and bool(model.estimate.names),
     )
@@ -153,7 +150,8 @@ def frame_columns(readings: Readings) -> Float3D:
     return columns
 
 
-def _refitted(readings: Readings, cell: Cell, parameters: ModelParameters) -> float:
+def refitted_rms(readings: Readings, cell: Cell, parameters: ModelParameters) -> float:
+    """Return the root mean square per coordinate, m, of the errors with the tracker's pose fitted to the recording."""
     fitted = with_fitted_tracker(readings, cell, parameters)
     return float(np.sqrt(np.mean((readings.position - predict_readings(readings, cell, fitted)) ** 2)))
 
@@ -166,92 +164,6 @@ def _before(readings: Readings, cell: Cell, keep: Bool1D, *, fit_tracker: bool) 
     if fit_tracker:
         nominal = with_fitted_tracker(readings, cell, nominal)
     return np.asarray((readings.position - predict_readings(readings, cell, nominal))[keep])
-
-
-def _model_columns(
-    readings: Readings,
-    cell: Cell,
-    parameters: ModelParameters,
-    estimate: GaussianEstimate | None,
-    frame: Float3D | None,
-) -> tuple[GaussianEstimate, Float3D]:
-    """Return what is known of the model with limits, and (m, 3, p) how the predictions move with it, per unit.
-
-    Central differences over one standard deviation.  With a frame that is fitted, (m, 3, 6), what a rigid movement of
-    all points takes up is taken off.
-    """
-    m = len(readings)
-    std = np.zeros(0) if estimate is None else estimate.std
-    known = GaussianEstimate.nothing() if estimate is None else estimate.chosen(
-        np.flatnonzero(np.isfinite(std) & (std > 0))
-    )  # fmt: skip
-    columns = np.zeros((m, 3, len(known.names)))
-    for k, (name, value, step) in enumerate(zip(known.names, known.value, known.std, strict=True)):
-        ends = [
-            predict_readings(readings, cell, with_values(parameters, {name: value + sign * step}))
-            for sign in (1.0, -1.0)
-        ]
-        columns[:, :, k] = (ends[0] - ends[1]) / (2 * step)
-    if frame is not None:
-        basis, _ = np.linalg.qr(frame.reshape(-1, 6))
-        flat = columns.reshape(3 * m, -1)
-        columns = (flat - basis @ (basis.T @ flat)).reshape(columns.shape)
-    return known, columns
-
-
-def _propagated(known: GaussianEstimate, columns: Float3D, chosen: Callable[[str], bool]) -> Float3D:
-    """Return what is not known of some of the model's numbers, by their group, in the predictions, (m, 3, 3) m^2."""
-    rows = [k for k, name in enumerate(known.names) if chosen(name.partition(".")[0])]
-    part, covariance = columns[:, :, rows], known.covariance[np.ix_(rows, rows)]
-    return np.asarray(part @ covariance @ np.swapaxes(part, 1, 2))
-
-
-def _by_wrench(readings: Readings, cell: Cell, parameters: ModelParameters) -> Float3D:
-    """Return what the noise of the wrench does to the predictions, by central differences."""
-    m = len(readings)
-    if readings.wrench is None:
-        return np.zeros((m, 3, 3))
-    covariance = wrench_covariance(readings, cell)
-    columns = np.zeros((m, 3, 6))
-    for k in range(6):
-        step = np.zeros((m, 6))
-        step[:, k] = np.sqrt(covariance[:, k, k])
-        if not step.any():
-            continue
-        ends = [
-            predict_readings(dataclasses.replace(readings, wrench=readings.wrench + sign * step), cell, parameters)
-            for sign in (1.0, -1.0)
-        ]
-        columns[:, :, k] = (ends[0] - ends[1]) / 2
-    scale = np.sqrt(np.einsum("mkk->mk", covariance))
-    scale = np.where(scale > 0, scale, 1.0)
-    correlation = covariance / (scale[:, :, None] * scale[:, None, :])
-    return np.asarray(np.einsum("mak,mkl,mbl->mab", columns, correlation, columns))
-
-
-def _repeatability(readings: Readings, error: Float2D, tracker: Float3D) -> Float3D:
-    """Return the robot's scatter at repeated loads beyond the tracker's, (m, 3, 3) m^2; zeros where none was repeated.
-
-    Repeated are steps of one configuration and point whose wrenches differ by less than 2 % of the largest.
-    """
-    none = np.zeros((len(readings), 3, 3))
-    if readings.wrench is None:
-        return none
-    largest = np.linalg.norm(readings.wrench[:, :3], axis=1).max(initial=0.0)
-    if largest == 0.0:
-        return none
-    level = np.round(readings.wrench[:, :3] / (SAME_LOAD * largest)).astype(np.int64)
-    keys = np.column_stack([readings.configuration, readings.point, level])
-    _, group, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    group = group.reshape(-1)
-    repeated = count[group] > 1
-    freedom = int(np.sum(count[count > 1] - 1))
-    if freedom == 0:
-        return none
-    mean = np.stack([np.bincount(group, weights=error[:, k]) / count for k in range(3)], axis=1)
-    scatter = float(np.sum((error - mean[group])[repeated] ** 2)) / (3 * freedom)
-    noise = float(np.mean(np.trace(tracker[repeated], axis1=1, axis2=2))) / 3
-    return none + max(scatter - noise, 0.0) * np.eye(3)
 
 
 def _directions(error: Float2D, covariance: Float3D) -> Float2D:

@@ -29,7 +29,7 @@ def check_inputs(readings: Readings, cell: Cell) -> tuple[InputAnomaly, ...]:
         CellError: The robot cannot be read.
     """
     chain = chain_of(cell)
-    some = _some(readings)
+    some = some_of(readings)
     points = np.array([cell.frames.measurement_points[name] for name in readings.points])
     found = check_lengths(cell, chain)
     if not found and cell.measurements.points == "absolute":
@@ -57,7 +57,7 @@ def unit_note(readings: Readings, cell: Cell) -> Note | None:
         return None
     chain = chain_of(cell)
     points = np.array([cell.frames.measurement_points[name] for name in readings.points])
-    motion = _motion(_some(readings), cell, chain, points)
+    motion = _motion(some_of(readings), cell, chain, points)
     given = _ways(cell).get((cell.measurements.wrench_axes, cell.measurements.wrench_at))
     if motion is None or given is None:
         return None
@@ -74,7 +74,7 @@ def _facts(readings: Readings, cell: Cell) -> CellSizes:
     return CellSizes(robot.rated_load, robot.stiffness, robot.joints, cell.measurements.points == "absolute", claimed)
 
 
-def _some(readings: Readings) -> Readings:
+def some_of(readings: Readings) -> Readings:
     """Return whole configurations, evenly taken, of about as many readings as are looked at."""
     if len(readings) <= MOST:
         return readings

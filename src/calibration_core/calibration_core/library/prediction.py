@@ -9,26 +9,37 @@ from typing import Any
 
 import numpy as np
 
-from calibration_core.commands.evaluation.predict import files_of, prediction_result, prediction_summary
+from calibration_core.commands.evaluation.predict import Predicted, evaluate
+from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.recordings import Recording
-from calibration_core.library.result import Columns, Picture, Result
+from calibration_core.library.result import Columns, Judged, Picture
+from calibration_core.outcomes.inputs import refuse_lengths
 from calibration_core.outcomes.prediction import Prediction
-from calibration_core.outcomes.prediction import predict as predicted_by
-from calibration_core.report.writing.output import Content
 from calibration_core.timeseries import Float1D, Float2D
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class PredictionResult(Result):
+class PredictionResult(Judged):
     """A recording beside what a model predicts of it; nothing was fitted.
 
     Attributes:
         cell: The cell that it holds for.
-        found: Readings, predicted points and errors.
+        answer: The prediction, or the refusal of input that is not what it claims to be (`usable` is `no`).
     """
 
-    found: Prediction
+    answer: Predicted | Refusal
+
+    @property
+    def found(self) -> Prediction:
+        """Readings, predicted points and errors; m.
+
+        Raises:
+            IdentificationError: Nothing was predicted: the input is not what it claims to be.
+        """
+        if isinstance(self.answer, Refusal):
+            raise self.answer.error
+        return self.answer.found
 
     @property
     def predicted(self) -> Float2D:
@@ -43,6 +54,8 @@ class PredictionResult(Result):
     @property
     def tables(self) -> Mapping[str, Columns]:
         """`predictions`: `configuration step point x y z px py pz`, m, tracker frame; p: predicted."""
+        if isinstance(self.answer, Refusal):
+            return {"predictions": {}}
         readings, predicted = self.found.readings, self.found.predicted
         columns: dict[str, Any] = {
             "configuration": readings.configuration,
@@ -53,24 +66,12 @@ class PredictionResult(Result):
         columns |= dict(zip(("px", "py", "pz"), predicted.T, strict=True))
         return {"predictions": columns}
 
-    @property
-    def summary(self) -> str:
-        """The errors in a few lines, as the command prints them; mm."""
-        return prediction_summary(self.found)
-
     def plot(self) -> Picture:
         """Draw predicted against measured positions or deflections, per base axis, in mm or µm."""
         from calibration_core.report.figures.identification import prediction_figure
 
         svg = prediction_figure(self.found.shown().residuals, self.found.kind == "loaded")
         return Picture(svg, "Predicted and measured positions")
-
-    def files(self, *, report: bool = True) -> dict[str, Content]:
-        """Return result, predictions and report: file name -> bytes; arguments as for `save`."""
-        return files_of(self.found, self.cell, report=report)
-
-    def _content(self) -> dict[str, Any]:
-        return prediction_result(self.found, self.cell)
 
 
 def predict(recording: Recording, model: str | Path | HoldsModel) -> PredictionResult:
@@ -81,7 +82,8 @@ def predict(recording: Recording, model: str | Path | HoldsModel) -> PredictionR
         model: A model file, or the result of `identify` or `diagnose`.
 
     Returns:
-        Predicted points in m (tracker frame) with their errors.
+        Predicted points in m (tracker frame) with their errors, and whether they can be used. Where the input is not
+        what it claims to be, `usable` is `no` and nothing is predicted.
 
     Raises:
         InputError: The model cannot be used, or does not know a point of the recording.
@@ -90,4 +92,5 @@ def predict(recording: Recording, model: str | Path | HoldsModel) -> PredictionR
     Source: static equilibrium on the deformed geometry, CWA 17384, 6.2.
     """
     given = given_model(model, recording.cell)
-    return PredictionResult(recording.cell, predicted_by(recording.cell, given, recording.readings))
+    refuse_lengths(recording.cell)
+    return PredictionResult(recording.cell, evaluate(recording.cell, given, recording.readings))

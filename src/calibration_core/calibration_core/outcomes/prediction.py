@@ -13,6 +13,7 @@ from calibration_core.identification.checks.space import operating_space
 from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.result.estimate import OperatingSpace, Residuals
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings, references
+from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -20,6 +21,7 @@ from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
 from calibration_core.outcomes.inputs import naming_model, refuse_lengths
+from calibration_core.outcomes.prediction_check import PredictionCheck, check_prediction
 from calibration_core.timeseries import Float2D, Readings
 
 
@@ -58,6 +60,8 @@ class Prediction:
         error: Of the positions; where they are differences, reference steps, zero by definition, are not counted.
         before: The same with the cell file's model; None where it states no tracker pose.
         deflection: Error of the differences to step 0, with the model and with the cell file's; None for single steps.
+        check: The error beside what noise and the model's intervals allow.
+        noted: What else is wrong with the input and does not forbid a prediction.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
     """
 
@@ -70,6 +74,8 @@ class Prediction:
     error: ErrorSize
     before: ErrorSize | None
     deflection: tuple[ErrorSize, ErrorSize] | None
+    check: PredictionCheck
+    noted: tuple[InputAnomaly, ...]
     inputs: dict[str, dict[str, str]]
 
     def shown(self) -> Prediction:
@@ -86,8 +92,14 @@ class Prediction:
         )
 
 
-def predict(cell: Cell, given: GivenModel, readings: Readings) -> Prediction:
+def predict(cell: Cell, given: GivenModel, readings: Readings, noted: tuple[InputAnomaly, ...] = ()) -> Prediction:
     """Predict a recording with an identified model; nothing is fitted.
+
+    Args:
+        cell: The cell.
+        given: The model.
+        readings: The recording.
+        noted: What the look at the input found that does not forbid a prediction.
 
     Raises:
         InputError: The model does not know a point of the recording, or needs data that the recording has not.
@@ -97,6 +109,7 @@ def predict(cell: Cell, given: GivenModel, readings: Readings) -> Prediction:
     parameters = given.parameters
     with naming_model(Path(given.file)):
         predicted = predict_readings(readings, cell, parameters)
+        check = check_prediction(readings, cell, given.calibrated)
     error = readings.position - predicted
     displacement = cell.measurements.points == "displacement"
     counted_rows = ~references(readings) if displacement else np.ones(len(readings), dtype=bool)
@@ -119,6 +132,8 @@ def predict(cell: Cell, given: GivenModel, readings: Readings) -> Prediction:
         error=ErrorSize.of(error[counted_rows]),
         before=None if nominal is None else ErrorSize.of(nominal[counted_rows]),
         deflection=deflection,
+        check=check,
+        noted=noted,
         inputs=given.digest,
     )
 

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.shared.common import report_line, report_progress
+from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.identification.identify import is_loaded
-from calibration_core.model.identified.given import read_given
+from calibration_core.model.identified.given import GivenModel, read_given
 from calibration_core.observations.observe import observe
-from calibration_core.outcomes.inputs import refuse_lengths
+from calibration_core.outcomes.inputs import blocked, look, refuse_lengths, with_unit_note
 from calibration_core.outcomes.prediction import Prediction, predict
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import recording_record, result_json
+from calibration_core.report.results.traffic_light import light_of, with_light
 from calibration_core.report.rounding import counted
 from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.report.writing.tables import PREDICTIONS, predictions_csv
+from calibration_core.timeseries import Readings
+
+WITHIN = "the error is within what noise and the model's intervals allow"
 
 
 def run(arguments: argparse.Namespace) -> str:
@@ -32,15 +39,56 @@ def run(arguments: argparse.Namespace) -> str:
     cell = load_cell(arguments.cell)
     refuse_lengths(cell)
     given = read_given(arguments.model, cell)
-    found = predict(cell, given, observe(arguments.recording, cell))
+    answer = evaluate(cell, given, observe(arguments.recording, cell))
     report_progress(arguments, 0.5, "drawing the report" if arguments.report else "writing the results")
-    write_files(arguments.out, files_of(found, cell, report=arguments.report))
-    return f"{prediction_summary(found)}\npredictions: {arguments.out / PREDICTIONS}\n{report_line(arguments)}"
+    write_files(arguments.out, answer.files(report=arguments.report))
+    where = f"\npredictions: {arguments.out / PREDICTIONS}" if isinstance(answer, Predicted) else ""
+    return f"{answer.summary}{where}\n{report_line(arguments)}"
 
 
-def files_of(found: Prediction, cell: Cell, *, report: bool) -> dict[str, Content]:
-    """Return all files of a prediction: file name -> content."""
-    result = result_json(prediction_result(found, cell))
+@dataclasses.dataclass(frozen=True, eq=False)
+class Predicted:
+    """A prediction as the command answers it.
+
+    Attributes:
+        cell: The cell.
+        found: Readings, predicted points and errors.
+    """
+
+    cell: Cell
+    found: Prediction
+
+    @functools.cached_property
+    def content(self) -> dict[str, Any]:
+        """The content of result.json."""
+        return prediction_result(self.found, self.cell)
+
+    @property
+    def summary(self) -> str:
+        """The traffic light and the errors, mm."""
+        return f"{light_of(self.content).line}\n{prediction_summary(self.found)}"
+
+    def files(self, *, report: bool) -> dict[str, Content]:
+        """Return all files: file name -> content."""
+        return files_of(self.found, self.content, self.cell, report=report)
+
+
+def evaluate(cell: Cell, given: GivenModel, readings: Readings) -> Predicted | Refusal:
+    """Look at the input, predict, and judge the error.
+
+    Raises:
+        InputError: The model does not know a point of the recording, or needs data that the recording has not.
+        EquilibriumError: The load is beyond what the joints can carry.
+    """
+    wrong = look(readings, None, cell)
+    if blocked(wrong):
+        return Refusal.of("predict", cell, readings, wrong, given)
+    return Predicted(cell, predict(cell, given, with_unit_note(readings, cell), wrong))
+
+
+def files_of(found: Prediction, content: dict[str, Any], cell: Cell, *, report: bool) -> dict[str, Content]:
+    """Return all files of a prediction, `content` being that of result.json: file name -> content."""
+    result = result_json(content)
     files: dict[str, Content] = {RESULT: result, PREDICTIONS: predictions_csv(found.readings, found.predicted)}
     if not report:
         return files
@@ -48,7 +96,10 @@ def files_of(found: Prediction, cell: Cell, *, report: bool) -> dict[str, Conten
     from calibration_core.report.view3d.space import space_view
     from calibration_core.report.writing.rendering import rendered
 
-    return {**files, **rendered(prediction_document(found, cell, result), space_view(found.space, cell))}
+    return {
+        **files,
+        **rendered(prediction_document(found, cell, result, light_of(content)), space_view(found.space, cell)),
+    }
 
 
 def prediction_result(found: Prediction, cell: Cell) -> dict[str, Any]:
@@ -57,11 +108,22 @@ def prediction_result(found: Prediction, cell: Cell) -> dict[str, Any]:
     fit = {"rms_after": found.error.rms, "noise": float(np.sqrt(np.mean(found.residuals.sigma**2)))}
     if found.before is not None:
         fit["rms_before"] = found.before.rms
-    return command_result(
+    check = found.check
+    content = command_result(
         "predict",
         cell,
         recording_record(readings, loaded=is_loaded(readings)),
         {**fit, "mean_after": found.error.mean, "max_after": found.error.maximum},
+        [anomaly.record() for anomaly in (*check.anomalies, *found.noted)],
+        verdict="consistent" if check.consistent else "unexplained",
+        unexplained={"rms": check.excess, "significant": not check.consistent, "where": {}},
+        uncertainty={
+            "standard": check.expected,
+            "ratio": check.ratio,
+            "of": "one coordinate of the error",
+            "unit": "m",
+        },
+        intervals_of_the_model=check.with_intervals,
         predictions=PREDICTIONS,
         deflection=None
         if found.deflection is None
@@ -69,6 +131,18 @@ def prediction_result(found: Prediction, cell: Cell) -> dict[str, Any]:
         notes=[vars(note) for note in readings.notes],
         input=input_record(cell, readings.provenance, found.inputs),
     )
+    return with_light(content, WITHIN, _beyond(found))
+
+
+def _beyond(found: Prediction) -> tuple[str, str]:
+    """Return what an error beyond noise and intervals means, and what to do then."""
+    check = found.check
+    allowed = "noise and the model's intervals allow" if check.with_intervals else "the noise allows"
+    text = f"the error is {check.ratio:.2g} times what {allowed}"
+    if not check.with_intervals:
+        text += ", and the model states no intervals"
+    step = "run diagnose with this recording and the model, to see what the model leaves out of it"
+    return text, step
 
 
 def prediction_summary(found: Prediction) -> str:

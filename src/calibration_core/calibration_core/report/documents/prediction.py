@@ -22,6 +22,7 @@ from calibration_core.report.document import (
     cleaned,
     numbered,
 )
+from calibration_core.report.results.traffic_light import Light
 from calibration_core.report.rounding import (
     DASH,
     Unit,
@@ -44,13 +45,16 @@ STATEMENT = (
 )
 
 
-def prediction_document(found: Prediction, cell: Cell, result: bytes, day: dt.date | None = None) -> Document:
+def prediction_document(
+    found: Prediction, cell: Cell, result: bytes, light: Light, day: dt.date | None = None
+) -> Document:
     """Build the report of a prediction.
 
     Args:
         found: Recording and prediction.
         cell: The cell.
         result: The bytes of result.json, for the report's number.
+        light: Whether the prediction can be used, as result.json says.
         day: Date of evaluation; today (UTC) if not given.
     """
     day = day or dt.datetime.now(dt.UTC).date()
@@ -71,7 +75,7 @@ def prediction_document(found: Prediction, cell: Cell, result: bytes, day: dt.da
         title="Prediction by an identified model",
         subtitle="Elastostatic compliance calibration according to CWA 17384",
         facts=_facts(found, cell, day),
-        verdict=_verdict(found),
+        verdict=_verdict(found, light),
         front=_errors(found),
         sections=sections,
         signatures=("Evaluated by", "Approved by"),
@@ -105,13 +109,13 @@ def _facts(found: Prediction, cell: Cell, day: dt.date) -> Facts:
     return Facts(rows)
 
 
-def _verdict(found: Prediction) -> Verdict:
+def _verdict(found: Prediction, light: Light) -> Verdict:
     unit = length_unit(found.error.maximum)
     what = "Positions" if found.kind == "absolute" else "Deflections"
     mean, largest = (_size(value, unit) for value in (found.error.mean, found.error.maximum))
     headline = f"{what} predicted to {mean} on average, {largest} at worst"
     expected = float(np.sqrt(np.mean(found.residuals.sigma**2)))
-    lines = []
+    lines = [*light.rows, ("Result", headline)]
     if found.before is not None:
         before = length_unit(found.before.mean)
         lines.append(
@@ -139,7 +143,7 @@ def _verdict(found: Prediction) -> Verdict:
         )
     )
     lines.append(("Fitted", "nothing; frames, points, geometry and compliances are the model's"))
-    return Verdict(headline, tuple((label, text[0].upper() + text[1:]) for label, text in lines))
+    return Verdict(light.headline, tuple((label, text[0].upper() + text[1:]) for label, text in lines), light.usable)
 
 
 def _errors(found: Prediction) -> tuple[Block, ...]:

@@ -14,7 +14,7 @@ BLOCKING = frozenset({
     "wrong_robot_file", "no_relation",
 })  # fmt: skip
 
-
+EXPLAINED = "the model explains the recording to its noise"
 WORDS = {
     "yes": "Usable",
     "with_reservations": "Usable with reservations",
@@ -61,13 +61,17 @@ def light_of(content: Mapping[str, Any]) -> Light:
     return Light(content["usable"], content["reason"], content["next_step"])
 
 
-def with_light(content: dict[str, Any]) -> dict[str, Any]:
+def with_light(
+    content: dict[str, Any], good: str = EXPLAINED, residual: tuple[str, str] | None = None
+) -> dict[str, Any]:
     """Return the content of result.json with `usable`, `reason` and `next_step`.
 
     An anomaly of the input leaves no stiffness, no finding and the verdict `unexplained`.
 
     Args:
         content: The contract's keys, and `preconditions` where there are some.
+        good: Why it is usable, where nothing speaks against it.
+        residual: What a verdict other than `consistent` means, and what to do then; None: what the findings say.
     """
     anomalies: Sequence[Mapping[str, Any]] = content["anomalies"]
     wrong = [anomaly for anomaly in anomalies if anomaly["kind"] in BLOCKING]
@@ -76,22 +80,24 @@ def with_light(content: dict[str, Any]) -> dict[str, Any]:
         step = first.get("remedy") or "put the input right, or use the files that belong together, and run this again"
         emptied = {"stiffness": [], "findings": [], "verdict": "unexplained"}
         return {**content, **emptied, "usable": "no", "reason": first["text"], "next_step": step}
-    reasons = list(_reservations(content, anomalies))
+    reasons = list(_reservations(content, anomalies, residual))
     if not reasons:
-        return {**content, "usable": "yes", "reason": "the model explains the recording to its noise", "next_step": ""}
+        return {**content, "usable": "yes", "reason": good, "next_step": ""}
     step = next((step for _, step in reasons if step), "")
     reason = "; ".join(reason for reason, _ in reasons)
     return {**content, "usable": "with_reservations", "reason": reason, "next_step": step}
 
 
-def _reservations(content: Mapping[str, Any], anomalies: Sequence[Mapping[str, Any]]) -> Sequence[tuple[str, str]]:
+def _reservations(
+    content: Mapping[str, Any], anomalies: Sequence[Mapping[str, Any]], residual: tuple[str, str] | None
+) -> Sequence[tuple[str, str]]:
     """Return what speaks against using a result as it stands, each with what to do about it."""
     found: list[tuple[str, str]] = [
         (f"{anomaly['kind'].replace('_', ' ')}: {anomaly['text'].rstrip('.')}", anomaly.get("remedy", ""))
         for anomaly in anomalies
     ]
     if content["verdict"] != "consistent":
-        found.append(_missing(content))
+        found.append(_missing(content) if residual is None else residual)
     unmet = [one for one in content.get("preconditions", ()) if one["shall"] and one["met"] is False]
     found += [
         (f"not as the standard demands ({one['clause']}): {one['requirement']}", f"measure with {one['requirement']}")
