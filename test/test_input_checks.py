@@ -121,6 +121,29 @@ def test_what_is_wrong_is_named(
         assert record[key] == pytest.approx(value) if isinstance(value, float) else record[key] == value
 
 
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(
+    ("change", "factor", "words"),
+    [
+        (wrench(1e-3, 1.0), 1000.0, "multiply the forces by 1000: they look like kN"),
+        (wrench(1.0, 1e3), 1e-3, "multiply the torques by 0.001: they look like N·mm"),
+    ],
+)
+def test_sizes_decide_whether_forces_or_torques_have_the_wrong_unit(
+    good: tuple[Readings, Cell], change: Change, factor: float, words: str, stated: bool
+) -> None:
+    readings, cell = good
+    if not stated:
+        cell = cell.model_copy(update={"robot": cell.robot.model_copy(update={"stiffness": None})})
+    changed, cell = change(readings, cell)
+    (found,) = check_inputs(changed, cell)
+    assert (found.kind, found.factor) == ("wrench_unit", pytest.approx(factor))
+    assert found.remedy.startswith(words)
+    assert found.factor is not None
+    parts = (factor, 1.0) if "forces by" in found.remedy else (1.0, factor)
+    assert check_inputs(*wrench(*parts)(changed, cell)) == ()  # the remedy heals it
+
+
 def test_every_turn_of_the_axes_is_named(good: tuple[Readings, Cell]) -> None:
     turns = quarter_turns()
     assert len(turns) == 23

@@ -21,7 +21,14 @@ from calibration_core.input_checks.explained import (
 )
 from calibration_core.input_checks.friction import fit_with_friction
 from calibration_core.input_checks.point_orders import other_points
-from calibration_core.input_checks.units import SEEN_BY_PRIOR, VISIBLE, CellSizes, expected_motion, unit_anomaly
+from calibration_core.input_checks.units import (
+    SEEN_BY_PRIOR,
+    VISIBLE,
+    CellSizes,
+    expected_motion,
+    torques_apart,
+    unit_anomaly,
+)
 from calibration_core.input_checks.zeros import best_zero
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -166,10 +173,8 @@ def _alternatives(
                                axes=axes)  # fmt: skip
         yield Meant(anomaly, fit(motion, columns_of(motion, at, force @ turn.T, torque @ turn.T, given), limit))
     if np.any(torque):
-        for factor, unit in ((1e-3, "N·mm"), (1e3, "kN·m")):
-            remedy = f"multiply the torques by {factor:g}: they look like {unit} beside forces of another unit"
-            anomaly = InputAnomaly("wrench_unit", "forces and torques have units that do not belong together", remedy,
-                                   0.0, factor=factor)  # fmt: skip
+        for factor in (1e-3, 1e3):
+            anomaly = torques_apart(motion, given, facts, factor)
             yield Meant(anomaly, fit(motion, columns_of(motion, at, force, factor * torque, given), limit))
     turned = dataclasses.replace(motion, q=np.radians(motion.q))
     remedy = f"give joint angles in rad: multiply them by {np.pi / 180:.6g}"

@@ -13,13 +13,15 @@ import numpy as np
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.explained import Motion, Reading, columns_of, posture_of
 from calibration_core.model.effects.priors import typical
-from calibration_core.timeseries import Float1D
+from calibration_core.timeseries import Float1D, Float2D
 
 VISIBLE = 3.0  # times the claimed noise: less motion tells nothing
 SEEN_BY_PRIOR = 100.0  # factor from the usual stiffness of a rated load that is a matter of units
 SEEN_BY_STATED = 8.0  # factor from the stated stiffness
 FORCES = ((1000.0, "kN", 0.01), (9.80665, "kgf", 0.3))  # N, name, largest force over the rated load's weight
 LENGTHS = ((1e-3, "mm"), (0.01, "cm"), (0.0254, "inches"))  # m
+TORQUE_UNITS = {1e-3: "N·mm", 1e3: "kN·m"}  # by what makes N·m of them
+FORCE_UNITS = {1e-3: "mN", 1e3: "kN"}  # by what makes N of them
 OF_ITS_LOAD = "robots of its rated load do"
 
 
@@ -48,6 +50,36 @@ def expected_motion(motion: Motion, given: Reading, facts: CellSizes) -> Float1D
     if facts.stiffness is not None:
         usual = 1.0 / np.array(facts.stiffness)
     return columns_of(motion, posture_of(motion), motion.force, motion.torque, given) @ usual
+
+
+def torques_apart(motion: Motion, given: Reading, facts: CellSizes, factor: float) -> InputAnomaly:
+    """Name the unit that is wrong where torques belong to the forces only when they are multiplied by a factor.
+
+    Either the torques are wrong, or the forces by the reciprocal: the springs fit alike.  What is right lets the robot
+    give way as its stated stiffness says, or as robots of its rated load usually do.
+
+    Args:
+        motion: The motion under load.
+        given: How the wrench is read.
+        facts: What the cell file tells about sizes.
+        factor: 0.001 or 1000.
+    """
+    ways = (
+        ("torques", factor, TORQUE_UNITS[factor], motion.force, factor * motion.torque),
+        ("forces", 1 / factor, FORCE_UNITS[1 / factor], motion.force / factor, motion.torque),
+    )
+    moved = float(np.linalg.norm(motion.moved))
+
+    def unlikely(force: Float2D, torque: Float2D) -> float:
+        read = dataclasses.replace(motion, force=force, torque=torque)
+        expected = float(np.linalg.norm(expected_motion(read, given, facts)))
+        return abs(float(np.log(moved / expected))) if moved > 0 and expected > 0 else 0.0
+
+    what, by, unit, _, _ = min(ways, key=lambda way: unlikely(*way[3:]))
+    other = "torques" if what == "forces" else "forces"
+    remedy = f"multiply the {what} by {by:g}: they look like {unit} beside {other} of another unit"
+    text = "forces and torques have units that do not belong together"
+    return InputAnomaly("wrench_unit", text, remedy, 0.0, factor=by)
 
 
 def unit_words(motion: Motion, facts: CellSizes) -> str:
