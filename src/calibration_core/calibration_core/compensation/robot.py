@@ -9,11 +9,12 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.model.chain import Chain, pose_matrix
-from calibration_core.model.effects import catalogue
+from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.applied import REFERENCE, restored, side_springs
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.side_torques import with_side_torques
 from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import cross, turned
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
@@ -21,9 +22,6 @@ from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import Load
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
-ROBOT = frozenset({"structure", "joint law", "absolute"})  # families of what the robot itself does
-FORCES = frozenset({"tool_weight", "cable_force"})  # of the load chain: forces that act on the robot all the same
-ORDERED = frozenset({"approach_direction"})  # what means nothing for places that are no path
 LEVER = 0.5  # m, from the tool's origin to the three points by which effects turn it
 
 
@@ -263,10 +261,11 @@ def rows_of(rest: Equilibrium, rows: Int1D) -> Equilibrium:
 def _applying(
     effects: tuple[AppliedEffect, ...], state: State, *, ordered: bool
 ) -> Iterator[tuple[int, Candidate, float | None]]:
-    family = {entry.name: entry.family for entry in catalogue()}
+    acting = effects_with(Trait.ACTS_IN_USE)
+    if not ordered:
+        acting -= effects_with(Trait.PATH)
     for k, effect in enumerate(effects):
-        of_robot = family[effect.effect] in ROBOT or effect.effect in FORCES
-        if not of_robot or (effect.effect in ORDERED and not ordered):
+        if effect.effect not in acting:
             continue
         try:
             candidate = restored(effect, state)

@@ -54,8 +54,9 @@ from calibration_core.identification.stiffness.loaded import (
     prepare_loaded,
 )
 from calibration_core.identification.stiffness.problem import LoadedProblem
-from calibration_core.model.effects import candidates
+from calibration_core.model.effects import candidates, effects_with
 from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
 ROUNDS = 3
@@ -70,7 +71,6 @@ ALIASES = (
     "Rocking of the base acts like an off-axis compliance of joint 1.",
 )
 FRAMES_SPOILED = frozenset({"target_moved", "tracker_moved"})
-FITTED_WITH_FRAMES = ("tracker_frame_misalignment", "measurement_point_offset")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -201,7 +201,8 @@ def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
     found = candidates(loaded_state(prepared.problem, cell, prepared.fit.compliance))
     if prepared.frames is None:
         return found
-    return tuple(candidate for candidate in found if candidate.effect not in FITTED_WITH_FRAMES)
+    refitted = effects_with(Trait.FRAMES)
+    return tuple(candidate for candidate in found if candidate.effect not in refitted)
 
 
 def _held_out_lengths(extended: ExtendedLoadedModel, cell: Cell) -> dict[str, float]:

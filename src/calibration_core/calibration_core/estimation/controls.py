@@ -16,12 +16,13 @@ from calibration_core.estimation.hypotheses import SAG, physics, typical_sizes
 from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
+from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
 from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
-DRIFTS = frozenset({"tracker_drift", "wrench_drift"})
 SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness and turned levers
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
 CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
@@ -46,7 +47,7 @@ class Controls:
             return _small(trial)
         if trial.movement < SECOND_ORDER * trial.movement_of_others:
             return "it is no larger than what second order leaves of larger effects"
-        if one.effect in DRIFTS:
+        if one.effect in effects_with(Trait.DRIFT):
             return _lasting(trial)
         return self._turned(trial) if one.effect == SAG else ""
 

@@ -10,23 +10,22 @@ import numpy as np
 
 from calibration_core.estimation.rows import NullModel
 from calibration_core.model.effects import catalogue
+from calibration_core.model.effects.absolute import joint_elasticity, transmission_error
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
 from calibration_core.model.effects.absolute.transmission_error import order_of
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.recordings import in_each_recording
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.effects.words import listed_location
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
-WAVE, SAG = "transmission_error", "joint_elasticity"
+WAVE, SAG = transmission_error.EFFECT.name, joint_elasticity.EFFECT.name
 LAW = "joint law"  # family
 SINGLE_ORDERS = 64  # of transmission errors, offered one by one
 BANDS = ((1, 4), (1, 8), (1, 16), (1, 32), (33, 64))  # orders of transmissions that share one size
 ALL = "all"
 FEWEST = 3  # joints that make a family
-BY_REGISTRATION = frozenset(
-    {"geometry_error", "joint_zero_offset", "measurement_point_offset", "tracker_frame_misalignment"}
-)
 
 
 def is_axial(candidate: Candidate) -> bool:
@@ -130,7 +129,8 @@ def physics(state: State, *, sag: bool) -> tuple[Candidate, ...]:
     )
     found: dict[object, Candidate] = {}
     for effect in catalogue():
-        if effect.name in BY_REGISTRATION or (effect.name == SAG and not sag):
+        refitted = effect.has(Trait.FRAMES) or effect.has(Trait.GEOMETRY)
+        if refitted or (effect.name == SAG and not sag):
             continue
         offered: list[Candidate] = []
         if effect.absolute:

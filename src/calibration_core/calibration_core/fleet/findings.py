@@ -6,18 +6,14 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from calibration_core.fleet.recordings.rows import Row
+from calibration_core.model.effects import effects_with
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.effects.words import effect_sentence
 
 COMMON = 0.25  # share of a type's robots: an effect of more of them is how the type is, and no damage
 EARLIER_EVIDENCE = 10.0  # log Bayes factor: of an earlier recording whose finding the last one does not show
 SMALLER = 2.0  # standard deviations by which a backlash or hysteresis has to be smaller to be called gone
 LEAST_EVIDENCE = 5.0  # log Bayes factor: decisive; the diagnosis has tested it against chance already
-OF_THE_ROBOT = frozenset({
-    "off_axis_compliance", "link_bending", "base_compliance", "tool_compliance", "joint_coupling",
-    "pose_dependent_stiffness", "gravity_compensator", "nonlinear_stiffness", "soft_zone", "backlash", "hysteresis",
-    "creep", "transmission_error",
-})  # fmt: skip
-"""Effects of the robot and its base; those of sensors, targets and tracker say nothing about a robot."""
 
 
 def effect_shares(rows: Iterable[Row]) -> dict[str, dict[str, float]]:
@@ -42,20 +38,22 @@ def effect_shares(rows: Iterable[Row]) -> dict[str, dict[str, float]]:
 def found_in(rows: Sequence[Row], shares: Mapping[str, float]) -> list[tuple[str, float]]:
     """Return the effects of a robot that are not common in its type: in words, with their log Bayes factors.
 
-    A damage does not mend itself: what an earlier recording showed clearly counts although the last one does not show
-    it, unless the last one measures that backlash or hysteresis, and finds significantly less.
+    What sensors, targets and tracker do says nothing about a robot.  A damage does not mend itself: what an earlier
+    recording showed clearly counts although the last one does not show it, unless the last one measures that backlash
+    or hysteresis, and finds significantly less.
 
     Args:
         rows: The robot's usable recordings in the order of time.
         shares: Effect and place -> share of the type's robots.
     """
     found: dict[str, tuple[str, float]] = {}
+    damages = effects_with(Trait.DAMAGE)
     for row in reversed(rows):
         is_last = row is rows[-1]
         least, when = (LEAST_EVIDENCE, "its last recording") if is_last else (EARLIER_EVIDENCE, f"seen on {row.date}")
         for effect, place, evidence in zip(row.effects, row.locations, row.evidence, strict=True):
             name = effect_name(effect, place)
-            rare = effect in OF_THE_ROBOT and shares.get(name, 0.0) <= COMMON
+            rare = effect in damages and shares.get(name, 0.0) <= COMMON
             if (
                 rare
                 and evidence >= least

@@ -11,6 +11,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import ModelFileError
 from calibration_core.model.chain import Chain
+from calibration_core.model.effects.absolute import geometry_error, joint_zero_offset
 from calibration_core.model.effects.absolute.geometry_error import AXES
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.kinematics import Posture, posture
@@ -114,11 +115,12 @@ def _possible(parameters: ModelParameters) -> Float2D:
 
 def _with_effect(chain: Chain, effect: AppliedEffect) -> Chain | None:
     """Return the chain with an effect that is one of geometry; None for all others."""
-    if effect.effect not in {"joint_zero_offset", "geometry_error"}:
+    is_frame = effect.effect == geometry_error.EFFECT.name
+    if not is_frame and effect.effect != joint_zero_offset.EFFECT.name:
         return None
     joint = chain.joints.index(str(effect.location["joint"]))
     row = np.zeros((chain.n, 6))
-    if effect.effect == "geometry_error":
+    if is_frame:
         row[joint] = [effect.parameters.get(name, 0.0) for name in GEOMETRY]
     elif chain.prismatic[joint]:
         row[joint, 2] = effect.parameters["offset"]

@@ -10,6 +10,7 @@ import numpy as np
 
 from calibration_core.diagnosis.result.finding import Rest
 from calibration_core.estimation.estimate import Estimate
+from calibration_core.estimation.hypotheses import WAVE
 from calibration_core.identification.checks.noise_audit import rigid_triangle
 from calibration_core.identification.statistics.beyond_noise import beyond_noise
 from calibration_core.timeseries import Bool1D, Readings
@@ -85,7 +86,7 @@ def followed(found: Estimate) -> dict[str, float]:
     shares: dict[str, float] = {}
     for i, k in search.place.items():
         one = hypotheses[i]
-        if one.effect == "transmission_error" and "joint" in one.location and scores.nats[k] > search.limit:
+        if one.effect == WAVE and "joint" in one.location and scores.nats[k] > search.limit:
             trial = search.trial(found.selection.accepted, i)
             joint, share = str(one.location["joint"]), max(p.share for p in trial.proofs)
             if share > max(shares.get(joint, 0.0), 0.0):

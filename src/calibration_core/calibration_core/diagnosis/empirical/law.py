@@ -16,9 +16,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calibration_core.diagnosis.empirical.dictionary import EVEN, DictionaryTerm, dictionary
-from calibration_core.diagnosis.evidence.confounding import MEMORY
+from calibration_core.diagnosis.evidence.confounding import BY_ANGLE
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.identification.statistics.offsets import whitened
+from calibration_core.model.effects import effects_with
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
 MOST = 3  # terms
@@ -31,7 +33,6 @@ LEAST_GAIN = 0.05  # of the squared error on configurations left out
 FREE = 1e-9  # prior precision of what has none, columns being of length one
 ALIASED = 1e-4  # of a column's square: less of it is left beside the model
 EQUIVALENT = 5.0  # nats of the best, to be called indistinguishable
-BY_ANGLE = "pose_dependent_stiffness"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -176,7 +177,7 @@ def rival(extended: ExtendedLoadedModel, candidates: Sequence[int]) -> Rival | N
     design, joints = extended.design, extended.state.chain.joints
     own = set().union(*(_named(design.candidates[index].location.values()) for index in candidates))
     effects = {design.candidates[index].effect for index in candidates}
-    never_images = EVEN if effects <= MEMORY else frozenset()
+    never_images = EVEN if effects <= effects_with(Trait.MEMORY) else frozenset()
     by_angle = effects == {BY_ANGLE}  # no function of the torque is its image
     image = [
         len(term.names) == 1 and joints[term.joint] in own and term.words not in never_images and not by_angle

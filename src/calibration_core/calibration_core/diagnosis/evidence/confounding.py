@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from calibration_core.estimation.hypotheses import LAW
+from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.candidate import Candidate, link_name
+from calibration_core.model.effects.structure import pose_dependent_stiffness
+from calibration_core.model.effects.traits import Trait
 
 TOOL = 1 << 20  # beyond the last joint
 # What is confounded with something found is the same cause under another form where it is this much weaker.
 CONFOUNDED_SHARE = 0.15
 # Under load, what a joint's law of another shape than the catalogue's leaves is weaker than the law, and seldom sure.
 LEFT_SHARE, SURE = 0.45, 30.0  # of the law's evidence; nats
-MEMORY = frozenset({"hysteresis", "creep"})
-DRIFTS = frozenset({"tracker_drift", "wrench_drift"})
+BY_ANGLE = pose_dependent_stiffness.EFFECT.name
 
 
 def are_confounded(first: Candidate, second: Candidate, joints: Sequence[str]) -> bool:
@@ -27,14 +29,14 @@ def are_confounded(first: Candidate, second: Candidate, joints: Sequence[str]) -
         second: Another.
         joints: Names of the robot's joints, from the base on.
     """
-    effects = {first.effect, second.effect}
-    if effects & MEMORY and effects & DRIFTS:
+    effects, memory = {first.effect, second.effect}, effects_with(Trait.MEMORY)
+    if effects & memory and effects & effects_with(Trait.DRIFT):
         return True
     if first.family != second.family:
         return False
     if first.family in {"load chain", "point chain"}:
         return True
-    if first.family == LAW and (first.effect in MEMORY) != (second.effect in MEMORY):
+    if first.family == LAW and (first.effect in memory) != (second.effect in memory):
         return False
     reach = 0 if first.family == LAW else 1
     return any(abs(i - j) <= reach for i in parts(first.location, joints) for j in parts(second.location, joints))
@@ -45,7 +47,7 @@ def same_deflection(first: Candidate, second: Candidate) -> bool:
 
     Where the true law has another shape than the catalogue's, such a candidate takes up what that of the joint leaves.
     """
-    own = all(one.family == LAW or one.effect == "pose_dependent_stiffness" for one in (first, second))
+    own = all(one.family == LAW or one.effect == BY_ANGLE for one in (first, second))
     return own and first.location == second.location
 
 

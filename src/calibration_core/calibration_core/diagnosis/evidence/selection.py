@@ -15,7 +15,6 @@ import numpy as np
 from calibration_core.diagnosis.evidence.confounding import (
     CONFOUNDED_SHARE,
     LEFT_SHARE,
-    MEMORY,
     SURE,
     are_confounded,
     same_deflection,
@@ -29,6 +28,8 @@ from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import LAW, Hypothesis, Offered, offer
 from calibration_core.estimation.likelihood.small_effects import NONE, visible
 from calibration_core.estimation.search import PART, Search, Selection
+from calibration_core.model.effects import effects_with
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Int1D
 
 BLOCKS = 20  # of whole configurations, left out one after the other
@@ -184,7 +185,7 @@ def _by_joint(search: Search, accepted: Accepted) -> Accepted:
 def _is_refinement(design: Design, choice: Choice, candidate: int, gain: float) -> bool:
     """Say whether an accepted candidate is a form of a stronger one, no cause of its own."""
     first, second = design.candidates[choice.candidate], design.candidates[candidate]
-    alike = first.family == second.family == LAW or {first.effect, second.effect} <= MEMORY
+    alike = first.family == second.family == LAW or {first.effect, second.effect} <= effects_with(Trait.MEMORY)
     weaker = gain < CONFOUNDED_SHARE * choice.log_bayes_factor
     left = first.family == LAW and gain < min(LEFT_SHARE * choice.log_bayes_factor, SURE)
     if left and same_deflection(first, second):

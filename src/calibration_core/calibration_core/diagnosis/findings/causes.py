@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from calibration_core.diagnosis.evidence.confounding import CONFOUNDED_SHARE
+from calibration_core.diagnosis.evidence.confounding import BY_ANGLE, CONFOUNDED_SHARE
 from calibration_core.estimation.hypotheses import LAW, WAVE, Hypothesis
 from calibration_core.estimation.springs.compensator_geometry import SPRING
+from calibration_core.model.effects import effects_with
+from calibration_core.model.effects.absolute import approach_direction
 from calibration_core.model.effects.absolute.transmission_error import order_of
+from calibration_core.model.effects.traits import Trait
 
 LOW = 8  # orders of waves that are a gear's, whatever else its joint does
-LAGGING, FROM_WHERE = frozenset({"hysteresis", "backlash"}), "approach_direction"
-LEFT = frozenset({"pose_dependent_stiffness", WAVE, FROM_WHERE})
+FROM_WHERE = approach_direction.EFFECT.name
+LEFT = frozenset({BY_ANGLE, WAVE, FROM_WHERE})
 
 
 def causes(hypotheses: Sequence[Hypothesis], gained: Mapping[int, float]) -> list[list[int]]:
@@ -21,7 +24,8 @@ def causes(hypotheses: Sequence[Hypothesis], gained: Mapping[int, float]) -> lis
         hypotheses: All that were offered.
         gained: Index of every accepted one that is physics -> what it gains beside the others, nats.
     """
-    lagging = {hypotheses[i].location.get("joint") for i in gained if hypotheses[i].effect in LAGGING} - {None}
+    lags = effects_with(Trait.LAG)
+    lagging = {hypotheses[i].location.get("joint") for i in gained if hypotheses[i].effect in lags} - {None}
     groups: dict[object, list[int]] = {}
     for index in gained:
         one = hypotheses[index]

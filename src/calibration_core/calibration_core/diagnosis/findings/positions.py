@@ -16,6 +16,7 @@ from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.statistics.sizes import rms_length
+from calibration_core.model.effects import sizes_are_relative
 from calibration_core.model.effects.absolute.transmission_error import order_of
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -153,7 +154,7 @@ def _explanation(
         terms = [(order_of(extended.parts[k].candidate.variant), extended.values_of(k)[0]) for k in parts]
         listed = ", ".join(f"{k} per revolution: {1e3 * np.hypot(*value):.2f} mrad" for k, value in terms)
         text += f" Terms: {listed}.{_resolution(found, first)}"
-    if found.offered.candidates[first.members[0]].relative(extended.model.state):
+    if sizes_are_relative(found.offered.candidates[first.members[0]], extended.model.state):
         text += " Its size is relative: the robot's masses are guesses or not known."
     if not settled:
         text += UNSETTLED

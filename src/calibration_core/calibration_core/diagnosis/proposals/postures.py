@@ -20,12 +20,13 @@ from calibration_core.estimation.hypotheses import Hypothesis, typical_sizes
 from calibration_core.estimation.rows import NullModel, state_at
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.geometry.problem import problem_of
+from calibration_core.model.effects import effects_with
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
 from calibration_core.timeseries import Float2D, Float3D
 
-HISTORY = frozenset({"approach_direction", "thermal_growth", "tracker_drift", "clock_offset"})
 NOTHING_FOUND = "Nothing was found in the positions that further postures would make more certain."
 NO_POSTURE = "No posture that the cell file allows could be drawn; nothing is proposed."
 
@@ -56,7 +57,7 @@ class Known:
 
     def by_posture(self, index: int) -> bool:
         """Return whether a hypothesis depends on the posture alone."""
-        return self.of(index).effect not in HISTORY and self.of(index).family != FAMILY
+        return self.of(index).effect not in effects_with(Trait.HISTORY) and self.of(index).family != FAMILY
 
 
 def propose_postures(known: Known, cell: Cell, offers: Offers) -> Proposals:

@@ -15,7 +15,9 @@ from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import WAVE
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.structure import pose_dependent_stiffness
 from calibration_core.model.effects.structure.gravity_compensator import (
+    EFFECT,
     TURN,
     Triangle,
     carriers,
@@ -25,8 +27,9 @@ from calibration_core.model.effects.structure.gravity_compensator import (
 )
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
-SPRING = "gravity_compensator"
-LIKE_SPRING = frozenset({SPRING, WAVE, "pose_dependent_stiffness"})  # which imitate a spring of another shape
+SPRING = EFFECT.name
+IMITATING = frozenset({WAVE, pose_dependent_stiffness.EFFECT.name})  # a spring, or what one of another shape leaves
+LIKE_SPRING = IMITATING | {SPRING}
 REACH = 30.0  # degrees about the offered anchor
 LEAST, MOST = 0.05, 0.9  # of flatness and preload
 SCALE = (5.0, 0.1, 0.1)  # of anchor, flatness and preload

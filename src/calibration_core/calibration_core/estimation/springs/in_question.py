@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.estimation.hypotheses import WAVE, typical_sizes
+from calibration_core.estimation.hypotheses import typical_sizes
 from calibration_core.estimation.search import Search, Selection
-from calibration_core.estimation.springs.compensator_geometry import SPRING
+from calibration_core.estimation.springs.compensator_geometry import IMITATING, SPRING
 from calibration_core.model.effects.side_torques import Acting
 
-IMITATING = frozenset({WAVE, "pose_dependent_stiffness"})
 ALIKE = 0.75  # share of what all effects of the joint explain, in nats, that a spring must explain alone
 
 

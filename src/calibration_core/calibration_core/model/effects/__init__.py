@@ -9,6 +9,7 @@ import pkgutil
 from calibration_core.model.effects.candidate import Candidate, Effect
 from calibration_core.model.effects.recordings import in_each_recording
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 
 
 @functools.cache
@@ -25,6 +26,22 @@ def catalogue() -> tuple[Effect, ...]:
 def effect_named(name: str) -> Effect:
     """Return the effect of the catalogue with this name; raises StopIteration where there is none."""
     return next(effect for effect in catalogue() if effect.name == name)
+
+
+def effects_with(trait: Trait) -> frozenset[str]:
+    """Return the names of the effects of the catalogue that have a property."""
+    return frozenset(effect.name for effect in catalogue() if effect.has(trait))
+
+
+def sizes_are_relative(candidate: Candidate, state: State) -> bool:
+    """Say whether sizes are relative: what the weight alone drives, while masses are guesses or not known.
+
+    Args:
+        candidate: The hypothesis.
+        state: Of the recording.
+    """
+    known = state.chain.mass is not None and state.chain.inertials_known
+    return not known and not state.loaded and candidate.effect in effects_with(Trait.BY_WEIGHT)
 
 
 def candidates(state: State) -> tuple[Candidate, ...]:

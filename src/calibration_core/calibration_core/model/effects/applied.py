@@ -7,16 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.model.effects import effect_named
+from calibration_core.model.effects import effect_named, effects_with
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.recordings import RECORDING, in_recording
 from calibration_core.model.effects.side_torques import Acting, acting, with_side_torques
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D
 
-RELATIVE = frozenset({"backlash", "hysteresis", "nonlinear_stiffness", "soft_zone"})  # to the largest torque
-SPRINGS = frozenset({"gravity_compensator"})  # beside joints
 REFERENCE = "reference_torque"
 
 
@@ -27,7 +26,7 @@ def applied(candidate: Candidate, value: Float1D, state: State) -> AppliedEffect
     another recording.
     """
     parameters = {p.name: float(v) for p, v in zip(candidate.parameters, value, strict=True)}
-    if candidate.effect in RELATIVE:
+    if candidate.effect in effects_with(Trait.OF_LARGEST_TORQUE):
         joint = state.chain.joints.index(str(candidate.location["joint"]))
         parameters[REFERENCE] = state.largest_torque(joint, candidate.variant)
     return AppliedEffect(candidate.effect, candidate.location, candidate.variant, parameters)
@@ -86,7 +85,8 @@ def side_springs(effects: Sequence[AppliedEffect], state: State) -> Acting:
     Raises:
         ValueError: As `restored`.
     """
-    several = [_with_value(one, state) for one in effects if one.effect in SPRINGS]
+    springs = effects_with(Trait.SPRING)
+    several = [_with_value(one, state) for one in effects if one.effect in springs]
     return acting([candidate for candidate, _ in several], [value for _, value in several])
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import OF_A_FAMILY, Trait
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float2D, Float3D
 
@@ -77,11 +78,6 @@ class Candidate:
         """Freeze the location."""
         object.__setattr__(self, "location", MappingProxyType(dict(self.location)))
 
-    def relative(self, state: State) -> bool:
-        """Say whether the sizes are relative: what the weight alone drives, while masses are guesses or not known."""
-        by_weight = self.family in {"structure", "joint law"} or self.effect == "joint_elasticity"
-        return by_weight and not state.loaded and (state.chain.mass is None or not state.chain.inertials_known)
-
     @property
     def key(self) -> tuple[str, tuple[tuple[str, str | tuple[str, ...]], ...], str]:
         """What tells it from all others."""
@@ -109,6 +105,8 @@ class Effect:
         forms: State -> every form that can be evaluated, offered to a search or not; None: those that are offered.
         restore: Description in a model file -> its hypothesis, None where there is none; for effects with more forms
             than can be listed.
+        sentence: What a report says of it, `{place}` standing for where; empty: its name and place.
+        traits: What it has besides that which all of its family have (`traits.OF_A_FAMILY`).
     """
 
     name: str
@@ -121,6 +119,12 @@ class Effect:
     absolute: bool = True
     forms: Callable[[State], Iterator[Candidate]] | None = None
     restore: Callable[[AppliedEffect, State], Candidate | None] | None = None
+    sentence: str = ""
+    traits: frozenset[Trait] = frozenset()
+
+    def has(self, trait: Trait) -> bool:
+        """Say whether it has a property, of its own or by its family."""
+        return trait in self.traits or trait in OF_A_FAMILY[self.family]
 
     def restored(self, described: AppliedEffect, state: State) -> Candidate | None:
         """Return the hypothesis that a description means; None where this recording or effect has no such form."""

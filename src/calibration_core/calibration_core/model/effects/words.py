@@ -4,41 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from calibration_core.model.effects import catalogue
+
 ALL = "every joint"
-SENTENCES = {
-    "off_axis_compliance": "{place} tilts about an axis that is not its own",
-    "link_bending": "{place} bends",
-    "base_compliance": "the base gives way",
-    "tool_compliance": "the tool gives way",
-    "joint_coupling": "{place} are coupled elastically",
-    "pose_dependent_stiffness": "the stiffness of {place} depends on the posture",
-    "gravity_compensator": "the gravity compensator of {place} acts",
-    "nonlinear_stiffness": "{place} gives way not in proportion to its load",
-    "soft_zone": "{place} is softer at small torques",
-    "backlash": "{place} has backlash",
-    "hysteresis": "{place} shows hysteresis",
-    "creep": "{place} creeps under load",
-    "wrench_gain": "the force/torque sensor reads too much or too little",
-    "wrench_crosstalk": "the axes of the force/torque sensor influence each other",
-    "wrench_drift": "the force/torque sensor drifts",
-    "wrench_frame_misalignment": "the force/torque sensor is turned against the cell file",
-    "wrench_point_offset": "the load pulls at another point than stated",
-    "tool_weight": "the weight of the tool is not what the model takes it for",
-    "cable_force": "a cable or dress pack pulls",
-    "tracker_frame_misalignment": "the tracker stands turned against the cell file",
-    "tracker_scale": "the tracker's scale is off",
-    "tracker_drift": "the tracker drifts",
-    "measurement_point_offset": "target {place} is at another place than stated",
-    "clock_offset": "the clocks of tracker and robot differ",
-    "joint_zero_offset": "the zero of {place} is off",
-    "geometry_error": "the geometry at {place} is off",
-    "transmission_error": "the gear of {place} runs unevenly",
-    "wrist_coupling": "the joints of the wrist are coupled",
-    "joint_elasticity": "{place} sags under the robot's own weight",
-    "thermal_growth": "the robot grows with its temperature",
-    "approach_direction": "the position of {place} depends on the direction of approach",
-    "empirical_law": "{place} follows a law that fits, without a known cause",
-}
+UNNAMED = {"empirical_law": "{place} follows a law that fits, without a known cause"}  # of no effect's file
 
 
 def effect_sentence(effect: str, location: Mapping[str, str | Sequence[str]]) -> str:
@@ -53,8 +22,9 @@ def effect_sentence(effect: str, location: Mapping[str, str | Sequence[str]]) ->
     places = [one for value in location.values() for one in ([value] if isinstance(value, str) else value)]
     named = [ALL if place == "all" else plain_name(place) for place in places]
     place = " and ".join(named) or "the robot"
-    sentence = SENTENCES.get(effect)
-    if sentence is None:
+    own = (known.sentence for known in catalogue() if known.name == effect)
+    sentence = UNNAMED.get(effect) or next(own, "")
+    if not sentence:
         return f"{effect.replace('_', ' ')} at {place}"
     return sentence.format(place=place) + ("" if within is None else f" in recording {within}")
 

@@ -18,6 +18,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float2D, Float3D
 
@@ -91,4 +92,6 @@ EFFECT = Effect(
     candidates=_candidates,
     loaded=False,
     restore=_restored,
+    sentence="the position of {place} depends on the direction of approach",
+    traits=frozenset({Trait.HISTORY, Trait.PATH}),
 )

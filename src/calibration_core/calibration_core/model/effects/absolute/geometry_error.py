@@ -17,6 +17,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 AXES = ("x", "y", "z")
@@ -58,4 +59,6 @@ EFFECT = Effect(
     candidates=_candidates,
     loaded=False,
     absolute=False,
+    sentence="the geometry at {place} is off",
+    traits=frozenset({Trait.GEOMETRY}),
 )

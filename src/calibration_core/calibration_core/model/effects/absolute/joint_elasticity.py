@@ -19,6 +19,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.kinematics import cross, dot
 from calibration_core.model.statics import gravity_torque
 from calibration_core.timeseries import Float1D, Float3D
@@ -117,4 +118,6 @@ EFFECT = Effect(
     reveal="the same poses with a second payload, or a loaded recording of this joint",
     candidates=_candidates,
     loaded=False,
+    sentence="{place} sags under the robot's own weight",
+    traits=frozenset({Trait.BY_WEIGHT}),
 )

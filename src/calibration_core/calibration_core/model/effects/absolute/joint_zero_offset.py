@@ -15,6 +15,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.virtual_joints import behind_joint
 from calibration_core.timeseries import Float3D
 
@@ -44,4 +45,6 @@ EFFECT = Effect(
     reveal="absolute positions; circles of the joint",
     candidates=_candidates,
     absolute=False,
+    sentence="the zero of {place} is off",
+    traits=frozenset({Trait.GEOMETRY}),
 )

@@ -17,6 +17,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 REFERENCE = 20.0  # degrees Celsius (ISO 1)
@@ -69,4 +70,6 @@ EFFECT = Effect(
     candidates=_candidates,
     loaded=False,
     forms=growths,
+    sentence="the robot grows with its temperature",
+    traits=frozenset({Trait.HISTORY}),
 )

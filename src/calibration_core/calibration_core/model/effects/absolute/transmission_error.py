@@ -18,6 +18,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float3D
 
@@ -97,4 +98,6 @@ EFFECT = Effect(
     candidates=_candidates,
     loaded=False,
     restore=_restored,
+    sentence="the gear of {place} runs unevenly",
+    traits=frozenset({Trait.DAMAGE}),
 )

@@ -42,4 +42,5 @@ EFFECT = Effect(
     reveal="turning the driving axis alone with the driven one standing still",
     candidates=_candidates,
     loaded=False,
+    sentence="the joints of the wrist are coupled",
 )

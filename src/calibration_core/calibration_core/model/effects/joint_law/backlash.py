@@ -16,6 +16,7 @@ from calibration_core.model.effects.joint_law.nonlinear_stiffness import acting_
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 WIDTHS = (0.003, 0.02, 0.04, 0.06)  # of the largest torque
@@ -46,4 +47,6 @@ EFFECT = Effect(
     reveal="reversed loads, small loads, configurations without gravity torque on the joint",
     candidates=partial(_forms, of=torques),
     forms=partial(_forms, of=all_torques),
+    sentence="{place} has backlash",
+    traits=frozenset({Trait.LAG, Trait.OF_LARGEST_TORQUE}),
 )

@@ -17,6 +17,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Float3D, Int1D
 
 TIMES = (30.0, 150.0, 800.0)  # s
@@ -86,4 +87,6 @@ EFFECT = Effect(
     reveal="ten-minute holds at full and at zero load",
     candidates=_candidates,
     forms=_forms,
+    sentence="{place} creeps under load",
+    traits=frozenset({Trait.MEMORY}),
 )

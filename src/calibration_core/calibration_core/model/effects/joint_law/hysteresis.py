@@ -22,6 +22,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Float2D, Float3D, FloatND
 
 RADII = (0.02, 0.06, 0.15, 0.4)  # of the largest torque
@@ -161,4 +162,6 @@ EFFECT = Effect(
     reveal="unloading through the same levels; then holds, to tell it from creep",
     candidates=_candidates,
     forms=_forms,
+    sentence="{place} shows hysteresis",
+    traits=frozenset({Trait.LAG, Trait.MEMORY, Trait.OF_LARGEST_TORQUE}),
 )

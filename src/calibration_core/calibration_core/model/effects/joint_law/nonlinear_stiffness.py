@@ -13,6 +13,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Float3D
 
 TORQUES = ("total torque", "load torque")
@@ -58,4 +59,6 @@ EFFECT = Effect(
     reveal="more load levels and reversed loads",
     candidates=partial(_forms, of=torques),
     forms=partial(_forms, of=all_torques),
+    sentence="{place} gives way not in proportion to its load",
+    traits=frozenset({Trait.OF_LARGEST_TORQUE}),
 )

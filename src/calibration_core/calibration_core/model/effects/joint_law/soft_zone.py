@@ -16,6 +16,7 @@ from calibration_core.model.effects.joint_law.nonlinear_stiffness import acting_
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 WIDTHS = (0.08, 0.13, 0.2, 0.3)  # of the largest torque
@@ -57,4 +58,6 @@ EFFECT = Effect(
     reveal="steps at 5 and 10 % of the load",
     candidates=partial(_forms, of=torques),
     forms=partial(_forms, of=all_torques),
+    sentence="{place} is softer at small torques",
+    traits=frozenset({Trait.OF_LARGEST_TORQUE}),
 )

@@ -16,6 +16,7 @@ from calibration_core.model.effects.load_chain.tool_weight import pulled
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 SHORTEST = 1e-3  # m; nearer holds give no direction
@@ -45,4 +46,6 @@ EFFECT = Effect(
     reveal="the same poses with and without the hose package",
     candidates=_candidates,
     loaded=False,
+    sentence="a cable or dress pack pulls",
+    traits=frozenset({Trait.ACTS_IN_USE}),
 )

@@ -14,6 +14,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.kinematics import cross, dot
 from calibration_core.timeseries import Float2D, Float3D
 
@@ -53,4 +54,6 @@ EFFECT = Effect(
     reveal="the same poses with and without the tool, or with a second payload",
     candidates=_candidates,
     loaded=False,
+    sentence="the weight of the tool is not what the model takes it for",
+    traits=frozenset({Trait.ACTS_IN_USE}),
 )

@@ -52,4 +52,5 @@ EFFECT = Effect(
     reveal="loads along every axis of the sensor",
     candidates=_candidates,
     absolute=False,
+    sentence="the axes of the force/torque sensor influence each other",
 )

@@ -13,6 +13,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.load_chain.wrench_gain import AXES
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 
@@ -40,4 +41,6 @@ EFFECT = Effect(
     reveal="unloaded readings and a tare before and after every configuration",
     candidates=_candidates,
     absolute=False,
+    sentence="the force/torque sensor drifts",
+    traits=frozenset({Trait.DRIFT}),
 )

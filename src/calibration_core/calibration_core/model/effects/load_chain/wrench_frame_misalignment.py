@@ -39,4 +39,5 @@ EFFECT = Effect(
     reveal="a known mass hung in three orientations",
     candidates=_candidates,
     absolute=False,
+    sentence="the force/torque sensor is turned against the cell file",
 )

@@ -41,4 +41,5 @@ EFFECT = Effect(
     reveal="known masses in several attitudes of the sensor",
     candidates=_candidates,
     absolute=False,
+    sentence="the force/torque sensor reads too much or too little",
 )

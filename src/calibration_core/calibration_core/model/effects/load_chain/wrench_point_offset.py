@@ -38,4 +38,5 @@ EFFECT = Effect(
     reveal="measure the point in known configurations; pure moments",
     candidates=_candidates,
     absolute=False,
+    sentence="the load pulls at another point than stated",
 )

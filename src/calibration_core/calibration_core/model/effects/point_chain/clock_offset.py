@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 from calibration_core.model.effects.candidate import Candidate, Effect
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 
 
 def _candidates(state: State) -> Iterator[Candidate]:  # noqa: ARG001  # at rest whatever the state
@@ -25,4 +26,6 @@ EFFECT = Effect(
     source="clocks that nobody synchronised, 10 to 500 ms",
     reveal="streams through load ramps instead of averages at rest",
     candidates=_candidates,
+    sentence="the clocks of tracker and robot differ",
+    traits=frozenset({Trait.HISTORY}),
 )

@@ -13,6 +13,7 @@ import numpy as np
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 
@@ -42,4 +43,6 @@ EFFECT = Effect(
     reveal="measure the point in known configurations",
     candidates=_candidates,
     absolute=False,
+    sentence="target {place} is at another place than stated",
+    traits=frozenset({Trait.FRAMES}),
 )

@@ -13,6 +13,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 
@@ -40,4 +41,6 @@ EFFECT = Effect(
     source="thermal drift of stands and floors",
     reveal="the home pose every three to five configurations; fixed reference targets",
     candidates=_candidates,
+    sentence="the tracker drifts",
+    traits=frozenset({Trait.DRIFT, Trait.HISTORY}),
 )

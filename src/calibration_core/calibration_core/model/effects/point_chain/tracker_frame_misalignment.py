@@ -13,6 +13,7 @@ from calibration_core.model.effects.candidate import Candidate, Effect, Paramete
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
+from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 
@@ -35,4 +36,6 @@ EFFECT = Effect(
     reveal="absolute positions in many configurations",
     candidates=_candidates,
     absolute=False,
+    sentence="the tracker stands turned against the cell file",
+    traits=frozenset({Trait.FRAMES}),
 )

@@ -32,4 +32,5 @@ EFFECT = Effect(
     reveal="a scale bar, or targets at known distances",
     candidates=_candidates,
     loaded=False,
+    sentence="the tracker's scale is off",
 )

@@ -64,4 +64,5 @@ EFFECT = Effect(
     source="six springs in series with the chain",
     reveal="a target on the base: it moves, or it does not; spread joint 1",
     candidates=_candidates,
+    sentence="the base gives way",
 )

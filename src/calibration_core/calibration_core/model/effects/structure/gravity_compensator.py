@@ -24,6 +24,7 @@ from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.structure.pose_dependent_stiffness import modulated
+from calibration_core.model.effects.traits import Trait
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -148,4 +149,6 @@ EFFECT = Effect(
     reveal="absolute positions over the range of the joint; the same load at six values of its angle",
     candidates=_candidates,
     restore=_restored,
+    sentence="the gravity compensator of {place} acts",
+    traits=frozenset({Trait.SPRING}),
 )

@@ -49,4 +49,5 @@ EFFECT = Effect(
     source="wrist gear trains and parallelograms; Maxwell-Betti reciprocity",
     reveal="loads that put a torque on one of the two joints only",
     candidates=_candidates,
+    sentence="{place} are coupled elastically",
 )

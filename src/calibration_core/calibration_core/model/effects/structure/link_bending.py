@@ -119,4 +119,5 @@ EFFECT = Effect(
     reveal="a target at either end of the link; more configurations",
     candidates=_candidates,
     forms=_forms,
+    sentence="{place} bends",
 )

@@ -71,4 +71,5 @@ EFFECT = Effect(
     reveal="a second target on the link before the joint, and loads across its axis",
     candidates=_candidates,
     forms=_forms,
+    sentence="{place} tilts about an axis that is not its own",
 )

@@ -63,4 +63,5 @@ EFFECT = Effect(
     reveal="the same load at six or more values of the joint's angle",
     candidates=_candidates,
     forms=_forms,
+    sentence="the stiffness of {place} depends on the posture",
 )

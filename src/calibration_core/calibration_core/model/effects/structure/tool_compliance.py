@@ -47,4 +47,5 @@ EFFECT = Effect(
     reveal="targets on both sides of the adapter",
     candidates=_candidates,
     absolute=False,
+    sentence="the tool gives way",
 )
