@@ -13,7 +13,7 @@ import pytest
 from calibration_core.cell import Cell, load_cell
 from calibration_core.cli import main
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.identification.stiffness.loaded import identify_loaded
+from calibration_core.identification.identify import identify
 from calibration_core.input_checks.check import check_inputs, unit_note
 from calibration_core.input_checks.loaded import quarter_turns
 from calibration_core.input_checks.units import unit_anomaly
@@ -366,7 +366,7 @@ def test_the_zero_of_the_first_joint_cannot_be_told_and_changes_no_stiffness(goo
     readings, cell = good
     turned = dataclasses.replace(readings, q=readings.q + 0.05 * np.eye(readings.q.shape[1])[0])
     assert check_inputs(turned, cell) == ()
-    before, after = (identify_loaded(one, cell) for one in (readings, turned))
+    before, after = (identify(one, cell) for one in (readings, turned))
     values = [[joint.value for joint in found.stiffness] for found in (before, after)]
     np.testing.assert_allclose(values[1], values[0], rtol=1e-4)
     assert after.fit.rms_after == pytest.approx(before.fit.rms_after, rel=1e-4)

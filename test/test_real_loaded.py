@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.identification.stiffness.loaded import Options, identify_loaded
+from calibration_core.identification.identify import identify
+from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.observations.observe import observe
 from calibration_core.timeseries import Readings
 
@@ -28,7 +29,7 @@ def fanuc() -> tuple[Readings, Cell]:
 
 @pytest.mark.parametrize("method", ["linear", "equilibrium"])
 def test_plain_weights_repeat_the_known_figures(fanuc: tuple[Readings, Cell], method: str) -> None:
-    found = identify_loaded(*fanuc, Options(method=method, weights="plain", robust=False))
+    found = identify(*fanuc, Options(method=method, weights="plain", robust=False))
     values = np.array([joint.value for joint in found.stiffness])
     stds = np.array([joint.std / joint.value for joint in found.stiffness])
     np.testing.assert_allclose(values, PUBLISHED, rtol=0.01)
@@ -40,8 +41,8 @@ def test_plain_weights_repeat_the_known_figures(fanuc: tuple[Readings, Cell], me
 
 
 def test_the_robust_default_predicts_no_worse(fanuc: tuple[Readings, Cell]) -> None:
-    found = identify_loaded(*fanuc)
-    plain = identify_loaded(*fanuc, Options(method="linear", weights="plain", robust=False))
+    found = identify(*fanuc)
+    plain = identify(*fanuc, Options(method="linear", weights="plain", robust=False))
     assert found.fit.held_out_mean_after <= plain.fit.held_out_mean_after
     assert all(exclusion.reason for exclusion in found.exclusions)
     assert "noise_understated" in [anomaly.kind for anomaly in found.anomalies]

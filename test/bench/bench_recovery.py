@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import load_cell
-from calibration_core.identification.stiffness.loaded import identify_loaded
+from calibration_core.identification.identify import identify
 from calibration_sim.cell.configurations import random_protocol
 from calibration_sim.cell.table import measure, solve
 from calibration_sim.cell.truth import draw_truth
@@ -25,7 +25,7 @@ def test_intervals_cover_the_truth() -> None:
     inside, errors, excluded = [], [], 0
     for seed in SEEDS:
         truth = draw_truth(CELL, seed)
-        found = identify_loaded(measure(solve(CELL, truth, random_protocol(CELL, 18, seed)), CELL, seed), CELL)
+        found = identify(measure(solve(CELL, truth, random_protocol(CELL, 18, seed)), CELL, seed), CELL)
         inside.append(
             [j.interval[0] <= k <= j.interval[1] for j, k in zip(found.stiffness, truth.stiffness, strict=True)]
         )
@@ -44,7 +44,7 @@ def test_the_cramer_rao_bound_is_attained() -> None:
     bound = np.sqrt(np.diag(np.linalg.inv(fisher_information(truth, solved))))
     values, stds = [], []
     for seed in REPEATS:
-        found = identify_loaded(measure(solved, CELL, seed), CELL)
+        found = identify(measure(solved, CELL, seed), CELL)
         values.append([joint.compliance for joint in found.stiffness])
         stds.append([joint.compliance_std for joint in found.stiffness])
     reported, seen = np.mean(stds, axis=0) / bound, np.std(values, axis=0) / bound

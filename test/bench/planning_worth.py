@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from planning_problems import CELL
 
-from calibration_core.identification.stiffness.loaded import identify_loaded
+from calibration_core.identification.identify import identify
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.planning.feasible.candidates import draw_postures, loaded_postures
 from calibration_core.planning.feasible.loads import LoadRules
@@ -56,6 +56,6 @@ def promised_and_seen(seeds: int) -> np.ndarray:
     errors = []
     for seed in range(seeds):
         truth = draw_truth(CELL, 5000 + seed)
-        found = identify_loaded(measure(solve(CELL, truth, protocol), CELL, 5000 + seed), CELL)
+        found = identify(measure(solve(CELL, truth, protocol), CELL, 5000 + seed), CELL)
         errors.append([(j.value - k) / k for j, k in zip(found.stiffness, truth.stiffness, strict=True)])
     return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)) / plan.expected.stiffness_std)

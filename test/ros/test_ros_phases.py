@@ -27,7 +27,7 @@ from calibration_core.measurement.session import Session
 from calibration_core.observations.observe import observe
 from calibration_core.planning.feasible.loads import LoadRules
 from calibration_core.planning.loaded import PlanningRules, make_plan
-from calibration_core.planning.phases import plan_phases
+from calibration_core.planning.phases import with_phases
 from calibration_core.planning.plans.plan_file import plan_text
 from calibration_sim.cell.truth import UNCALIBRATED, draw_truth
 
@@ -52,9 +52,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cell = load_cell(CELL)
     rules = PlanningRules(load=LoadRules(levels=LEVELS))
     made = make_plan(cell, rules=rules, seed=2)
-    assert made.reference is not None
-    phases = plan_phases(cell, seed=2, home=made.reference.q)
-    made = dataclasses.replace(made, preparation=phases, startup_cycle=made.startup_cycle[-1:])
+    made = dataclasses.replace(with_phases(made, cell, seed=2)[0], startup_cycle=made.startup_cycle[-1:])
     path = tmp_path_factory.mktemp("phases") / "plan.yaml"
     path.write_text(plan_text(made), encoding="utf-8")
     return path

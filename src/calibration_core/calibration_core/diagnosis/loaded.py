@@ -92,7 +92,7 @@ def diagnose_loaded(
     test: Readings | None = None,
     offers: Offers | None = None,
 ) -> Diagnosis:
-    """Say what the model of a loaded recording leaves out; arguments as `diagnose`, errors as `identify_loaded`."""
+    """Say what the model of a loaded recording leaves out; arguments as `diagnose`, errors as `prepare_loaded`."""
     options = options or Options()
     prepared = prepare_loaded(readings, cell, options)
     identification = identify_prepared(prepared, cell, options, test)

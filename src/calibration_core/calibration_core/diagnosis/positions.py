@@ -249,7 +249,7 @@ def diagnose_mixed(
     Rows are in the order of time; arguments as `diagnose`.
 
     Raises:
-        InputError: As `identify_absolute`, and as `identify_loaded` where several configurations were loaded.
+        InputError: As `identify_absolute`, and as `prepare_loaded` where several configurations were loaded.
     """
     start = nominal_parameters(cell) if options.start is None else options.start
     still = standing(readings)

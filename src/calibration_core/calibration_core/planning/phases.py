@@ -86,35 +86,6 @@ class PlannedSweep:
         return rows
 
 
-def plan_phases(
-    cell: Cell,
-    rules: PhaseRules | None = None,
-    *,
-    seed: int = 0,
-    parameters: ModelParameters | None = None,
-    home: Float1D | None = None,
-) -> tuple[PlannedConfiguration, ...]:
-    """Plan the standstills of all phases before the compliance, in the order in which they are measured.
-
-    Every arc is free of collisions from end to end, and every standstill is seen; the ways between standstills are
-    straight in joint space, and clear ones are taken where there are any.
-
-    Args:
-        cell: The cell; without `frames.tracker` sight is not judged.
-        rules: How; the defaults if None.
-        seed: The same seed gives the same plan.
-        parameters: Frames and points to plan with; the cell file's if None.
-        home: (n,) rad, where the robot comes from before and goes to afterwards; None: anywhere.
-
-    Raises:
-        CellError: The robot cannot be read.
-        PlanError: Joint 1 or 2 cannot be swept far enough, or too few postures can be measured.
-    """
-    rules = rules or PhaseRules()
-    ground = ground_of(cell, parameters or nominal_parameters(cell), rules.space, None)
-    return _standstills(ground, rules, seed, home)
-
-
 def _standstills(
     ground: Ground, rules: PhaseRules, seed: int, home: Float1D | None
 ) -> tuple[PlannedConfiguration, ...]:
@@ -153,7 +124,20 @@ def with_phases(
 ) -> tuple[Plan, Duration, int]:
     """Return a plan with the phases before it, how long all of it takes, and its motions that cannot be proven clear.
 
-    What the plan promises then holds for all of it, too.  Arguments and errors are those of `plan_phases`.
+    Every arc is free of collisions from end to end, and every standstill is seen; the ways between standstills are
+    straight in joint space, and clear ones are taken where there are any.  What the plan promises then holds for all of
+    it, too.
+
+    Args:
+        plan: What follows the phases; they begin and end where it begins.
+        cell: The cell; without `frames.tracker` sight is not judged.
+        rules: How; the defaults if None.
+        seed: The same seed gives the same phases.
+        parameters: Frames and points to plan with; the cell file's if None.
+
+    Raises:
+        CellError: The robot cannot be read.
+        PlanError: Joint 1 or 2 cannot be swept far enough, or too few postures can be measured.
     """
     rules = rules or PhaseRules()
     parameters = parameters or nominal_parameters(cell)

@@ -11,9 +11,10 @@ import pytest
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.errors import CellError, IdentificationError
+from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.fit import fit_compliance
 from calibration_core.identification.stiffness.left_out import held_out_compliance
-from calibration_core.identification.stiffness.loaded import Options, identify_loaded, prepare_loaded
+from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
@@ -58,7 +59,7 @@ def test_columns_and_wrench_noise_against_finite_differences(tmp_path: Path, met
 @pytest.mark.parametrize("deflections", ["points", "pose"])
 def test_a_known_truth_is_recovered(tmp_path: Path, deflections: str) -> None:
     cell = write_cell(tmp_path)
-    found = identify_loaded(loaded_readings(cell, 2), cell, Options(deflections=deflections))
+    found = identify(loaded_readings(cell, 2), cell, Options(deflections=deflections))
     z = [(joint.value - true) / joint.std for joint, true in zip(found.stiffness, STIFFNESS, strict=True)]
     assert np.abs(z).max() < 3.5
     assert all(joint.identifiable for joint in found.stiffness)
@@ -88,7 +89,7 @@ def test_many_gross_errors_cost_few_fits(tmp_path: Path) -> None:
 
 def test_without_noise_the_truth_is_exact(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
-    found = identify_loaded(loaded_readings(cell, 3, noise=0.0), cell, Options(robust=False))
+    found = identify(loaded_readings(cell, 3, noise=0.0), cell, Options(robust=False))
     np.testing.assert_allclose([joint.value for joint in found.stiffness], STIFFNESS, rtol=1e-6)
     assert found.fit.rms_after < 1e-9
 
@@ -101,7 +102,7 @@ def test_intervals_cover_and_the_bound_is_attained(tmp_path: Path) -> None:
         base = loaded_readings(cell, 4)  # the same configurations and loads
         clean = loaded_readings(cell, 4, noise=0.0)
         noise = np.random.default_rng(seed).normal(0, 2e-5, base.position.shape)
-        found = identify_loaded(_replace(clean, position=clean.position + noise), cell)
+        found = identify(_replace(clean, position=clean.position + noise), cell)
         values.append([joint.compliance for joint in found.stiffness])
         stds.append([joint.compliance_std for joint in found.stiffness])
         inside += [j.interval[0] <= k <= j.interval[1] for j, k in zip(found.stiffness, STIFFNESS, strict=True)]
@@ -112,10 +113,10 @@ def test_intervals_cover_and_the_bound_is_attained(tmp_path: Path) -> None:
 def test_frames_are_refitted_and_may_be_unknown(tmp_path: Path) -> None:
     truth = write_cell(tmp_path)
     readings = loaded_readings(truth, 5)
-    expected = identify_loaded(readings, truth)
+    expected = identify(readings, truth)
     wrong = {name: [x + 2e-3 for x in point] for name, point in truth.frames.measurement_points.items()}
     moved = write_cell(tmp_path, frames={"measurement_points": wrong, "tracker": None})
-    found = identify_loaded(readings, moved)
+    found = identify(readings, moved)
     for a, b in zip(found.stiffness, expected.stiffness, strict=True):
         assert a.value == pytest.approx(b.value, abs=0.05 * b.std)
 
@@ -127,24 +128,24 @@ def test_a_gross_error_is_named_and_can_be_readmitted(tmp_path: Path) -> None:
     row = 3 * 5 * 4 + 3 * 2 + 1  # configuration 5, step 2, mp2
     position[row] += [3e-4, 0.0, -2e-4]
     spoiled = _replace(clean, position=position)
-    found = identify_loaded(spoiled, cell)
+    found = identify(spoiled, cell)
     (one,) = found.exclusions
     assert (one.configuration, one.step, one.point) == (5, 2, "mp2")
     assert one.size == pytest.approx(np.hypot(3e-4, 2e-4), rel=0.4)
     assert "outlier_readings" in [anomaly.kind for anomaly in found.anomalies]
     assert found.residuals.excluded.sum() == 1
-    reference = identify_loaded(clean, cell)
+    reference = identify(clean, cell)
     for a, b in zip(found.stiffness, reference.stiffness, strict=True):
         assert a.value == pytest.approx(b.value, abs=0.5 * b.std)
-    again = identify_loaded(spoiled, cell, Options(readmit=frozenset({(5, 2, "mp2")})))
+    again = identify(spoiled, cell, Options(readmit=frozenset({(5, 2, "mp2")})))
     assert not again.exclusions
     assert again.fit.rms_after > found.fit.rms_used
 
 
 def test_understated_noise_is_seen_without_the_model_and_widens_the_intervals(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
-    modest = identify_loaded(loaded_readings(cell, 7), cell)
-    found = identify_loaded(loaded_readings(cell, 7, noise=1.6), cell)
+    modest = identify(loaded_readings(cell, 7), cell)
+    found = identify(loaded_readings(cell, 7, noise=1.6), cell)
     assert found.noise.understated
     assert found.noise.scale == pytest.approx(1.6, rel=0.1)
     assert "noise_understated" in [anomaly.kind for anomaly in found.anomalies]
@@ -157,7 +158,7 @@ def test_a_rest_that_is_not_noise_is_not_blamed_on_the_tracker(tmp_path: Path) -
     force = np.linalg.norm(readings.wrench[:, :3], axis=1)
     rotation = 3e-5 * (force / force.max()) ** 3  # rigid and nonlinear in the load: no spring does this
     position = readings.position + rotation[:, None] * [3.0, -2.0, 1.0]
-    found = identify_loaded(_replace(readings, position=position), cell)
+    found = identify(_replace(readings, position=position), cell)
     assert not found.noise.understated
     assert found.noise.scale > 1.2
     assert "is as good as stated" in found.noise.text
@@ -184,8 +185,8 @@ def test_displacements_relative_to_step_zero(tmp_path: Path) -> None:
     first = {tuple(key): p for key, p, s in zip(keys, readings.position, readings.step, strict=True) if s == 0}
     moved = readings.position - np.stack([first[tuple(key)] for key in keys])
     cell = write_cell(tmp_path, measurements={"points": "displacement"})
-    found = identify_loaded(_replace(readings, position=moved), cell)
-    reference = identify_loaded(readings, absolute)
+    found = identify(_replace(readings, position=moved), cell)
+    reference = identify(readings, absolute)
     for a, b in zip(found.stiffness, reference.stiffness, strict=True):
         assert a.value == pytest.approx(b.value, abs=0.1 * b.std)
     assert not found.residuals.residual[readings.step == 0].any()
@@ -193,7 +194,7 @@ def test_displacements_relative_to_step_zero(tmp_path: Path) -> None:
 
 def test_a_second_recording_is_predicted(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
-    found = identify_loaded(loaded_readings(cell, 11), cell, test=loaded_readings(cell, 12, configurations=5))
+    found = identify(loaded_readings(cell, 11), cell, test=loaded_readings(cell, 12, configurations=5))
     assert found.test is not None
     assert found.test.rms < 2.2e-5 < found.test.rms_before
 
@@ -201,7 +202,7 @@ def test_a_second_recording_is_predicted(tmp_path: Path) -> None:
 def test_unsettled_notes_become_anomalies(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
     note = Note("unsettled", "configuration 3, step 1, mp2", "it never settled", 1)
-    found = identify_loaded(loaded_readings(cell, 13).with_notes(note), cell)
+    found = identify(loaded_readings(cell, 13).with_notes(note), cell)
     assert ("unsettled", "it never settled") in [(a.kind, a.text) for a in found.anomalies]
 
 
@@ -216,7 +217,7 @@ def test_unsettled_notes_become_anomalies(tmp_path: Path) -> None:
 def test_recordings_without_loads_are_refused(tmp_path: Path, change: dict, place: str) -> None:
     cell = write_cell(tmp_path)
     with pytest.raises(IdentificationError) as caught:
-        identify_loaded(_replace(loaded_readings(cell, 14), **change), cell)
+        prepare_loaded(_replace(loaded_readings(cell, 14), **change), cell, Options())
     assert caught.value.place == place
 
 
@@ -225,7 +226,7 @@ def test_a_missing_sensor_frame_is_named(tmp_path: Path) -> None:
     readings = loaded_readings(cell, 15)
     bare = write_cell(tmp_path, frames={"force_torque": None})
     with pytest.raises(CellError, match=r"frames\.force_torque"):
-        identify_loaded(readings, bare)
+        identify(readings, bare)
 
 
 def test_pose_needs_three_points_off_one_line(tmp_path: Path) -> None:
@@ -233,11 +234,11 @@ def test_pose_needs_three_points_off_one_line(tmp_path: Path) -> None:
     readings = loaded_readings(cell, 16)
     two = readings.select(readings.point < 2)
     with pytest.raises(IdentificationError, match="three such points"):
-        identify_loaded(two, cell, Options(deflections="pose"))
+        identify(two, cell, Options(deflections="pose"))
 
 
 def test_one_loaded_configuration_is_refused(tmp_path: Path) -> None:
     cell = write_cell(tmp_path)
     readings = loaded_readings(cell, 17)
     with pytest.raises(IdentificationError, match="at least 2"):
-        identify_loaded(readings.select(readings.configuration == 4), cell)
+        identify(readings.select(readings.configuration == 4), cell)

@@ -11,8 +11,8 @@ from robots import LEVELS, STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
+from calibration_core.identification.identify import identify
 from calibration_core.identification.progress import progress
-from calibration_core.identification.stiffness.loaded import identify_loaded
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.timeseries import Readings
@@ -59,7 +59,7 @@ def first(readings: Readings, count: int) -> Readings:
 
 
 def test_at_the_end_it_says_what_the_evaluation_says(cell: Cell, readings: Readings) -> None:
-    told, found = progress(readings, cell), identify_loaded(readings, cell)
+    told, found = progress(readings, cell), identify(readings, cell)
     assert told.configuration == ALL
     assert told.stiffness == pytest.approx([joint.value for joint in found.stiffness])
     assert told.interval == pytest.approx(np.array([joint.interval for joint in found.stiffness]))

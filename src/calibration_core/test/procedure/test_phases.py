@@ -25,7 +25,7 @@ from calibration_core.planning import phases
 from calibration_core.planning.feasible.candidates import Ground
 from calibration_core.planning.feasible.collision import CollisionModel
 from calibration_core.planning.feasible.space import Site, fitness, joint_range
-from calibration_core.planning.phases import PhaseRules, PlannedSweep, best_sweep, plan_phases
+from calibration_core.planning.phases import PhaseRules, PlannedSweep, best_sweep, with_phases
 from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 from calibration_core.planning.plans.plan_file import plan_text, read_plan
 
@@ -42,7 +42,14 @@ def cell(request: pytest.FixtureRequest) -> Cell:
 @pytest.fixture(scope="module")
 def planned(cell: Cell) -> tuple[PlannedConfiguration, ...]:
     """Return the standstills of all phases."""
-    return plan_phases(cell, seed=3)
+    return phases_of(cell, seed=3)
+
+
+def phases_of(cell: Cell, rules: PhaseRules | None = None, seed: int = 0) -> tuple[PlannedConfiguration, ...]:
+    """Return the phases before a plan that begins at zero."""
+    begin = PlannedConfiguration(1, np.zeros(6), np.zeros((1, 6)))
+    plan = Plan(cell.robot.name, cell.robot.joints, (begin,), np.empty((0, 6)))
+    return with_phases(plan, cell, rules, seed=seed)[0].preparation
 
 
 def of(planned: tuple[PlannedConfiguration, ...], phase: str) -> np.ndarray:
@@ -96,7 +103,7 @@ def test_numbers_are_those_of_the_phase(planned: tuple[PlannedConfiguration, ...
 
 
 def test_the_same_seed_gives_the_same_phases(cell: Cell, planned: tuple[PlannedConfiguration, ...]) -> None:
-    again, other = plan_phases(cell, seed=3), plan_phases(cell, seed=4)
+    again, other = phases_of(cell, seed=3), phases_of(cell, seed=4)
     assert all(np.array_equal(a.q, b.q) for a, b in zip(planned, again, strict=True))
     assert not all(np.array_equal(a.q, b.q) for a, b in zip(planned, other, strict=True))
 
@@ -137,14 +144,14 @@ def test_a_phase_that_cannot_be_used_is_refused(
 
 def test_a_joint_that_cannot_turn_is_named(demo_cell: Cell) -> None:
     with pytest.raises(PlanError, match="joint_1"):
-        plan_phases(demo_cell, PhaseRules(least_arc=np.radians(359.0), arc=np.radians(359.5)))
+        phases_of(demo_cell, PhaseRules(least_arc=np.radians(359.0), arc=np.radians(359.5)))
     site = Site.of(chain_of(demo_cell), nominal_parameters(demo_cell), demo_cell)
     far = dataclasses.replace(site, tracker=np.array([1e3, 0.0, 0.0]))
     blind = CollisionModel.of(demo_cell, far, RULES.space)
     with pytest.raises(PlanError, match="while the arm stands"):
         phases._wrist(Ground(demo_cell, far, blind, RULES.space), RULES, np.random.default_rng(1), None)
     with pytest.raises(PlanError, match=r"7\.5"):
-        plan_phases(demo_cell, PhaseRules(space=dataclasses.replace(RULES.space, dexterity=0.9)))
+        phases_of(demo_cell, PhaseRules(space=dataclasses.replace(RULES.space, dexterity=0.9)))
 
 
 def test_the_wider_arc_is_taken_before_the_larger_circle(demo_cell: Cell) -> None:
@@ -168,7 +175,7 @@ def test_arcs_and_ways_are_free_of_collisions(cell: Cell, planned: tuple[Planned
     assert unclear <= 2  # within a phase none; between two, the plan may have to be led by hand
 
 
-def with_phases(plan: Plan) -> Plan:
+def some_phases(plan: Plan) -> Plan:
     swept = [(1001, "base_frame"), (1002, "base_frame"), (4001, "points")]
     return dataclasses.replace(
         plan,
@@ -180,7 +187,7 @@ def with_phases(plan: Plan) -> Plan:
 
 
 def test_phases_come_first_and_are_announced(started: Started, plan_of: Plans) -> None:
-    world = started(with_phases(plan_of()))
+    world = started(some_phases(plan_of()))
     assert world.run().outcome is Outcome.COMPLETED
     assert world.completed == [1001, 1002, 4001, 1, 2, 3, 4]
     begun = [(one.configuration, one.text) for one in world.records if one.kind is Kind.PHASE]
@@ -192,7 +199,7 @@ def test_phases_come_first_and_are_announced(started: Started, plan_of: Plans) -
 
 
 def test_a_standstill_that_is_not_seen_is_left_out(started: Started, plan_of: Plans) -> None:
-    world = started(with_phases(plan_of()))
+    world = started(some_phases(plan_of()))
     for action in ("resume_motion", "gain", "heard", "resume_motion"):
         world.act(action)
     while world.finish is None:
@@ -204,7 +211,7 @@ def test_a_standstill_that_is_not_seen_is_left_out(started: Started, plan_of: Pl
 
 
 def test_a_resumed_plan_goes_on_within_its_phases(started: Started, plan_of: Plans) -> None:
-    world = started(with_phases(plan_of()), completed=frozenset({1001, 1002}), given_up=frozenset())
+    world = started(some_phases(plan_of()), completed=frozenset({1001, 1002}), given_up=frozenset())
     assert world.run().outcome is Outcome.COMPLETED
     assert world.completed == [4001, 1, 2, 3, 4]
 

@@ -80,30 +80,17 @@ class Options:
         )
 
 
-def identify_loaded(
-    readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None
-) -> Identification:
-    """Identify the joint stiffnesses from a recording with several load steps per configuration.
-
-    Args:
-        readings: The recording.
-        cell: The cell file.
-        options: How to evaluate.
-        test: A second recording, predicted but not fitted.
-
-    Raises:
-        CellError: A frame is needed and missing.
-        IdentificationError: Fewer than two steps everywhere, or no load.
-        EquilibriumError: The load is beyond what the joints can carry.
-    """
-    options = options or Options()
-    return identify_prepared(prepare_loaded(readings, cell, options), cell, options, test)
-
-
 def identify_prepared(
     prepared: PreparedLoaded, cell: Cell, options: Options, test: Readings | None = None
 ) -> Identification:
-    """Make the answer of `identify_loaded` from what was fitted."""
+    """Make the answer from what was fitted.
+
+    Args:
+        prepared: What `prepare_loaded` fitted.
+        cell: The cell file.
+        options: How it was evaluated.
+        test: A second recording, predicted but not fitted.
+    """
     readings = prepared.problem.readings
     problem, rejection, fit, nominal = prepared.problem, prepared.rejection, prepared.fit, prepared.nominal
     chain, parameters, frames = problem.chain, prepared.parameters, prepared.frames
@@ -179,7 +166,13 @@ class PreparedLoaded:
 
 
 def prepare_loaded(readings: Readings, cell: Cell, options: Options) -> PreparedLoaded:
-    """Refit the frames, set gross errors aside and fit the compliances; raises as `identify_loaded` does."""
+    """Refit the frames, set gross errors aside and fit the compliances.
+
+    Raises:
+        CellError: A frame is needed and missing.
+        IdentificationError: Fewer than two steps everywhere, or no load.
+        EquilibriumError: The load is beyond what the joints can carry.
+    """
     nominal = nominal_parameters(cell) if options.start is None else options.start
     chain = chain_of(cell).corrected(nominal.geometry)
     stated_by = "the given model" if options.start is not None else "the cell file" if cell.frames.tracker else None

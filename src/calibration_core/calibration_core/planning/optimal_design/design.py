@@ -28,14 +28,12 @@ class ExchangeResult:
         chosen: (N,) indices of the candidates, increasing.
         score: Of the mean information of the chosen ones, in units of the candidates' scale.
         bound: No choice of N different candidates has a larger score; infinite where nothing certifies one.
-        continuous_bound: Nor has any weighting of the candidates, repeated ones included.
     """
 
     criterion: Criterion
     chosen: Int1D
     score: float
     bound: float
-    continuous_bound: float
 
     @property
     def efficiency(self) -> float | None:
@@ -44,11 +42,6 @@ class ExchangeResult:
         For the determinant (det / det*)^(1/n), for variances the ratio of the least that are possible to these.
         """
         return float(np.exp(self.score - self.bound)) if np.isfinite(self.bound) else None
-
-    @property
-    def continuous_efficiency(self) -> float | None:
-        """The same against the continuous optimum."""
-        return float(np.exp(self.score - self.continuous_bound)) if np.isfinite(self.continuous_bound) else None
 
 
 def choose(
@@ -95,7 +88,7 @@ def choose(
     bound = weighted.bound
     if criterion.concave and not repeated:
         bound = min(capped_bound(candidates, criterion, best, group), bound)
-    return ExchangeResult(criterion, np.sort(best), best_score, bound, weighted.bound)
+    return ExchangeResult(criterion, np.sort(best), best_score, bound)
 
 
 def rated(candidates: Candidates, chosen: Int1D, best: ExchangeResult) -> ExchangeResult:
