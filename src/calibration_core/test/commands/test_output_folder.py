@@ -11,7 +11,7 @@ from program import CELL, run
 
 import calibration_core as cal
 from calibration_core.errors import OutputError
-from calibration_core.report.writing.output import WRITTEN
+from calibration_core.report.writing.output import WRITTEN, made_by
 from calibration_core.report.writing.ownership import refuse_inputs, require_own
 
 
@@ -36,17 +36,30 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     return refused
 
 
-def test_a_command_leaves_the_results_of_another_alone(
+def test_a_command_leaves_recordings_of_another_and_its_own_input_alone(
     simulated: Path, identified: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     shutil.copytree(simulated, tmp_path / "s")
     error = refused(tmp_path, "identify", tmp_path / "s" / "recording", "--cell", CELL, "--out", tmp_path / "s")
-    assert "a result of calibration simulate" in error
+    assert "an input of this command" in error
+    other = simulated / "recording"
+    assert "recordings of calibration simulate" in refused(
+        tmp_path, "identify", other, "--cell", CELL, "--out", tmp_path / "s"
+    )
     shutil.copytree(identified, tmp_path / "t")
     model = tmp_path / "t" / "model.yaml"
-    recording = simulated / "recording"
-    error = refused(tmp_path, "predict", recording, "--cell", CELL, "--model", model, "--out", tmp_path / "t")
-    assert "a result of calibration identify" in error
+    error = refused(tmp_path, "predict", other, "--cell", CELL, "--model", model, "--out", tmp_path / "t")
+    assert error.startswith(f"{model}: found an input of this command")
+
+
+def test_a_command_replaces_the_results_of_another(simulated: Path, identified: Path, tmp_path: Path) -> None:
+    """Results can be made again from their inputs; the folder then holds one whole result."""
+    out = tmp_path / "t"
+    shutil.copytree(identified, out)
+    model, recording = identified / "model.yaml", simulated / "measurements.csv"
+    assert run("predict", recording, "--cell", CELL, "--model", model, "--no-report", "--out", out) == 0
+    assert made_by(out) == "predict"
+    assert not (out / "model.yaml").exists()
 
 
 def test_the_same_command_leaves_its_input_alone(

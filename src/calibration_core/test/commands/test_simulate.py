@@ -74,7 +74,7 @@ def test_a_simulated_recording_is_replaced_and_a_measured_one_is_not(
     after = (tmp_path / "measurements.csv").read_bytes()
     capsys.readouterr()
     assert run(*options, "--seed", 6) == 2
-    assert "a result of calibration identify" in capsys.readouterr().err
+    assert "measurements.csv: found a file that calibration simulate did not write" in capsys.readouterr().err
     assert (tmp_path / "measurements.csv").read_bytes() == after
 
 

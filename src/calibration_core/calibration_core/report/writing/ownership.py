@@ -1,7 +1,8 @@
 """Whose files stand in an output folder: a command replaces what it wrote itself, never an input or a file of others.
 
-What a command wrote is known by the `result.json` beside it, which names the command.  A folder with such a result is
-its own as a whole: every name of `WRITTEN` in it is replaced or removed by the next result.
+What the program wrote is known by the `result.json` beside it, which names the command.  A folder with such a result
+is the program's own: every name of `WRITTEN` in it is replaced or removed by the next result, of whatever command.
+Recordings alone, which are data, are replaced only by the command that made them.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from pathlib import Path
 from calibration_core.errors import OutputError
 from calibration_core.report.writing.output import RESULT, WRITTEN, made_by
 
+RECORDING = frozenset({"simulate", "import"})  # commands whose results are recordings
+
 
 def require_own(directory: Path, command: str) -> None:
     """Refuse a folder in which a command would replace or remove what it did not write.
@@ -22,18 +25,17 @@ def require_own(directory: Path, command: str) -> None:
         command: One of `WRITTEN`.
 
     Raises:
-        OutputError: Files of these names stand there, and are not known to be results of the same command.
+        OutputError: Files of these names stand there that no result of the program holds, or recordings that another
+            command made.
     """
-    there = [name for name in sorted(WRITTEN[command]) if os.path.lexists(directory / name)]
-    if not there:
-        return
     maker = made_by(directory)
-    if maker == command:
-        return
-    expected = f"another directory: calibration {command} replaces its own results alone"
-    if maker is not None:
-        raise OutputError(directory / RESULT, "", f"a result of calibration {maker}", expected)
-    raise OutputError(directory / there[0], "", f"a file that calibration {command} did not write", expected)
+    expected = f"another directory for the results of calibration {command}"
+    if maker in RECORDING and maker != command:
+        raise OutputError(directory / RESULT, "", f"recordings of calibration {maker} beside it", expected)
+    foreign = WRITTEN[command] - WRITTEN.get(maker or "", frozenset())
+    there = [name for name in sorted(foreign) if os.path.lexists(directory / name)]
+    if there:
+        raise OutputError(directory / there[0], "", f"a file that calibration {command} did not write", expected)
 
 
 def refuse_inputs(directory: Path, command: str, inputs: Iterable[Path]) -> None:
@@ -51,7 +53,7 @@ def refuse_inputs(directory: Path, command: str, inputs: Iterable[Path]) -> None
         home = directory.resolve()
     except (OSError, ValueError, RuntimeError):
         return  # no place at all: whoever writes says so
-    replaced = {home / name for name in WRITTEN[command]}
+    replaced = {home / name for name in WRITTEN[command] | WRITTEN.get(made_by(directory) or "", frozenset())}
     for given in inputs:
         if any(replaced & {place, *place.parents} for place in _places(given)):
             expected = f"another directory than {directory} for the results: they would take its place"
