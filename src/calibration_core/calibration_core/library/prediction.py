@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration_core.commands.evaluation.predict import Predicted, evaluate
+from calibration_core.commands.evaluation.predict import PredictedRecording, evaluate
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.recordings import Recording
@@ -28,7 +28,7 @@ class PredictionResult(Judged):
         answer: The prediction, or the refusal of input that is not what it claims to be (`usable` is `no`).
     """
 
-    answer: Predicted | Refusal
+    answer: PredictedRecording | Refusal
 
     @property
     def found(self) -> Prediction:
@@ -71,7 +71,7 @@ class PredictionResult(Judged):
         from calibration_core.report.figures.identification import prediction_figure
 
         svg = prediction_figure(self.found.shown().residuals, self.found.kind == "loaded")
-        return Picture(svg, "Predicted and measured positions")
+        return Picture(svg, "PredictedRecording and measured positions")
 
 
 def predict(recording: Recording, model: str | Path | HoldsModel) -> PredictionResult:
@@ -82,7 +82,7 @@ def predict(recording: Recording, model: str | Path | HoldsModel) -> PredictionR
         model: A model file, or the result of `identify` or `diagnose`.
 
     Returns:
-        Predicted points in m (tracker frame) with their errors, and whether they can be used. Where the input is not
+        PredictedRecording points in m (tracker frame) with their errors, and whether they can be used. Where the input is not
         what it claims to be, `usable` is `no` and nothing is predicted.
 
     Raises:

@@ -12,7 +12,7 @@ from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.cli import main
-from calibration_core.commands.evaluation.predict import Predicted, evaluate
+from calibration_core.commands.evaluation.predict import PredictedRecording, evaluate
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.predict import from_step_zero
@@ -49,7 +49,7 @@ def moved(readings: Readings, shift: tuple[float, float, float], yaw: float) -> 
 def test_the_true_model_is_usable(tmp_path: Path, points: str) -> None:
     cell = write_cell(tmp_path, measurements={"points": points})
     answer = evaluate(cell, true_model(cell), recorded(cell, 1))
-    assert isinstance(answer, Predicted)
+    assert isinstance(answer, PredictedRecording)
     assert answer.found.check.ratio == pytest.approx(1.0, abs=0.1)
     assert (answer.content["verdict"], answer.content["usable"]) == ("consistent", "yes")
     assert answer.summary.startswith("usable: the error is within")
@@ -66,7 +66,7 @@ def test_the_intervals_of_an_identified_model_are_taken_into_account(tmp_path: P
     checks = []
     for given in (bare, known):
         answer = evaluate(cell, given, other)
-        assert isinstance(answer, Predicted)
+        assert isinstance(answer, PredictedRecording)
         checks.append(answer.found.check)
     assert [one.with_intervals for one in checks] == [False, True]
     assert checks[1].ratio < checks[0].ratio

@@ -42,12 +42,12 @@ def run(arguments: argparse.Namespace) -> str:
     answer = evaluate(cell, given, observe(arguments.recording, cell))
     report_progress(arguments, 0.5, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, answer.files(report=arguments.report))
-    where = f"\npredictions: {arguments.out / PREDICTIONS}" if isinstance(answer, Predicted) else ""
+    where = f"\npredictions: {arguments.out / PREDICTIONS}" if isinstance(answer, PredictedRecording) else ""
     return f"{answer.summary}{where}\n{report_line(arguments)}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Predicted:
+class PredictedRecording:
     """A prediction as the command answers it.
 
     Attributes:
@@ -73,7 +73,7 @@ class Predicted:
         return files_of(self.found, self.content, self.cell, report=report)
 
 
-def evaluate(cell: Cell, given: GivenModel, readings: Readings) -> Predicted | Refusal:
+def evaluate(cell: Cell, given: GivenModel, readings: Readings) -> PredictedRecording | Refusal:
     """Look at the input, predict, and judge the error.
 
     Raises:
@@ -83,7 +83,7 @@ def evaluate(cell: Cell, given: GivenModel, readings: Readings) -> Predicted | R
     wrong = look(readings, None, cell)
     if blocked(wrong):
         return Refusal.of("predict", cell, readings, wrong, given)
-    return Predicted(cell, predict(cell, given, with_unit_note(readings, cell), wrong))
+    return PredictedRecording(cell, predict(cell, given, with_unit_note(readings, cell), wrong))
 
 
 def files_of(found: Prediction, content: dict[str, Any], cell: Cell, *, report: bool) -> dict[str, Content]:
