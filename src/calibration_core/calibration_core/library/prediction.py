@@ -82,7 +82,7 @@ def predict(recording: Recording, model: str | Path | HoldsModel) -> PredictionR
         model: A model file, or the result of `identify` or `diagnose`.
 
     Returns:
-        PredictedRecording points in m (tracker frame) with their errors, and whether they can be used. Where the input is not
+        Predicted points in m (tracker frame) with their errors, and whether they can be used. Where the input is not
         what it claims to be, `usable` is `no` and nothing is predicted.
 
     Raises:

@@ -14,6 +14,7 @@ CERTAIN = 1e-6
 LEAST_TARGET, LEAST_TRACKER = 1e-4, 3e-4  # m: smaller steps are no event
 RANK = 1e-9  # of the largest singular value: what depends on other columns
 CONFIRMED = 1e-3  # chance that geometry leaves as much of a step that is certain without it
+NOTHING_ELSE = 3.0  # times the claimed noise of a reading, that may be left of the averages
 FEWEST = 6  # degrees of freedom that must be left to fit the geometry beside a step
 EDGE = 2  # configurations on either side of a change, at least
 
@@ -130,22 +131,29 @@ def averages(residual: Float2D, place: Float2D, axes: Float3D, readings: Reading
     )
 
 
-def tracker_step(seen: Averages, geometry: Float3D) -> Step | None:
+def tracker_step(seen: Averages, geometry: Float3D, noise: float) -> Step | None:
     """Find a configuration from which on all points stand elsewhere in space; None if there is none.
 
     Frames and points are refitted in every test.  The geometry may be right, so that few configurations tell a step, or
-    wrong by more than the step: both are tried.
+    wrong by more than the step: both are tried.  Geometry takes up part of any physics that is missing, and what is
+    left of that goes up and down, too: beside it a step is believed where nothing but noise is left.
 
     Args:
         seen: Averages of m readings.
         geometry: (m, 3, g) movement of these readings by errors of the geometry.
+        noise: Claimed standard deviation of one coordinate of a reading, m.
     """
     if seen.count < 3 * EDGE + 4:
         return None
     found = _tracker_step(seen, np.hstack([seen.motion, seen.tools]))
     if found is not None and stands_beside_geometry(found, seen, geometry):
         return found
-    return _tracker_step(seen, _with_geometry(seen, geometry))
+    base = _with_geometry(seen, geometry)
+    found = _tracker_step(seen, base)
+    if found is None:
+        return None
+    explained, _, _ = _fit(np.hstack([base, seen.with_step(found)]), seen.target)
+    return found if float(np.sqrt(np.mean((seen.target - explained) ** 2))) < NOTHING_ELSE * noise else None
 
 
 def _tracker_step(seen: Averages, base: Float2D) -> Step | None:

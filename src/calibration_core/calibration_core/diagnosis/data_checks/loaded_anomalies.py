@@ -87,7 +87,8 @@ def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
             sound &= ~(moved & (readings.point == point))
     others = np.ones(len(readings), dtype=bool) if point is None else readings.point != point
     seen = averages(residual[others], state.point.T[others], axes[others], readings.select(others))
-    bumped = tracker_step(seen, geometry[others])
+    noise = float(np.sqrt(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3))
+    bumped = tracker_step(seen, geometry[others], noise)
     if bumped is not None:
         found.append(_tracker_moved(bumped, shape))
     loose = _loose_target(prepared, state, shape) if shape.points >= 3 else None

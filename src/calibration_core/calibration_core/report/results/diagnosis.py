@@ -99,7 +99,7 @@ def _extended(joint: JointStiffness, diagnosis: Diagnosis) -> JointStiffness:
         return joint.extended or joint
     value, std = diagnosis.stiffness.get(joint.joint, (np.inf, np.inf))
     if not (np.isfinite(value) and value > 0):
-        fitted = joint.compliance > 0 and bool(diagnosis.findings)
+        fitted = joint.compliance > 0 and np.isfinite(joint.compliance_std) and bool(diagnosis.findings)
         return without_compliance(joint) if fitted and not loads else joint
     return joint_stiffness(
         joint.joint,
