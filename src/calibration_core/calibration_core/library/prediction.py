@@ -71,7 +71,7 @@ class PredictionResult(Judged):
         from calibration_core.report.figures.identification import prediction_figure
 
         svg = prediction_figure(self.found.shown().residuals, self.found.kind == "loaded")
-        return Picture(svg, "PredictedRecording and measured positions")
+        return Picture(svg, "Predicted and measured positions")
 
 
 def predict(recording: Recording, model: str | Path | HoldsModel) -> PredictionResult:
