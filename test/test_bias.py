@@ -105,12 +105,12 @@ def test_positions_at_rest_state_the_bias_of_what_is_left_out(
 ) -> None:
     chosen, found, searched, true, _ = at_rest
     wide = with_bias(found, searched)
-    told = [k for k, joint in enumerate(found.stiffness) if joint.identifiable]
-    narrow = [not found.stiffness[k].interval[0] <= true[k] <= found.stiffness[k].interval[1] for k in told]
-    assert (chosen.group, found.kind, len(told)) == ("rest", "absolute", 2)
+    identified = [k for k, joint in enumerate(found.stiffness) if joint.identifiable]
+    narrow = [not found.stiffness[k].interval[0] <= true[k] <= found.stiffness[k].interval[1] for k in identified]
+    assert (chosen.group, found.kind, len(identified)) == ("rest", "absolute", 2)
     assert searched.findings != ()
     assert any(narrow)  # what the interval of the noise alone misses
-    for k in told:
+    for k in identified:
         inner, outer = found.stiffness[k].interval, wide.stiffness[k].interval
         assert outer[0] < inner[0] < inner[1] < outer[1]
         assert outer[0] <= true[k] <= outer[1]
@@ -131,10 +131,10 @@ def test_a_compliance_that_the_extended_model_does_without_is_known_to_its_least
         compliance_covariance=np.diag(np.full(n, np.inf)),
         stiffness={},
     )
-    told = [k for k, joint in enumerate(found.stiffness) if joint.identifiable]
-    assert told
+    identified = [k for k, joint in enumerate(found.stiffness) if joint.identifiable]
+    assert identified
     table, said = with_bias(found, without).stiffness, diagnosis_dict(without, cell)["stiffness"]
-    for k in told:
+    for k in identified:
         assert not table[k].identifiable
         assert "other effects" in table[k].reason
         assert table[k].interval[0] < found.stiffness[k].interval[0]

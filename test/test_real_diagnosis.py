@@ -71,7 +71,7 @@ def test_joints_that_are_coupled_give_way_together_as_springs_do(fanuc: Diagnosi
 @pytest.mark.parametrize(
     ("recording", "cell", "least"), [("fanuc", "fanuc", 1), ("ur5_grid", "ur5", 3), ("wam_grid", "wam", 3)]
 )
-def test_what_cannot_be_told_apart_is_within_five_nats_nearest_first(recording: str, cell: str, least: int) -> None:
+def test_what_is_confounded_is_within_five_nats_nearest_first(recording: str, cell: str, least: int) -> None:
     """What is far more probable than a finding was refused for what it predicts: it is no alternative either."""
     where = load_cell(REAL / f"{cell}.cell.yaml")
     found = diagnose(observe(REAL / f"{recording}.csv", where), where)
@@ -90,7 +90,7 @@ def test_what_the_model_leaves_is_never_stated_as_the_noise(fanuc: Diagnosis) ->
     assert fanuc.noise == pytest.approx(20e-6)
 
 
-def test_the_bias_of_all_findings_together_is_not_told_as_that_of_one(fanuc: Diagnosis) -> None:
+def test_the_bias_of_all_findings_together_is_not_stated_as_that_of_one(fanuc: Diagnosis) -> None:
     assert len(fanuc.findings) == 2
     for finding in fanuc.findings:
         assert "Leaving all findings out biases the stiffness of joint_1" in finding.explanation

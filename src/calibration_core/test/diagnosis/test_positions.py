@@ -275,7 +275,7 @@ def test_a_compliance_of_several_waves_a_turn_is_no_transmission_error() -> None
 
 
 def test_a_finding_of_several_terms_names_what_explains_as_much() -> None:
-    """Waves of a gear that together imitate a compliance which follows the angle are not told from it."""
+    """Waves of a gear that together imitate a compliance which follows the angle are confounded with it."""
     imitated = ("pose_dependent_stiffness", {"joint": "joint_3"})
     for size, near in ((0.02, True), (0.2, False)):  # far more probable, it is no alternative but the finding
         readings, stated = with_ripple(size)

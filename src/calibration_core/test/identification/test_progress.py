@@ -59,25 +59,25 @@ def first(readings: Readings, count: int) -> Readings:
 
 
 def test_at_the_end_it_says_what_the_evaluation_says(cell: Cell, readings: Readings) -> None:
-    told, found = progress(readings, cell), identify(readings, cell)
-    assert told.configuration == ALL
-    assert told.stiffness == pytest.approx([joint.value for joint in found.stiffness])
-    assert told.interval == pytest.approx(np.array([joint.interval for joint in found.stiffness]))
+    reported, found = progress(readings, cell), identify(readings, cell)
+    assert reported.configuration == ALL
+    assert reported.stiffness == pytest.approx([joint.value for joint in found.stiffness])
+    assert reported.interval == pytest.approx(np.array([joint.interval for joint in found.stiffness]))
     std = np.array([joint.compliance_std / joint.compliance for joint in found.stiffness])
-    assert told.accuracy == pytest.approx(1.959964 * std, rel=1e-6)
-    assert told.expected == pytest.approx(told.accuracy)
-    assert (told.next_configuration, told.suspicious, told.enough) == (None, False, False)
+    assert reported.accuracy == pytest.approx(1.959964 * std, rel=1e-6)
+    assert reported.expected == pytest.approx(reported.accuracy)
+    assert (reported.next_configuration, reported.suspicious, reported.enough) == (None, False, False)
 
 
 def test_intervals_narrow_towards_what_was_expected(cell: Cell, plan: list[Planned], readings: Readings) -> None:
-    told = [progress(first(readings, k), cell, plan[k:]) for k in (3, 6, 10, ALL)]
-    for before, after in itertools.pairwise(told):
+    reported = [progress(first(readings, k), cell, plan[k:]) for k in (3, 6, 10, ALL)]
+    for before, after in itertools.pairwise(reported):
         assert np.all(after.accuracy < before.accuracy)
         assert np.all(before.expected <= before.accuracy)
-    seen = told[-1].accuracy
-    for early in told[1:3]:
+    seen = reported[-1].accuracy
+    for early in reported[1:3]:
         assert early.expected == pytest.approx(seen, rel=0.15)
-    assert np.all(np.abs(np.log(told[-1].stiffness / STIFFNESS)) < 3 * told[-1].accuracy)
+    assert np.all(np.abs(np.log(reported[-1].stiffness / STIFFNESS)) < 3 * reported[-1].accuracy)
 
 
 def test_before_the_first_loads_there_is_nothing_to_tell(cell: Cell, readings: Readings) -> None:
@@ -105,9 +105,9 @@ def moved(readings: Readings, number: int, by: np.ndarray) -> Readings:
 
 def test_a_configuration_that_does_not_fit_is_flagged_at_once(cell: Cell, readings: Readings) -> None:
     wrong = moved(first(readings, 8), 8, np.array([3e-4, -2e-4, 3e-4]))
-    told = progress(wrong, cell)
-    assert told.suspicious
-    assert "configuration 8 does not fit the others" in told.text
+    reported = progress(wrong, cell)
+    assert reported.suspicious
+    assert "configuration 8 does not fit the others" in reported.text
     sound = progress(first(readings, 8), cell)
     assert not sound.suspicious
     assert sound.misfit < sound.misfit_limit
@@ -121,9 +121,9 @@ def test_a_wrong_load_is_flagged(cell: Cell, readings: Readings) -> None:
     assert eighth.wrench is not None
     wrench = np.array(eighth.wrench)
     wrench[eighth.configuration == 8] *= 0.8
-    told = progress(dataclasses.replace(eighth, wrench=wrench), cell)
-    assert told.suspicious
-    assert told.misfit > told.misfit_limit
+    reported = progress(dataclasses.replace(eighth, wrench=wrench), cell)
+    assert reported.suspicious
+    assert reported.misfit > reported.misfit_limit
 
 
 def test_enough_is_said_once_every_joint_has_the_wanted_accuracy(cell: Cell, readings: Readings) -> None:
@@ -139,10 +139,10 @@ def test_the_next_configuration_is_the_one_that_helps_the_worst_joint_most(
 ) -> None:
     """Tried out: none of those offered leaves a smaller expected error of the worst joint."""
     offered = plan[5:]
-    told = progress(first(readings, 5), cell, offered[:5], offered[5:])
+    reported = progress(first(readings, 5), cell, offered[:5], offered[5:])
     alone = {one.number: float(progress(first(readings, 5), cell, [one]).expected.max()) for one in offered}
-    assert told.next_configuration == min(alone, key=lambda number: alone[number])
-    assert f"configuration {told.next_configuration} would add most" in told.text
+    assert reported.next_configuration == min(alone, key=lambda number: alone[number])
+    assert f"configuration {reported.next_configuration} would add most" in reported.text
 
 
 def test_unloaded_phases_before_do_not_disturb(cell: Cell, readings: Readings) -> None:
@@ -152,6 +152,6 @@ def test_unloaded_phases_before_do_not_disturb(cell: Cell, readings: Readings) -
     both = dataclasses.replace(
         readings, **{name: np.concatenate([getattr(swept, name), getattr(readings, name)]) for name in names}
     )
-    told, alone = progress(both, cell), progress(readings, cell)
-    assert told.accuracy == pytest.approx(alone.accuracy, rel=1e-2)
-    assert not told.suspicious
+    reported, alone = progress(both, cell), progress(readings, cell)
+    assert reported.accuracy == pytest.approx(alone.accuracy, rel=1e-2)
+    assert not reported.suspicious

@@ -77,18 +77,20 @@ def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
     found: list[Anomaly] = []
     shape = shape_of(residual, readings, axes)
     point, geometry = None, _geometry(state)
+    seen = averages(residual, state.point.T, axes, readings)
     if shape.points >= 2:
         step = target_step(shape)
-        seen = averages(residual, state.point.T, axes, readings)
         if step is not None and stands_beside_geometry(step, seen, geometry):
             found.append(_target_moved(step, shape, readings))
             point = int(shape.which[step.point])
             moved = np.isin(readings.configuration, _minority(step, shape))
             sound &= ~(moved & (readings.point == point))
-    others = np.ones(len(readings), dtype=bool) if point is None else readings.point != point
-    seen = averages(residual[others], state.point.T[others], axes[others], readings.select(others))
+    if point is not None:
+        others = readings.point != point
+        seen = averages(residual[others], state.point.T[others], axes[others], readings.select(others))
+        geometry = geometry[others]
     noise = float(np.sqrt(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3))
-    bumped = tracker_step(seen, geometry[others], noise)
+    bumped = tracker_step(seen, geometry, noise)
     if bumped is not None:
         found.append(_tracker_moved(bumped, shape))
     loose = _loose_target(prepared, state, shape) if shape.points >= 3 else None

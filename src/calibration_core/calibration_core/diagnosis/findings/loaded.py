@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 
 LISTED = 5
-SEEN = 0.02  # relative change of a stiffness that is told
+SEEN = 0.02  # relative change of a stiffness that is stated
 DETERMINED = 2.0  # standard deviations from zero, at which a compliance counts as known
 
 

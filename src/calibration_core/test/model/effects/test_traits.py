@@ -139,7 +139,7 @@ def test_joints_that_lag_lag_by_as_much_under_all_torques_twice_as_large(chain: 
 def test_what_a_posture_at_rest_alone_tells(chain: Chain) -> None:
     """Postures at rest at other times, at another warmth, and reached from another side: what moves?
 
-    What remembers torques does so, too, but is told by postures in which the weight pulls otherwise.
+    What remembers torques does so, too, but shows in postures in which the weight pulls otherwise.
     """
     here = state(chain, None)
     back = np.arange(M)[::-1]
