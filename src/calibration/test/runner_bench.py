@@ -185,19 +185,29 @@ class Bench:
         self.plan = Plan(cell.robot.name, cell.robot.joints, configurations, np.empty((0, 6)))
         self.runner: Runner | None = None
         self._guard = threading.Thread(target=self._pulse, daemon=True)
-        self._guarding = True
+        self._guarding, self._saying = True, threading.Lock()
         self._guard.start()
+
+    def say_not_heard(self) -> None:
+        """Let the guard say, from now on, that it does not hear the sequencer; no message of before arrives later."""
+        with self._saying:
+            self.hears = False
+            self._say()
+
+    def _say(self) -> None:
+        message = Permission(
+            permitted=self.permitted,
+            text=self.text,
+            hears_sequencer=self.hears,
+            reasons=[] if self.permitted else [Permission.DRIVES_OFF],
+        )
+        self.watch.hear(message, time.monotonic())
 
     def _pulse(self) -> None:
         while self._guarding:
             if self.told_by_guard:
-                message = Permission(
-                    permitted=self.permitted,
-                    text=self.text,
-                    hears_sequencer=self.hears,
-                    reasons=[] if self.permitted else [Permission.DRIVES_OFF],
-                )
-                self.watch.hear(message, time.monotonic())
+                with self._saying:
+                    self._say()
             time.sleep(0.01)
 
     def start(self) -> tuple[Runner, threading.Thread]:

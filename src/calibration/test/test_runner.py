@@ -89,7 +89,7 @@ def test_a_clock_that_leaps_makes_no_motion_late(bench: Bench, until: Any) -> No
 
 
 def test_nothing_moves_before_the_guard_hears_the_sequencer(bench: Bench, until: Any) -> None:
-    bench.hears = False
+    bench.say_not_heard()
     runner, thread = bench.start()
     until(lambda: m.Kind.OPERATOR_ASKED in bench.cell.kinds())
     time.sleep(0.3)
