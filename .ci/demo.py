@@ -13,13 +13,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,9 @@ from rclpy.action import ActionClient
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
+from calibration.topics import PERMISSION
 from calibration.transport import sockets_only
+from calibration_core.measurement.messages import RunState
 from calibration_core.measurement.session import Session
 from calibration_core.timeseries import NANOSECONDS
 from calibration_sim.proving.writing import folder_of, open_labels, write_recordings
@@ -47,6 +50,7 @@ EFFECT, JOINT, COMPLIANCE = "off_axis_compliance", "joint_3", 3.0e-7
 CHOSEN = ("besides", "heavy", "transmission_error")  # concealed in the second robot: group, robot and effect
 CHOSEN_SEED = 1  # by whose lot it has its joint and size
 PATIENCE = 300.0  # s
+HELD = 30.0  # s, the measurement may wait for a permission; longer than the proof of the stop takes
 GRACE = 10.0  # s, a process may take to end
 LEVELS = (0.0, 0.333, 0.667, 1.0)  # shares of the full pull, per step
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -111,6 +115,9 @@ class Cell:
         for name in NODES:
             self._start("calibration", name, own.get(name, {}))
         self._node = rclpy.create_node("demo")
+        self._node.create_subscription(PERMISSION.message, PERMISSION.name, self._hear, PERMISSION.qos)
+        self._refusal = ""
+        self._went_on = time.monotonic()
 
     def _start(self, package: str, name: str, own: dict[str, object]) -> None:
         command = [str(ROOT / "install" / package / "lib" / package / name), "--ros-args"]
@@ -121,9 +128,24 @@ class Cell:
         with (self._out / f"{name}.log").open("w", encoding="utf-8") as log:
             self._processes.start(command, stdout=log, stderr=subprocess.STDOUT)
 
-    def _wait(self, future: Any, what: str) -> Any:
+    def _hear(self, message: Any) -> None:
+        self._refusal = "" if message.permitted else message.text
+        if message.latched:
+            self._went_on = -math.inf  # what is latched waits for an operator, whom a demonstration does not have
+
+    def _check_held(self) -> None:
+        """Raise where the measurement waits for what a demonstration does not have."""
+        if time.monotonic() - self._went_on > HELD:
+            raise DemonstrationError(
+                f"the measurement waits for an operator: {self._refusal or 'motion has to be resumed'}. The simulated "
+                f"cell lives up to {SPEED:.0f} times faster than life; other programs may keep this machine too busy "
+                "for it. Run the demonstration again when they have ended."
+            )
+
+    def _wait(self, future: Any, what: str, check: Callable[[], None] = lambda: None) -> Any:
         end = time.monotonic() + PATIENCE
         while not future.done():
+            check()
             if time.monotonic() > end:
                 raise DemonstrationError(f"{what}: no answer within {PATIENCE:.0f} s; see {self._out / what}.log")
             rclpy.spin_once(self._node, timeout_sec=0.05)
@@ -138,12 +160,15 @@ class Cell:
 
             def on_feedback(message: Any) -> None:
                 told = message.feedback
+                if RunState.READY.value not in told.text:
+                    self._went_on = time.monotonic()
                 bar.n = round(100 * told.share_done)
                 bar.set_postfix_str(f"configuration {told.configuration}, step {told.step}")
 
             goal = RunPlan.Goal(plan=str(plan), session=str(self.session))
+            self._went_on = time.monotonic()
             handle = self._wait(client.send_goal_async(goal, feedback_callback=on_feedback), "sequencer")
-            result = self._wait(handle.get_result_async(), "sequencer").result
+            result = self._wait(handle.get_result_async(), "sequencer", self._check_held).result
             if result.outcome.code != Outcome.OK:
                 raise DemonstrationError(result.outcome.text)
             bar.n = 100

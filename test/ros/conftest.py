@@ -50,18 +50,23 @@ source_environment = _of_nodes.source_environment
 MARK = "CALIBRATION_TEST"  # in the environment of processes that must not be left behind
 
 
-def left(mark: str) -> list[str]:
-    """Command lines of the processes that inherited a mark and still run."""
-    found = []
+def marked(mark: str) -> dict[int, str]:
+    """Process ids and command lines of the processes that inherited a mark and still run."""
+    found = {}
     for path in Path("/proc").glob("[0-9]*"):
         try:
-            marked = f"{MARK}={mark}".encode() in (path / "environ").read_bytes().split(b"\0")
+            inherited = f"{MARK}={mark}".encode() in (path / "environ").read_bytes().split(b"\0")
             words = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode()
         except OSError:  # it ended meanwhile, or is another user's
             continue
-        if marked and words:
-            found.append(words)
+        if inherited and words:
+            found[int(path.name)] = words
     return found
+
+
+def left(mark: str) -> list[str]:
+    """Command lines of the processes that inherited a mark and still run."""
+    return list(marked(mark).values())
 
 
 class Suite:
@@ -288,6 +293,12 @@ def another_domain() -> None:
 def still_running() -> Callable[[str], list[str]]:
     """Processes with a mark."""
     return left
+
+
+@pytest.fixture
+def marked_processes() -> Callable[[str], dict[int, str]]:
+    """Processes with a mark, by their ids."""
+    return marked
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -69,6 +70,24 @@ def test_interrupted(demonstration: Demonstration, still_running: Any, number: s
     demonstration.process.send_signal(number)
     assert demonstration.process.wait(30.0) == 128 + number, demonstration.told()
     assert still_running(demonstration.mark) == []
+
+
+@pytest.mark.slow
+def test_a_measurement_that_waits_for_an_operator_ends(demonstration: Demonstration, marked_processes: Any) -> None:
+    """A cell that stood still for seconds, as on a busy machine, loses the permission; nobody resumes the motion."""
+    demonstration.wait_for(demonstration.out / "session/session.db", 300.0)
+    time.sleep(8.0)
+    (cell,) = [pid for pid, words in marked_processes(demonstration.mark).items() if "simulated_cell" in words]
+    os.kill(cell, signal.SIGSTOP)
+    time.sleep(6.0)
+    os.kill(cell, signal.SIGCONT)
+    began = time.monotonic()
+    assert demonstration.process.wait(90.0) == 1
+    assert time.monotonic() - began < 60.0
+    told = demonstration.told()
+    assert "the measurement waits for an operator: " in told
+    assert "too busy" in told, told
+    assert marked_processes(demonstration.mark) == {}
 
 
 @pytest.mark.slow
