@@ -357,6 +357,20 @@ def test_folders_are_read_in_a_minute() -> None:
     assert {folder for folder, number in modules.items() if number > MAX_MODULES} == set()
 
 
+def test_words_of_a_variant_are_read_in_files_alone() -> None:
+    """What a form of an effect is stands in `Candidate.shape`; a model file, which has words alone, is read back."""
+    taken_apart = re.compile(
+        r"variant(\.\w+with|\.remove\w+|\.r?split|\.r?partition|\[)|\bin \w*\.?variant\b|match\(\w*\.?variant"
+    )
+    readers = {"absolute/transmission_error.py", "structure/gravity_compensator.py"}
+    found = {
+        f"{path.parent.name}/{path.name}"
+        for name, path in python_files()
+        if name == "calibration_core" and taken_apart.search(path.read_text(encoding="utf-8"))
+    }
+    assert found == readers
+
+
 def is_python(path: Path) -> bool:
     return path.suffix == ".py"
 

@@ -233,7 +233,7 @@ def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
     steps = [i for i in selection.accepted if field.offered.hypotheses[i].family == FAMILY]
     if steps or more:  # where exactly, between the change points tried first; which shape exactly
         reach = spacing(readings)
-        near = {position_of(field.offered.hypotheses[i].variant) for i in steps}
+        near = {position_of(field.offered.hypotheses[i]) for i in steps}
         fine = np.unique(
             np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(k - reach, k + reach + 1) for k in near)])
         )

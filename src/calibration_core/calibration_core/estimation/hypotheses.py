@@ -45,6 +45,7 @@ class Hypothesis:
         members: Indices of its candidates.
         columns: Indices of their columns, those of chance among them.
         chance: Indices of the columns of what they leave to chance in each configuration.
+        shape: As of its candidate, where it is one alone (`Candidate.shape`).
     """
 
     effect: str
@@ -54,6 +55,7 @@ class Hypothesis:
     members: tuple[int, ...]
     columns: Int1D
     chance: Int1D = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    shape: object = None
 
     @property
     def everywhere(self) -> bool:
@@ -140,7 +142,7 @@ def physics(state: State, *, sag: bool) -> tuple[Candidate, ...]:
         for candidate in offered:
             if candidate.location.get("robot") == "all joints":
                 continue  # a family
-            if effect.name == WAVE and order_of(candidate.variant) > SINGLE_ORDERS:
+            if effect.name == WAVE and order_of(candidate) > SINGLE_ORDERS:
                 continue
             found.setdefault(candidate.key, candidate)
     return in_each_recording(tuple(found.values()), state)
@@ -161,8 +163,7 @@ def _families(candidates: Sequence[Candidate], blocks: Sequence[slice]) -> Itera
             yield _hypothesis(candidates, blocks, members, {"joints": ALL}, variant)
     for low, high in BANDS:
         within = {
-            joint: [i for i in several if low <= order_of(candidates[i].variant) <= high]
-            for joint, several in waves.items()
+            joint: [i for i in several if low <= order_of(candidates[i]) <= high] for joint, several in waves.items()
         }
         variant = f"orders {low} to {high}"
         if not any(len(members) > 1 for members in within.values()):
@@ -183,4 +184,5 @@ def _hypothesis(
 ) -> Hypothesis:
     first = candidates[members[0]]
     columns = np.concatenate([np.arange(blocks[i].start, blocks[i].stop) for i in members])
-    return Hypothesis(first.effect, first.family, dict(location), variant, tuple(members), columns)
+    shape = first.shape if len(members) == 1 else None
+    return Hypothesis(first.effect, first.family, dict(location), variant, tuple(members), columns, shape=shape)

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from calibration_core.estimation.hypotheses import Hypothesis
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
@@ -21,7 +22,6 @@ MOVED, TURNED = 1e-3, 1e-3  # m, rad: typical
 POSITIONS = 40  # change points tried
 EDGE = 3  # configurations at either end that show no change
 AXES = ("x", "y", "z")
-VARIANT = "from position "
 
 
 def shifts(readings: Readings, near: Int1D | None = None) -> tuple[Candidate, ...]:
@@ -64,9 +64,15 @@ def spacing(readings: Readings) -> int:
     return max(len(np.unique(readings.configuration)) // POSITIONS, 1)
 
 
-def position_of(variant: str) -> int:
-    """Return the index, in the order of time, of the first configuration after the change."""
-    return int(variant.removeprefix(VARIANT))
+def position_of(one: Hypothesis) -> int:
+    """Return the index, in the order of time, of the first configuration after the change.
+
+    Raises:
+        TypeError: It is no step.
+    """
+    if isinstance(one.shape, int):
+        return one.shape
+    raise TypeError(f"{one.effect} has no position")
 
 
 def in_time(configuration: Int1D) -> Int1D:
@@ -78,15 +84,19 @@ def in_time(configuration: Int1D) -> Int1D:
 def _target(name: str, position: int, after: Bool1D) -> Candidate:
     parameters = tuple(Parameter(axis, "m", MOVED) for axis in AXES)
     columns = partial(_target_columns, after=after)
-    return Candidate("target_moved", FAMILY, {"point": name}, f"{VARIANT}{position}", parameters, columns)
+    return Candidate("target_moved", FAMILY, {"point": name}, _words(position), parameters, columns, shape=position)
 
 
 def _tracker(position: int, after: Bool1D) -> Candidate:
     shifted = tuple(Parameter(axis, "m", MOVED) for axis in AXES)
     turned = tuple(Parameter(f"r{axis}", "rad", TURNED) for axis in AXES)
     columns = partial(_tracker_columns, after=after)
-    place = {"tracker": "tracker"}
-    return Candidate("tracker_moved", FAMILY, place, f"{VARIANT}{position}", (*shifted, *turned), columns)
+    place, several = {"tracker": "tracker"}, (*shifted, *turned)
+    return Candidate("tracker_moved", FAMILY, place, _words(position), several, columns, shape=position)
+
+
+def _words(position: int) -> str:
+    return f"from position {position}"
 
 
 def _target_columns(state: State, after: Bool1D) -> Float3D:

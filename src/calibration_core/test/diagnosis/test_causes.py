@@ -13,17 +13,17 @@ from calibration_core.estimation.hypotheses import ALL, Hypothesis
 JOINT, OTHER = {"joint": "joint_6"}, {"joint": "joint_2"}
 
 
-def _one(effect: str, family: str, location: dict[str, str], variant: str = "") -> Hypothesis:
-    return Hypothesis(effect, family, location, variant, (0,), np.zeros(1, dtype=np.int64))
+def _one(effect: str, family: str, location: dict[str, str], variant: str = "", shape: object = None) -> Hypothesis:
+    return Hypothesis(effect, family, location, variant, (0,), np.zeros(1, dtype=np.int64), shape=shape)
 
 
 HYSTERESIS = _one("hysteresis", "joint law", JOINT, "virgin start")
 ARRIVAL = _one("approach_direction", "absolute", JOINT, "sign")
-HIGH, LOW = (_one("transmission_error", "absolute", JOINT, f"order {k}") for k in (22, 6))
+HIGH, LOW = (_one("transmission_error", "absolute", JOINT, f"order {k}", k) for k in (22, 6))
 BAND = _one("transmission_error", "absolute", {"joints": ALL}, "orders 1 to 32")
 SPRING = _one("gravity_compensator", "structure", OTHER, "torque")
 VARYING = _one("pose_dependent_stiffness", "structure", OTHER, "one turn")
-GEAR = _one("transmission_error", "absolute", OTHER, "order 2")
+GEAR = _one("transmission_error", "absolute", OTHER, "order 2", 2)
 
 
 @pytest.mark.parametrize(

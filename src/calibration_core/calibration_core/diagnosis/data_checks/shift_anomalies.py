@@ -32,7 +32,7 @@ def _anomaly(found: Estimate, index: int, readings: Readings) -> Anomaly:
     concerned = np.any(shift != 0, axis=1)
     size = rms_length(shift[concerned])
     order, numbers = in_time(readings.configuration), readings.configuration
-    k = position_of(one.variant)
+    k = position_of(one)
     inside = around(readings, order, k)
     first, last = int(order[inside].min()), int(order[inside].max())
     rows = inside & (order >= k if last + 1 - k <= k - first else order < k)
@@ -61,6 +61,6 @@ def _beside(found: Estimate, index: int) -> Sequence[str]:
         other = hypotheses[i]
         if other.family != FAMILY or other.place == one.place or own - gain[k] > EQUIVALENT:
             continue
-        if abs(position_of(other.variant) - position_of(one.variant)) <= NEAR:
+        if abs(position_of(other) - position_of(one)) <= NEAR:
             others[f"{other.effect} ({listed_location(other.location)})"] = None
     return tuple(others)

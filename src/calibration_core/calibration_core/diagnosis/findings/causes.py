@@ -9,7 +9,6 @@ from calibration_core.estimation.hypotheses import LAW, WAVE, Hypothesis
 from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute import approach_direction
-from calibration_core.model.effects.absolute.transmission_error import order_of
 from calibration_core.model.effects.traits import Trait
 
 LOW = 8  # orders of waves that are a gear's, whatever else its joint does
@@ -43,7 +42,7 @@ def _is_high(one: Hypothesis) -> bool:
     A joint that lags under changing loads lags on the way to a posture, too: it stands elsewhere by the direction from
     which it came, and posture by posture elsewhere, which such waves take up.
     """
-    return one.effect == WAVE and one.variant.startswith("order ") and order_of(one.variant) > LOW
+    return one.effect == WAVE and isinstance(one.shape, int) and one.shape > LOW
 
 
 def _arrival(hypotheses: Sequence[Hypothesis], gained: Mapping[int, float], index: int) -> object:

@@ -98,7 +98,7 @@ def _parameters(extended: Extended, parts: Sequence[int], *, everywhere: bool) -
         value, covariance = extended.values_of(k)
         suffix = f" {candidate.location['joint']}" if everywhere else f"_{number}" if several else ""
         if candidate.effect == WAVE:
-            found += _wave(order_of(candidate.variant), value, covariance, suffix)
+            found += _wave(order_of(candidate), value, covariance, suffix)
             continue
         found += found_parameters(candidate, value, covariance, suffix)
     if everywhere:
@@ -151,7 +151,7 @@ def _explanation(
         f"squared error on blocks of configurations left out; {evidence_words(score)}."
     )
     if first.effect == WAVE and len(parts) <= SEVERAL:
-        terms = [(order_of(extended.parts[k].candidate.variant), extended.values_of(k)[0]) for k in parts]
+        terms = [(order_of(extended.parts[k].candidate), extended.values_of(k)[0]) for k in parts]
         listed = ", ".join(f"{k} per revolution: {1e3 * np.hypot(*value):.2f} mrad" for k, value in terms)
         text += f" Terms: {listed}.{_resolution(found, first)}"
     if sizes_are_relative(found.offered.candidates[first.members[0]], extended.model.state):

@@ -84,7 +84,7 @@ def _a_little(offered: Offered) -> list[Int1D]:
     for candidate, block in zip(offered.candidates, offered.blocks, strict=True):
         columns = np.arange(block.start, block.stop)
         if candidate.effect == WAVE:
-            if order_of(candidate.variant) <= LOW:
+            if order_of(candidate) <= LOW:
                 waves.append(columns)
         elif candidate.family != FAMILY and len(columns) < len(others.get(candidate.place, range(SIMPLE + 1))):
             others[candidate.place] = columns

@@ -23,7 +23,6 @@ from calibration_core.model.effects.structure.gravity_compensator import (
     carriers,
     pull,
     spring,
-    triangle_of,
 )
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -72,11 +71,11 @@ def _shape(field: Field, others: Accepted, state: State, joint: int, weigh: Call
         return np.asarray(residual - column * (column @ residual) / max(float(column @ column), 1e-300))
 
     name = state.chain.joints[joint]
-    offered = [
-        triangle_of(c.variant) for c in field.offered.candidates if c.effect == SPRING and c.location["joint"] == name
-    ]
+    offered = [c.shape for c in field.offered.candidates if c.effect == SPRING and c.location["joint"] == name]
     turned = [
-        _turned(shape, weigh(pull(state, joint, shape)), basis, residual) for shape in offered if shape is not None
+        _turned(shape, weigh(pull(state, joint, shape)), basis, residual)
+        for shape in offered
+        if isinstance(shape, Triangle)
     ]
     starts = [start for start, _ in sorted(turned, key=lambda one: one[1])]
     fits = [least_squares(left, x, bounds=_around(x), x_scale=SCALE, max_nfev=STEPS) for x in starts[:STARTS]]

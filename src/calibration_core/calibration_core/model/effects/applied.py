@@ -28,7 +28,7 @@ def applied(candidate: Candidate, value: Float1D, state: State) -> AppliedEffect
     parameters = {p.name: float(v) for p, v in zip(candidate.parameters, value, strict=True)}
     if candidate.effect in effects_with(Trait.OF_LARGEST_TORQUE):
         joint = state.chain.joints.index(str(candidate.location["joint"]))
-        parameters[REFERENCE] = state.largest_torque(joint, candidate.variant)
+        parameters[REFERENCE] = state.largest_torque(joint, candidate.shape)
     return AppliedEffect(candidate.effect, candidate.location, candidate.variant, parameters)
 
 

@@ -62,6 +62,8 @@ class Candidate:
         row_by_row: Whether a reading's movement depends on its own joint angles and levers alone (`State.of_rows`).
         torques: State -> (m, k) N*m per unit of every parameter, with which it acts on its joint beside load and
             weight; None: with none.
+        shape: What of the form is a value, which `variant` only says in words: the order of a wave, the triangle of a
+            spring, the position of a step; None: nothing needs it.
     """
 
     effect: str
@@ -73,6 +75,7 @@ class Candidate:
     chances: Callable[[State], Float3D] | None = None
     row_by_row: bool = False
     torques: Callable[[State], Float2D] | None = None
+    shape: object = None
 
     def __post_init__(self) -> None:
         """Freeze the location."""

@@ -151,7 +151,7 @@ class State:
         """Say whether the external load loads a joint."""
         return bool(np.abs(self.load_torque[joint]).max(initial=0.0) > UNLOADED)
 
-    def largest_torque(self, joint: int, of: str = "load torque") -> float:
+    def largest_torque(self, joint: int, of: object = "load torque") -> float:
         """Return the torque, N*m, that a joint's law refers to; at least a tiny number, so that it can divide.
 
         Where nothing pulls at the joint, the load torque gives way to the total one.

@@ -61,7 +61,7 @@ def test_an_effect_stays_the_same_law_on_a_part_of_the_recording(cell: Cell) -> 
         if effect not in SINCE_THE_BEGINNING:
             np.testing.assert_allclose(applied_shift([known], part), expected, atol=1e-12, err_msg=effect)
         if REFERENCE in known.parameters:
-            assert known.parameters[REFERENCE] == whole.largest_torque(1, candidate.variant)
+            assert known.parameters[REFERENCE] == whole.largest_torque(1, candidate.shape)
             free = dataclasses.replace(known, parameters={k: v for k, v in known.parameters.items() if k != REFERENCE})
             referring.add(effect)
             if np.abs(applied_shift([free], part) - expected).max() > 1e-7:

@@ -24,7 +24,7 @@ from calibration_core.timeseries import Float1D, Float3D
 
 HIGHEST = 320  # orders: twice the ratio of the common strain-wave gears
 LEAST_RANGE = 0.1  # rad; a joint that moves less shows no period
-ORDER = re.compile(r"order [1-9]\d{0,4}")
+ORDER = re.compile(r"order ([1-9]\d{0,4})")  # as a model file says it
 SAME = 1e-3  # rad; closer angles are one sample
 
 
@@ -53,28 +53,27 @@ def harmonic(joint: int, name: str, order: int, rated_load: float) -> Candidate:
     parameters = (Parameter("sine", "rad", size), Parameter("cosine", "rad", size))
     columns = partial(_columns, joint=joint, order=order)
     place = {"joint": name}
-    return Candidate(EFFECT.name, EFFECT.family, place, variant_of(order), parameters, columns, row_by_row=True)
+    return Candidate(
+        EFFECT.name, EFFECT.family, place, f"order {order}", parameters, columns, row_by_row=True, shape=order
+    )
 
 
-def variant_of(order: int) -> str:
-    """Return how an order is called."""
-    return f"order {order}"
-
-
-def order_of(variant: str) -> int:
-    """Return the order that a variant names.
+def order_of(candidate: Candidate) -> int:
+    """Return the order of a wave.
 
     Raises:
-        ValueError: It names none.
+        TypeError: It is no wave.
     """
-    return int(variant.removeprefix("order "))
+    if isinstance(candidate.shape, int):
+        return candidate.shape
+    raise TypeError(f"{candidate.effect} has no order")
 
 
 def _restored(described: AppliedEffect, state: State) -> Candidate | None:
-    name, joints = described.location.get("joint"), state.chain.joints
-    if name not in joints or not ORDER.fullmatch(described.variant):
+    name, joints, written = described.location.get("joint"), state.chain.joints, ORDER.fullmatch(described.variant)
+    if name not in joints or written is None:
         return None
-    return harmonic(joints.index(str(name)), str(name), order_of(described.variant), state.rated_load)
+    return harmonic(joints.index(str(name)), str(name), int(written[1]), state.rated_load)
 
 
 def _columns(state: State, joint: int, order: int) -> Float3D:

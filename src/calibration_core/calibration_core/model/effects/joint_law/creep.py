@@ -58,6 +58,7 @@ def _columns(state: State, joint: int, constant: float, *, remembered: bool) -> 
 
 
 def _forms(state: State) -> Iterator[Candidate]:
+    """Return every form; its shape is whether it begins with the weight."""
     if not np.isfinite(state.time).all():
         return
     parameter = Parameter("creep_share", "1", typical("creep", state.rated_load), positive=True)
@@ -67,7 +68,9 @@ def _forms(state: State) -> Iterator[Candidate]:
                 for remembered, words in ((False, ""), (True, FROM_WEIGHT)):
                     columns = partial(_columns, joint=joint, constant=constant, remembered=remembered)
                     variant = f"{constant:g} s{words}"
-                    yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, variant, (parameter,), columns)
+                    yield Candidate(
+                        EFFECT.name, EFFECT.family, {"joint": name}, variant, (parameter,), columns, shape=remembered
+                    )
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
@@ -75,7 +78,7 @@ def _candidates(state: State) -> Iterator[Candidate]:
     several = bool(np.any(state.step != state.step[:1]))
     borne = {name for joint, name in enumerate(state.chain.joints) if state.bears_weight(joint)}
     for candidate in _forms(state):
-        if candidate.location["joint"] in borne if candidate.variant.endswith(FROM_WEIGHT) else several:
+        if candidate.location["joint"] in borne if candidate.shape else several:
             yield candidate
 
 

@@ -30,7 +30,8 @@ CHANCE = 0.25  # standard deviation of what elements carry on arrival, of what t
 MOST = 60  # configurations, beyond which chance is left out: its columns would cost more than all others together
 
 FROM_A_SIDE = "from the side of arrival"
-STARTS = {"virgin start": 0.0, "centred start": 1.0, "from the weight": None}
+FROM_WEIGHT = "from the weight"
+STARTS = {"virgin start": 0.0, "centred start": 1.0, FROM_WEIGHT: None}
 
 
 def stop(torque: Float2D, radius: float | Float1D, start: float | None) -> FloatND:
@@ -114,6 +115,7 @@ def _from_a_side(state: State, joint: int, radii: tuple[float, ...]) -> Float3D:
 
 
 def _forms(state: State) -> Iterator[Candidate]:
+    """Return every form; its shape is what memory starts from."""
     size = typical("hysteresis", state.rated_load)
     few = len(np.unique(state.configuration)) <= MOST
     for joint, name in enumerate(state.chain.joints):
@@ -124,7 +126,8 @@ def _forms(state: State) -> Iterator[Candidate]:
         )
         several = tuple(Parameter(f"half_width_{100 * r:g}_percent", unit, size, positive=True) for r in RADII)
         for variant, start in STARTS.items():
-            yield form(variant, several, partial(_columns, joint=joint, radii=RADII, start=start), plain)
+            columns = partial(_columns, joint=joint, radii=RADII, start=start)
+            yield form(variant, several, columns, plain, shape=variant)
         virgin = partial(_columns, joint=joint, start=0.0)
         yield form("virgin start, growing", several, partial(virgin, radii=RADII, growing=True), growing)
         one = (Parameter("half_width", unit, size, positive=True),)
@@ -134,10 +137,10 @@ def _forms(state: State) -> Iterator[Candidate]:
             yield form(f"virgin start, {words}, growing", one, partial(virgin, radii=(radius,), growing=True), growing)
         lean = Parameter("half_width_on_arrival", unit, size)
         leaning = partial(_from_a_side, joint=joint)
-        yield form(FROM_A_SIDE, (*several, lean), partial(leaning, radii=RADII), plain)
+        yield form(FROM_A_SIDE, (*several, lean), partial(leaning, radii=RADII), plain, shape=FROM_A_SIDE)
         for radius in RADII:
             words = f"{FROM_A_SIDE}, below {100 * radius:g} %"
-            yield form(words, (*one, lean), partial(leaning, radii=(radius,)), plain)
+            yield form(words, (*one, lean), partial(leaning, radii=(radius,)), plain, shape=FROM_A_SIDE)
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
@@ -147,10 +150,10 @@ def _candidates(state: State) -> Iterator[Candidate]:
     borne = {name for joint, name in enumerate(state.chain.joints) if state.bears_weight(joint)}
     turning = {name for name, seen in zip(state.chain.joints, sides(state).T, strict=True) if np.any(seen)}
     for candidate in _forms(state):
-        if candidate.variant.startswith(FROM_A_SIDE):
+        if candidate.shape == FROM_A_SIDE:
             if several and single and candidate.location["joint"] in turning:
                 yield candidate
-        elif candidate.location["joint"] in borne if candidate.variant == "from the weight" else several:
+        elif candidate.location["joint"] in borne if candidate.shape == FROM_WEIGHT else several:
             yield candidate
 
 

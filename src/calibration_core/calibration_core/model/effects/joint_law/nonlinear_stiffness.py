@@ -48,7 +48,9 @@ def _forms(state: State, of: Callable[[State, int], tuple[str, ...]]) -> Iterato
         if state.compliance[joint] > 0:
             for torque in of(state, joint):
                 columns = partial(_columns, joint=joint, of=torque)
-                yield Candidate(EFFECT.name, EFFECT.family, {"joint": name}, torque, (parameter,), columns)
+                yield Candidate(
+                    EFFECT.name, EFFECT.family, {"joint": name}, torque, (parameter,), columns, shape=torque
+                )
 
 
 EFFECT = Effect(

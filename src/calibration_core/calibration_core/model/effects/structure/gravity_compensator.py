@@ -35,7 +35,7 @@ FLATNESS = (0.3, 0.55)  # 2 a L / (a^2 + L^2)
 PRELOAD = (0.35, 0.65)  # s0 / sqrt(a^2 + L^2)
 TURN = 0.15  # rad
 REACH = np.radians(15.0) / TURN  # half of what lies between two anchors
-SHAPE = re.compile(r"torque, anchor (\d{1,3}(?:\.\d)?) deg, flatness (0\.\d{1,3}), preload (0\.\d{1,3})")
+WRITTEN = re.compile(r"torque, anchor (\d{1,3}(?:\.\d)?) deg, flatness (0\.\d{1,3}), preload (0\.\d{1,3})")
 ALL_ROUND = np.linspace(0, 2 * np.pi, 360, endpoint=False)
 
 
@@ -54,15 +54,20 @@ class Triangle:
     preload: float
 
     @property
+    def rounded(self) -> Triangle:
+        """The shape to a tenth of a degree and a thousandth, as exactly as it is written."""
+        return Triangle(round(self.anchor % 360, 1) % 360, round(self.flatness, 3), round(self.preload, 3))
+
+    @property
     def variant(self) -> str:
-        """The shape in words, a tenth of a degree and a thousandth being the smallest that it tells."""
-        anchor = f"{round(self.anchor % 360, 1) % 360:g}"
-        return f"torque, anchor {anchor} deg, flatness {round(self.flatness, 3):g}, preload {round(self.preload, 3):g}"
+        """The shape in words."""
+        one = self.rounded
+        return f"torque, anchor {one.anchor:g} deg, flatness {one.flatness:g}, preload {one.preload:g}"
 
 
 def triangle_of(variant: str) -> Triangle | None:
-    """Return the shape that a variant tells; None if it tells none."""
-    found = SHAPE.fullmatch(variant)
+    """Return the shape that a model file states in words; None if it states none."""
+    found = WRITTEN.fullmatch(variant)
     return None if found is None else Triangle(*map(float, found.groups()))
 
 
@@ -84,14 +89,13 @@ def carriers(state: State) -> tuple[int, ...]:
 
 
 def spring(state: State, joint: int, triangle: Triangle) -> Candidate:
-    """Return the hypothesis of a spring of one shape beside a joint, as exactly as its variant tells it."""
-    stated = triangle_of(triangle.variant)
-    assert stated is not None  # noqa: S101 - a variant can be read back
+    """Return the hypothesis of a spring of one shape beside a joint, as exactly as it is written."""
+    stated = triangle.rounded
     torque = typical("gravity_compensator_torque", state.rated_load)
     pair = (Parameter("torque", "N*m", torque), Parameter("torque_turned", "N*m", torque, reach=REACH))
     place = {"joint": state.chain.joints[joint]}
     columns, torques = (partial(one, joint=joint, triangle=stated) for one in (pull, side_torques))
-    return Candidate(EFFECT.name, EFFECT.family, place, stated.variant, pair, columns, torques=torques)
+    return Candidate(EFFECT.name, EFFECT.family, place, stated.variant, pair, columns, torques=torques, shape=stated)
 
 
 def spring_torque(angle: Float1D, flatness: float, preload: float) -> Float1D:

@@ -72,6 +72,11 @@ def _round(state: State, link: int, *, other_ends: bool, own_weight: bool) -> Fl
 
 
 def _forms(state: State) -> Iterator[Candidate]:
+    return (candidate for candidate, _, _ in _described(state))
+
+
+def _described(state: State) -> Iterator[tuple[Candidate, bool, bool]]:
+    """Return every form, whether the link's weight rests on its joint, and whether it lies between the other ends."""
     size = typical("link_bending", state.rated_load)
     one = (Parameter("bending", UNIT, size, positive=True),)
     two = (
@@ -90,9 +95,9 @@ def _forms(state: State) -> Iterator[Candidate]:
                 partial(law, link=link, other_ends=other_ends, own_weight=own_weight)
                 for law in (_bending, _whole, _round)
             )
-            yield form(f"bending{where}{weight}", two, bending)
-            yield form(f"bending and torsion{where}{weight}", three, whole)
-            yield form(f"tube{where}{weight}", one, tube)
+            yield form(f"bending{where}{weight}", two, bending), not own_weight, other_ends
+            yield form(f"bending and torsion{where}{weight}", three, whole), not own_weight, other_ends
+            yield form(f"tube{where}{weight}", one, tube), not own_weight, other_ends
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
@@ -105,8 +110,8 @@ def _candidates(state: State) -> Iterator[Candidate]:
     apart = np.append(np.abs(chain.other_end), 0.0)
     heavy = {link_name(link) for link in range(n) if mass[link] > 0 and np.any(mass[link + 1 :] > 0)}
     other = {link_name(link) for link in range(n) if max(apart[link], apart[link + 1]) > SHORTEST}
-    for candidate in _forms(state):
-        asked = [links for words, links in ((ON_JOINT, heavy), (OTHER_ENDS, other)) if words in candidate.variant]
+    for candidate, *asks in _described(state):
+        asked = [links for asks_it, links in zip(asks, (heavy, other), strict=True) if asks_it]
         if not asked or (not state.loaded and all(candidate.location["link"] in links for links in asked)):
             yield candidate
 

@@ -40,6 +40,7 @@ def _isotropic(state: State, joint: int, *, other_end: bool = False) -> Float3D:
 
 
 def _forms(state: State) -> Iterator[Candidate]:
+    """Return every form; its shape is whether the bearing sits at the other end of its axis."""
     size = typical("off_axis_compliance", state.rated_load)
     several = (
         Parameter("compliance_x", UNIT, size, positive=True),
@@ -47,9 +48,9 @@ def _forms(state: State) -> Iterator[Candidate]:
         Parameter("compliance_xy", UNIT, TURNED * size),
     )
     for joint, name in enumerate(state.chain.joints):
-        form = partial(Candidate, EFFECT.name, EFFECT.family, {"joint": name})
         one = (Parameter("compliance", UNIT, size, positive=True),)
         for other_end, where in ((False, ""), (True, OTHER_END)):
+            form = partial(Candidate, EFFECT.name, EFFECT.family, {"joint": name}, shape=other_end)
             yield form(f"before{where}", several, partial(_proximal, joint=joint, other_end=other_end))
             yield form(f"behind{where}", several, partial(_distal, joint=joint, other_end=other_end))
             yield form(f"isotropic{where}", one, partial(_isotropic, joint=joint, other_end=other_end))
@@ -59,7 +60,7 @@ def _candidates(state: State) -> Iterator[Candidate]:
     """Leave out the other end of an axis where both are one, and in recordings of loads."""
     ends = {name for name, apart in zip(state.chain.joints, state.chain.other_end, strict=True) if abs(apart) > APART}
     for candidate in _forms(state):
-        if not candidate.variant.endswith(OTHER_END) or (candidate.location["joint"] in ends and not state.loaded):
+        if not candidate.shape or (candidate.location["joint"] in ends and not state.loaded):
             yield candidate
 
 
