@@ -66,9 +66,9 @@ def diagnose(
     given = accounted(cell, given) if is_loaded(readings) else given
     if simulation is None:
         return _judged(_with_location(readings, cell, options, test, offers, given))
-    from calibration_core.diagnosis.comparison.recordings import compare  # slow to load, and seldom needed
+    from calibration_core.diagnosis.simulated import compare_checked  # slow to load, and seldom needed
 
-    compared = [compare(readings, simulation, cell)]
+    compared = [compare_checked(readings, simulation, cell)]
     with mixed_up(compared):
         found = _with_location(readings, cell, options, test, offers, given)
     return beside(_judged(found), compared)
@@ -155,27 +155,30 @@ def mixed_up(compared: Sequence[Comparison]) -> Iterator[None]:
     try:
         yield
     except EquilibriumError as error:
-        spoiled = [(one, d) for one in compared if one.recording_spoiled for d in one.differences if d.spoils]
-        named = next(((one, d) for one, d in spoiled if d.side != "simulation"), None)
+        named = next(((one, d) for one in compared for d in one.differences if d.of_recording), None)
         if named is None:
             raise
         one, difference = named
-        found, expected = f"{difference.text} There is {error}", "a recording as the cell file says"
+        found, expected = f"{difference.sentence} There is {error}", "a recording as the cell file says"
         raise IdentificationError(one.recording, difference.kind, found, expected) from None
 
 
 def beside(found: Diagnosis, compared: Sequence[Comparison]) -> Diagnosis:
-    """Add comparisons with simulations; a recording that is mixed up lets no physics be claimed."""
+    """Add comparisons with simulations; a recording that is mixed up lets no physics be claimed.
+
+    Anomalies are those of the recording.  What is wrong with a simulation, or differs and is no fault, stands in the
+    comparison alone.
+    """
     together = found.identification.together is not None
     named = [
         dataclasses.replace(anomaly, location={**anomaly.location, RECORDING: one.recording}) if together else anomaly
         for one in compared
-        for anomaly in (difference.as_anomaly() for difference in one.differences)
+        for anomaly in (difference.as_anomaly() for difference in one.differences if difference.of_recording)
     ]
     found = dataclasses.replace(found, comparisons=tuple(compared), anomalies=(*named, *found.anomalies))
     if not found.recording_spoiled:
         return found
-    return dataclasses.replace(found, verdict="consistent", findings=(), rest=NO_PHYSICS, model=None)
+    return dataclasses.replace(found, verdict="unexplained", findings=(), rest=NO_PHYSICS, model=None)
 
 
 def _diagnose(

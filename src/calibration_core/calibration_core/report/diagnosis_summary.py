@@ -16,10 +16,10 @@ VERDICTS = {
 
 def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in words; nothing is called complete above anomalies, or a claim of noise that is too low."""
-    if diagnosis.verdict != "consistent" or not diagnosis.anomalies:
-        return VERDICTS[diagnosis.verdict]
     if diagnosis.recording_spoiled:
         return "no physics is claimed before recording and simulation are put right"
+    if diagnosis.verdict != "consistent" or not diagnosis.anomalies:
+        return VERDICTS[diagnosis.verdict]
     if any(anomaly.kind == "noise_understated" for anomaly in diagnosis.anomalies):
         return "no missing physics is seen, but the recording is noisier than the cell file claims"
     return "no missing physics is seen beside the anomalies"

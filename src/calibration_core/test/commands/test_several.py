@@ -159,7 +159,7 @@ def test_every_recording_is_compared_with_its_own_simulation(
         cal.diagnose(first, simulation=[first, second])
 
 
-def test_what_a_simulation_says_of_one_recording_names_it(
+def test_a_fault_of_a_simulation_stands_beside_its_recording(
     simulated: Path, later: Path, moved: Path, tmp_path: Path
 ) -> None:
     recordings = (simulated / "measurements.csv", later / "measurements.csv")
@@ -169,10 +169,10 @@ def test_what_a_simulation_says_of_one_recording_names_it(
     turned = dataclasses.replace(second.readings, wrench=-np.array(second.readings.wrench))
     other = Recording(turned, second.cell)
     found = cal.diagnose([first, second], simulation=[first, other]).diagnosis
-    (anomaly,) = [one for one in found.anomalies if one.kind == "wrench_sign"]
-    assert anomaly.location == {"sensor": "force_torque", "recording": str(recordings[1])}
-    assert found.comparisons[1].differences[0].side == "simulation"
-    assert found.verdict == "consistent"
+    assert [one.differences for one in found.comparisons[:1]] == [()]
+    (difference,) = found.comparisons[1].differences
+    assert (difference.kind, difference.side) == ("wrench_sign", "simulation")
+    assert (found.verdict, found.anomalies) == ("consistent", ())
 
 
 @pytest.mark.parametrize("command", ["identify", "diagnose"])

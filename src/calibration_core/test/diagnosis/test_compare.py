@@ -12,8 +12,10 @@ from robots import STIFFNESS, loaded_readings, write_cell
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.recordings import compare, sensor_axes
 from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.simulated import compare_checked
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
 from calibration_core.model.chain import pose_matrix
+from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Readings
@@ -75,7 +77,7 @@ def test_swapped_joints(cell: Cell, recorded: Readings, simulated: Readings, off
     pair = {"recording": recorded, "simulation": simulated}
     pair[off] = dataclasses.replace(pair[off], q=pair[off].q[:, [0, 2, 1, 3, 4, 5]])
     found = compare(pair["recording"], pair["simulation"], cell)
-    assert {d.kind: d.side for d in found.differences} == {"joints_swapped": off}
+    assert {d.kind: d.side for d in found.differences} == {"joint_order": off}
     assert found.differences[0].location == {"joint": "joint_2, joint_3"}
     assert found.steps is None
 
@@ -88,9 +90,28 @@ def test_a_joint_of_opposite_sign_and_one_of_another_zero(
     q = pair[off].q * [1, 1, -1, 1, 1, 1] + [0, 0, 0, 0, np.pi / 2, 0]
     pair[off] = dataclasses.replace(pair[off], q=q)
     found = compare(pair["recording"], pair["simulation"], cell)
-    assert {d.kind: d.side for d in found.differences} == {"joint_sign": off, "joint_zero": off}
-    zero = next(d for d in found.differences if d.kind == "joint_zero")
+    assert [(d.kind, d.side) for d in found.differences] == [("wrong_robot_file", off)] * 2
+    sign, zero = found.differences
+    assert sign.location == {"joint": "joint_3"}
     assert (zero.location, zero.magnitude) == ({"joint": "joint_5"}, pytest.approx(np.pi / 2, abs=1e-6))
+    assert found.recording_spoiled is (off == "recording")
+
+
+@pytest.mark.parametrize("off", ["simulation", "recording"])
+@pytest.mark.parametrize(("joint", "zero"), [(0, 0.3), (1, 0.005), (4, 0.01)])
+def test_whose_zero_is_off(
+    cell: Cell, recorded: Readings, simulated: Readings, off: str, joint: int, zero: float
+) -> None:
+    pair = {"recording": recorded, "simulation": simulated}
+    pair[off] = dataclasses.replace(pair[off], q=pair[off].q + zero * np.eye(6)[joint])
+    (difference,) = compare(pair["recording"], pair["simulation"], cell).differences
+    assert (difference.kind, difference.side) == ("wrong_robot_file", off)
+    assert difference.location == {"joint": f"joint_{joint + 1}"}
+    assert difference.sentence.endswith(
+        "The recording agrees with the cell file, the simulation does not."
+        if off == "simulation"
+        else "The simulation agrees with the cell file, the recording does not."
+    )
 
 
 def test_degrees(cell: Cell, recorded: Readings, simulated: Readings) -> None:
@@ -102,20 +123,20 @@ def test_degrees(cell: Cell, recorded: Readings, simulated: Readings) -> None:
 def test_millimetres(cell: Cell, recorded: Readings, simulated: Readings, off: str) -> None:
     ours = dataclasses.replace(recorded, position=recorded.position * (1e3 if off == "recording" else 1))
     theirs = dataclasses.replace(simulated, position=simulated.position * (1e3 if off == "simulation" else 1))
-    assert kinds(ours, theirs, cell) == {"length_unit": off}
+    assert kinds(ours, theirs, cell) == {"position_unit": off}
 
 
 def test_points_that_exchanged_their_names(cell: Cell, recorded: Readings, simulated: Readings) -> None:
     table = np.arange(len(simulated)).reshape(-1, 3)[:, [1, 0, 2]].reshape(-1)
     off = dataclasses.replace(simulated, position=simulated.position[table])
     found = compare(recorded, off, cell)
-    assert {d.kind: d.side for d in found.differences} == {"points_swapped": "simulation"}
+    assert {d.kind: d.side for d in found.differences} == {"point_order": "simulation"}
     assert found.differences[0].location == {"point": "mp1, mp2"}
 
 
 def test_a_left_handed_frame(cell: Cell, recorded: Readings, simulated: Readings) -> None:
     off = dataclasses.replace(simulated, position=simulated.position * [1, -1, 1])
-    assert kinds(recorded, off, cell) == {"mirrored_axes": "simulation"}
+    assert kinds(recorded, off, cell) == {"point_order": "simulation"}
 
 
 def test_another_tracker_frame_is_said_and_taken_out(cell: Cell, recorded: Readings, simulated: Readings) -> None:
@@ -149,8 +170,11 @@ def test_wrenches(cell: Cell, recorded: Readings, simulated: Readings) -> None:
     changed = {
         "wrench_sign": [-w],
         "wrench_unit": [w / 1e3, w * 9.80665, np.hstack([w[:, :3], w[:, 3:] * 1e3])],
-        "wrench_axes": [w[:, [1, 0, 2, 4, 3, 5]], in_base_axes(simulated, cell)],
-        "wrench_reference": [np.hstack([w[:, :3], w[:, 3:] + np.cross([0.1, 0.2, 0.3], w[:, :3])])],
+        "wrench_frame": [
+            w[:, [1, 0, 2, 4, 3, 5]],
+            in_base_axes(simulated, cell),
+            np.hstack([w[:, :3], w[:, 3:] + np.cross([0.1, 0.2, 0.3], w[:, :3])]),
+        ],
         "loads": [0 * w, np.random.default_rng(0).permutation(w)],
     }
     for kind, wrenches in changed.items():
@@ -187,7 +211,148 @@ def test_nothing_in_common(cell: Cell, recorded: Readings) -> None:
 
 def test_displacements_against_positions(cell: Cell, recorded: Readings, simulated: Readings) -> None:
     off = dataclasses.replace(simulated, position=from_step_zero(simulated, simulated.position))
-    assert kinds(recorded, off, cell)["displacements"] == "simulation"
+    assert kinds(recorded, off, cell)["no_relation"] == "simulation"
+
+
+def in_flange_axes(readings: Readings, cell: Cell, vector: tuple[float, float, float]) -> np.ndarray:
+    """Return (m, 3) m, tracker axes, of a vector that is constant in the flange's."""
+    pose = nominal_parameters(cell).tracker[:3, :3]
+    turns = posture(chain_of(cell), readings.q).flange
+    return np.einsum("iam,i->ma", turns, vector) @ pose
+
+
+FAULTS = ("tracker_moved", "target_moved", "outlier_readings", "noise_understated")
+
+
+def with_fault(readings: Readings, cell: Cell, kind: str, size: float = 1.0) -> Readings:
+    """Return readings with a tracker or target that moved by 2.3 mm, an outlier of 3 m or 0.1 mm of noise."""
+    later = (readings.configuration > 9)[:, None]
+    shift = (2e-3, -1e-3, 6e-4)
+    added = {
+        "tracker_moved": later * np.array(shift),
+        "target_moved": later * (readings.point == 1)[:, None] * in_flange_axes(readings, cell, shift),
+        "outlier_readings": (np.arange(len(readings)) == 40)[:, None] * np.array([3.0, 0.0, 0.0]),
+        "noise_understated": 1e-4 * np.random.default_rng(1).standard_normal((len(readings), 3)),
+    }[kind]
+    return dataclasses.replace(readings, position=readings.position + size * added)
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_fault_of_the_simulation_is_its_own(cell: Cell, recorded: Readings, simulated: Readings, kind: str) -> None:
+    found = compare_checked(recorded, with_fault(simulated, cell, kind), cell)
+    (fault,) = found.differences
+    assert (fault.kind, fault.side, fault.spoils) == (kind, "simulation", False)
+    assert fault.text.startswith("In the simulation, ")
+    assert fault.text in found.sentences
+    assert not found.recording_spoiled
+    clean = compare(recorded, simulated, cell)
+    assert found.steps is not None
+    assert clean.steps is not None
+    assert found.steps.slope == pytest.approx(1.15, abs=0.02)
+    assert found.steps.noise == pytest.approx(1.02e-4 if kind == "noise_understated" else clean.steps.noise, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_fault_of_the_simulation_changes_nothing_in_what_is_said_of_the_recording(
+    cell: Cell, recorded: Readings, simulated: Readings, kind: str
+) -> None:
+    faulty = with_fault(simulated, cell, kind, 10.0)
+    alone, beside = diagnose(recorded, cell), diagnose(recorded, cell, simulation=faulty)
+    assert (beside.verdict, beside.findings, beside.anomalies) == (alone.verdict, alone.findings, alone.anomalies)
+    np.testing.assert_array_equal(beside.compliance, alone.compliance)
+    assert [d.side for d in beside.comparisons[0].differences] == ["simulation"]
+
+
+@pytest.mark.parametrize("share", [0.1, 1.0])
+def test_physics_of_a_simulation_is_no_fault(cell: Cell, recorded: Readings, simulated: Readings, share: float) -> None:
+    assert recorded.wrench is not None
+    bent = simulated.position - by_model(dataclasses.replace(simulated, wrench=0 * recorded.wrench), cell).position
+    more = share * bent * (simulated.step > 2)[:, None]  # bends farther when the load goes down
+    found = compare_checked(recorded, dataclasses.replace(simulated, position=simulated.position + more), cell)
+    assert found.differences == ()
+    assert found.readings == len(recorded)
+
+
+@pytest.mark.parametrize("points", ["absolute", "displacement"])
+def test_a_gross_error_of_a_simulation_of_one_point(
+    tmp_path: Path, recorded: Readings, simulated: Readings, points: str
+) -> None:
+    cell = write_cell(tmp_path, measurements={"points": points})
+    ours, theirs = (readings.select(readings.point == 0) for readings in (recorded, simulated))
+    if points == "displacement":
+        ours, theirs = (dataclasses.replace(r, position=from_step_zero(r, r.position)) for r in (ours, theirs))
+    position = theirs.position + 0.05 * (np.arange(len(theirs)) == 22)[:, None]
+    found = compare_checked(ours, dataclasses.replace(theirs, position=position), cell)
+    assert [(d.kind, d.side) for d in found.differences] == [("outlier_readings", "simulation")]
+    assert found.steps is not None
+    assert found.steps.slope == pytest.approx(1.15, abs=0.03)
+
+
+def test_a_simulation_too_small_to_be_searched_is_compared_all_the_same(cell: Cell, recorded: Readings) -> None:
+    still = dataclasses.replace(recorded.select((recorded.step == 0) & (recorded.configuration <= 2)), wrench=None)
+    found = compare_checked(still, by_model(still, cell), cell)
+    assert found.steps is not None
+    assert any(s.startswith("The simulation cannot be searched for faults of its own: ") for s in found.sentences)
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_fault_of_a_simulation_at_rest_is_its_own(cell: Cell, kind: str) -> None:
+    whole = loaded_readings(cell, 5, 40)
+    still = dataclasses.replace(whole.select(whole.step == 0), wrench=None)
+    exact = by_model(still, cell)
+    found = compare_checked(still, with_fault(exact, cell, kind), cell)
+    assert [(d.kind, d.side) for d in found.differences] == [(kind, "simulation")]
+    plain = compare_checked(still, exact, cell)
+    assert plain.differences == ()
+    assert found.steps is not None
+    assert plain.steps is not None
+    if kind != "noise_understated":
+        assert found.steps.rms < 1.3 * plain.steps.rms
+
+
+def mixed_pair(cell: Cell) -> tuple[Readings, Readings]:
+    """Return a recording of 14 loaded configurations and 10 postures at rest, and what the cell file says of it."""
+    whole = loaded_readings(cell, 4, 24)
+    mixed = whole.select((whole.configuration <= 14) | (whole.step == 0))
+    return mixed, by_model(mixed, cell)
+
+
+def test_postures_at_rest_beside_loaded_configurations_are_compared(cell: Cell) -> None:
+    recorded, simulated = mixed_pair(cell)
+    plain = compare(recorded, simulated, cell)
+    assert plain.steps is not None
+    assert plain.postures is not None
+    assert [len(one.by_configuration) for one in (plain.steps, plain.postures)] == [14, 10]
+    assert plain.steps.slope == pytest.approx(1.15, abs=0.02)
+    loaded = recorded.configuration <= 14
+    alone = compare(recorded.select(loaded), simulated.select(loaded), cell)
+    assert alone.postures is None
+    assert alone.steps is not None
+    assert plain.steps.rms == pytest.approx(alone.steps.rms, rel=1e-6)  # not thinned by postures that do not bend
+    geometry = np.zeros((6, 6))
+    geometry[2, 5] = 1e-3
+    other = compare(recorded, by_model(simulated, cell, geometry=geometry), cell)
+    assert other.postures is not None
+    assert other.postures.rms > 3 * plain.postures.rms
+    assert any("10 common configurations with one step" in sentence for sentence in other.sentences)
+
+
+def test_postures_at_rest_are_compared_in_the_frame_that_fits_them(cell: Cell) -> None:
+    recorded, simulated = mixed_pair(cell)
+    pose = pose_matrix(np.array([1.0, 2.0, -0.5]), np.array([0.1, 0.2, 1.5]))
+    turned = dataclasses.replace(simulated, position=simulated.position @ pose[:3, :3].T + pose[:3, 3])
+    plain, found = (compare(recorded, one, cell).postures for one in (simulated, turned))
+    assert plain is not None
+    assert found is not None
+    assert found.rms == pytest.approx(plain.rms, rel=1e-6)
+
+
+def test_what_the_cell_file_alone_leaves_open_its_check_decides(cell: Cell, recorded: Readings) -> None:
+    without = cell.model_copy(update={"robot": cell.robot.model_copy(update={"stiffness": None})})
+    simulated = by_model(recorded, cell)
+    turned = dataclasses.replace(simulated, wrench=-np.array(simulated.wrench))
+    assert kinds(recorded, turned, without) == {"wrench_sign": "simulation"}
+    assert kinds(turned, recorded, without) == {"wrench_sign": "recording"}
 
 
 def test_positions_without_loads_are_compared_too(cell: Cell, recorded: Readings) -> None:
@@ -207,10 +372,11 @@ def test_no_physics_is_claimed_of_a_recording_that_is_mixed_up(
 ) -> None:
     off = dataclasses.replace(recorded, wrench=-np.array(recorded.wrench))
     found = diagnose(off, cell, simulation=simulated)
-    assert (found.verdict, found.findings) == ("consistent", ())
-    assert [a.kind for a in found.anomalies][:1] == ["wrench_sign"]
+    assert (found.verdict, found.findings) == ("unexplained", ())
+    assert [(a.kind, dict(a.further)) for a in found.anomalies][:1] == [("wrench_sign", {"factor": -1.0})]
+    assert found.anomalies[0].remedy == "turn the sign of all forces and torques"
     good = diagnose(recorded, cell, simulation=dataclasses.replace(simulated, wrench=-np.array(simulated.wrench)))
-    assert good.verdict == "consistent"
+    assert (good.verdict, good.anomalies) == ("consistent", ())
     assert good.held_out_after == pytest.approx(good.noise, rel=0.2)
     (compared,) = good.comparisons
     assert Path(compared.simulation).name == "simulated.csv"

@@ -176,12 +176,12 @@ def evaluate_all(
     if isinstance(noted, Refusal):
         return noted
     # what evaluates several recordings is slow to load, and most commands are given one
-    from calibration_core.diagnosis.comparison.recordings import compare
+    from calibration_core.diagnosis.simulated import compare_checked
     from calibration_core.outcomes.together.diagnose import diagnose_together
     from calibration_core.outcomes.together.evaluate import covered
 
     own = zip(recordings, simulations, cells, strict=False)
-    compared = [compare(recording, simulation, cell) for recording, simulation, cell in own]
+    compared = [compare_checked(recording, simulation, cell) for recording, simulation, cell in own]
     offers = offers_for(recordings[0], cells[0])
     with mixed_up(compared):
         prepared = prepared_from(recordings, cells, options, test, given)

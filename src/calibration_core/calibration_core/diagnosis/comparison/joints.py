@@ -82,22 +82,26 @@ def joint_differences(links: Sequence[Link], joints: Sequence[str], side: Side) 
     moved = [i for i, link in enumerate(links) if link.joint != i]
     if moved:
         names = ", ".join(f"{joints[links[i].joint]} of the simulation is {joints[i]} of the recording" for i in moved)
-        text = f"The joints stand in another order: {names}{_of(side)}."
-        found.append(
-            Difference("joints_swapped", _named([joints[i] for i in moved]), side, float(len(moved)), "1", text, True)
-        )
+        text = f"The joints stand in another order: {names}."
+        found.append(_difference("joint_order", [joints[i] for i in moved], side, text, "exchange the angles of {}"))
     turned = [joints[i] for i, link in enumerate(links) if link.sign < 0]
     if turned:
-        text = f"The sign of {', '.join(turned)} is the opposite{_of(side)}."
-        found.append(Difference("joint_sign", _named(turned), side, float(len(turned)), "1", text, True))
+        text = f"The sign of {', '.join(turned)} is the opposite."
+        remedy = "turn the sign of {}, or use the robot file in which its axis points the other way"
+        found.append(_difference("wrong_robot_file", turned, side, text, remedy))
     scaled = [joints[i] for i, link in enumerate(links) if link.unit != "rad"]
     if scaled:
-        text = f"The angles of {', '.join(scaled)} differ by the factor of degrees to radians{_of(side)}."
-        found.append(Difference("angle_unit", _named(scaled), side, 180 / math.pi, "1", text, True))
+        text = f"The angles of {', '.join(scaled)} differ by the factor of degrees to radians."
+        remedy = "give the angles of {} in rad"
+        one = _difference("angle_unit", scaled, side, text, remedy)
+        factor = 1 / UNITS[next(link.unit for link in links if link.unit != "rad")]
+        found.append(dataclasses.replace(one, magnitude=180 / math.pi, further={**one.further, "factor": factor}))
     for i, link in enumerate(links):
         if link.zero:
-            text = f"{joints[i]} has another zero: recorded minus simulated is {link.zero:+.4f} rad{_of(side)}."
-            found.append(Difference("joint_zero", {"joint": joints[i]}, side, abs(link.zero), "rad", text, True))
+            text = f"{joints[i]} has another zero: recorded minus simulated is {link.zero:+.4f} rad."
+            remedy = f"master {{}} again, or subtract {link.zero:+.4f} rad from its angles"
+            one = _difference("wrong_robot_file", [joints[i]], side, text, remedy)
+            found.append(dataclasses.replace(one, magnitude=abs(link.zero), unit="rad"))
     return tuple(found)
 
 
@@ -125,15 +129,10 @@ def _cost(link: Link, own: bool) -> float:
     return (0.0 if own else 1.0) + (0.0 if link.plain else 0.5)
 
 
-def _named(joints: Sequence[str]) -> dict[str, str]:
-    return {"joint": ", ".join(joints)}
-
-
-def _of(side: Side) -> str:
-    return "" if side == "either" else f"; the robot file agrees with the {_OTHER[side]}"
-
-
-_OTHER = {"simulation": "recording", "recording": "simulation"}
+def _difference(kind: str, joints: Sequence[str], side: Side, text: str, remedy: str) -> Difference:
+    listed = ", ".join(joints)
+    size, further = float(len(joints)), {"joints": list(joints)}
+    return Difference(kind, {"joint": listed}, side, size, "1", text, True, remedy.format(listed), further)
 
 
 def _assigned(cost: Float2D) -> tuple[Int1D, Int1D]:

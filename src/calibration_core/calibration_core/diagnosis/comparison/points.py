@@ -57,7 +57,7 @@ def place(
         which = next(name for name, value in UNITS.items() if value == factor)
         text = f"The positions differ by a factor of 1000: {which} instead of m."
         own: Side = "recording" if factor > 1 else "simulation"
-        found.append(Difference("length_unit", {"tracker": "tracker"}, own, 1000.0, "1", text, True))
+        found.append(position_unit(own, text))
         if factor > 1:
             recorded = recorded / factor
         else:
@@ -69,13 +69,18 @@ def place(
         listed = ", ".join(f"{names[a]} of the simulation is {names[b]} of the recording" for a, b in order.pairs)
         location = {"point": ", ".join(names[b] for _, b in order.pairs)}
         text = f"The measurement points have other names: {listed}."
-        found.append(Difference("points_swapped", location, side, float(len(order.pairs)), "1", text, True))
+        changed = [names[b] for _, b in order.pairs]
+        remedy = f"name the points as the cell file has them: {listed}"
+        size = float(len(order.pairs))
+        found.append(Difference("point_order", location, side, size, "1", text, True, remedy, {"points": changed}))
     rotation, shift, rms = rigid(recorded, source)
     mirrored, away, left = rigid(recorded, source, proper=False)
     if np.linalg.det(mirrored) < 0 and rms > LEAST and left < BETTER * rms:
         rotation, shift, rms = mirrored, away, left
         text = "One frame is left-handed: an axis of the positions has the opposite sign."
-        found.append(Difference("mirrored_axes", {"tracker": "tracker"}, side, 1.0, "1", text, True))
+        remedy = "turn the sign of one coordinate of all positions: frames are right-handed"
+        where, further = {"tracker": "tracker"}, {"points": list(names)}
+        found.append(Difference("point_order", where, side, 1.0, "1", text, True, remedy, further))
     else:
         angle = math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
         centre = source.mean(axis=0)
@@ -87,6 +92,12 @@ def place(
             )
             found.append(Difference("tracker_frame", {"tracker": "tracker"}, side, moved, "m", text, False))
     return Placed(rotation, source @ rotation.T + shift, rms, tuple(found))
+
+
+def position_unit(side: Side, text: str) -> Difference:
+    """Return the difference of positions of which one side's are in mm."""
+    remedy = "give positions in m: multiply them by 0.001"
+    return Difference("position_unit", {"tracker": "tracker"}, side, 1000.0, "1", text, True, remedy, {"factor": 1e-3})
 
 
 def rigid(target: Float2D, source: Float2D, *, proper: bool = True) -> tuple[Float2D, Float1D, float]:

@@ -10,44 +10,48 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.joints import by_posture, joint_differences, postures, relation
 from calibration_core.diagnosis.comparison.model import Misfit, misfit, reproduction
-from calibration_core.diagnosis.comparison.points import Placed, place, rigid
+from calibration_core.diagnosis.comparison.points import Placed, place, position_unit, rigid
 from calibration_core.diagnosis.comparison.result import (
     Comparison,
     Difference,
-    PartDifference,
+    OwnFaults,
     Side,
     StepByStep,
     farther_off,
 )
+from calibration_core.diagnosis.comparison.steps import UNLOADED, step_by_step
 from calibration_core.diagnosis.comparison.wrench import wrench_differences
-from calibration_core.identification.stiffness.predict import from_step_zero
+from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
+from calibration_core.input_checks.check import check_inputs
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import posture, turned
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import coordinate_std, position_covariance
-from calibration_core.timeseries import Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float3D, Int1D, Readings
 
 FEWEST = 4  # readings that a comparison needs
 WRONG_FILE = 0.0025  # of the reach, m per coordinate: farther apart, the two are not the same robot
 
 
-def compare(recorded: Readings, simulated: Readings, cell: Cell) -> Comparison:
+def compare(recorded: Readings, simulated: Readings, cell: Cell, own: OwnFaults | None = None) -> Comparison:
     """Compare a recording with a simulation.
 
     Args:
         recorded: The recording.
         simulated: What a simulation says of the same measurement.
         cell: The cell file, by which both are read.
+        own: What is wrong with the simulation by itself; None: nothing.
     """
-    same = reproduction(simulated, cell)
-    pairing = _paired(recorded, simulated, cell)
+    own = OwnFaults((), np.ones(len(simulated), dtype=bool), None) if own is None else own
+    sound = simulated.select(own.sound)
+    same = reproduction(sound, cell)
+    pairing = _paired(recorded, simulated, cell).without(~own.sound)
     found = list(pairing.differences)
-    steps = None
+    steps = postures = None
     if len(pairing.recorded) >= FEWEST:
         ours, theirs = recorded.select(pairing.recorded), simulated.select(pairing.simulated)
         chain = chain_of(cell)
-        far = misfit(recorded, cell), misfit(simulated, cell)
+        far = misfit(recorded, cell), misfit(sound, cell)
         more, placed = _frames(ours, theirs, cell, chain, far, known=bool(found))
         found += more
         if ours.wrench is not None and theirs.wrench is not None:
@@ -57,12 +61,15 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell) -> Comparison:
             which: Side = "recording" if ours.wrench is None else "simulation"
             text = f"The {which} holds no wrench, the other does."
             found.append(Difference("loads", {"sensor": "force_torque"}, which, 0.0, "N", text, True))
+        found = _decided(found, recorded, sound, cell)
         if not any(d.spoils for d in found):
-            steps = _step_by_step(ours, theirs, placed, cell)
+            steps, postures = step_by_step(ours, theirs, placed, cell, own.noise)
     else:
         text = "Nothing of the simulation corresponds to the recording: no comparison step by step is possible."
         found.append(Difference("configurations", {"robot": "robot"}, "either", 0.0, "1", text, False))
+    found += own.differences
     numbers = np.unique(recorded.configuration[pairing.recorded])
+    notes = [same.text, own.note] if own.note else [same.text]
     return Comparison(
         recording=recorded.provenance.path,
         simulation=simulated.provenance.path,
@@ -72,7 +79,8 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell) -> Comparison:
         reproduction=same,
         differences=tuple(found),
         steps=steps,
-        sentences=_sentences(same.text, found, steps, len(numbers)),
+        postures=postures,
+        sentences=_sentences(notes, found, steps, postures),
     )
 
 
@@ -84,6 +92,11 @@ class _Pairing:
     simulated: Int1D
     differences: tuple[Difference, ...]
 
+    def without(self, aside: Bool1D) -> _Pairing:
+        """Return the pairs of which the simulated row, (m,), is not set aside."""
+        kept = ~aside[self.simulated]
+        return dataclasses.replace(self, recorded=self.recorded[kept], simulated=self.simulated[kept])
+
 
 def _paired(recorded: Readings, simulated: Readings, cell: Cell) -> _Pairing:
     """Find which configuration of the simulation is which of the recording: by number, else by posture."""
@@ -93,9 +106,7 @@ def _paired(recorded: Readings, simulated: Readings, cell: Cell) -> _Pairing:
     links = relation(q[a], other[b]) if len(a) else None
     found: list[Difference] = []
     robot = {"robot": "robot"}
-    if links is not None:
-        found += joint_differences(links, cell.robot.joints, _joint_side(recorded, simulated, cell))
-    else:
+    if links is None:
         a, b = by_posture(q, other)
         if len(a):
             text = f"The simulation numbers its configurations otherwise: {len(a)} are the same by their joint angles."
@@ -111,6 +122,9 @@ def _paired(recorded: Readings, simulated: Readings, cell: Cell) -> _Pairing:
         if key in rows
     ]
     left, right = (np.array([pair[side] for pair in pairs], dtype=np.int64) for side in (0, 1))
+    if links is not None and pairs and not all(link.plain and link.joint == i for i, link in enumerate(links)):
+        side = _joint_side(recorded.select(left), simulated.select(right), cell)
+        found = [*joint_differences(links, cell.robot.joints, side), *found]
     return _Pairing(left, right, (*found, *_steps(recorded, simulated), *_points(recorded, simulated)))
 
 
@@ -139,25 +153,58 @@ def _points(recorded: Readings, simulated: Readings) -> tuple[Difference, ...]:
     return (Difference("points", {"point": ", ".join(alone)}, "either", float(len(alone)), "1", text, False),)
 
 
-def _joint_side(recorded: Readings, simulated: Readings, cell: Cell) -> Side:
-    """Say which of two recordings is farther from what the robot file says of its positions."""
+def _joint_side(ours: Readings, theirs: Readings, cell: Cell) -> Side:
+    """Say whose joint angles disagree with the robot file.
+
+    The positions of either are held against its own angles and against those of the other: those of a simulation fit
+    their own angles nearly without error, unless these are wrong.  What turns the whole robot, as another zero of its
+    first joint does, the stated tracker frame decides.
+
+    Args:
+        ours: Rows of the recording.
+        theirs: The corresponding rows of the simulation.
+        cell: The cell file.
+    """
     if cell.measurements.points == "displacement":
-        far = misfit(recorded, cell).deflection, misfit(simulated, cell).deflection
-    else:
-        far = _rigid_misfit(recorded, cell), _rigid_misfit(simulated, cell)
-    return farther_off(*far)
+        return farther_off(misfit(ours, cell).deflection, misfit(theirs, cell).deflection)
+    left = {
+        (whose, angles): _rigid_misfit(dataclasses.replace(readings, q=q), cell)
+        for whose, readings in (("recording", ours), ("simulation", theirs))
+        for angles, q in (("recording", ours.q), ("simulation", theirs.q))
+    }
+    side = farther_off(left["simulation", "recording"], left["simulation", "simulation"])
+    if side == "either":
+        side = farther_off(left["recording", "recording"], left["recording", "simulation"])
+    if side == "either":
+        side = farther_off(misfit(ours, cell).absolute, misfit(theirs, cell).absolute)
+    return side
 
 
 def _rigid_misfit(readings: Readings, cell: Cell) -> float:
-    """Return what is left of the positions after the best rigid frame, m per coordinate."""
-    return rigid(readings.position, _undeformed(readings, cell, chain_of(cell)))[2]
+    """Return what the cell file's model leaves of the positions after the best rigid frame, m per coordinate.
+
+    Of readings at which next to nothing pulls, where there are enough.
+    """
+    if readings.wrench is not None:
+        force = np.linalg.norm(readings.wrench[:, :3], axis=1)
+        light = force <= UNLOADED * force.max()
+        readings = dataclasses.replace(readings.select(light) if light.sum() >= FEWEST else readings, wrench=None)
+    return rigid(readings.position, predict_readings(readings, cell, nominal_parameters(cell)))[2]
 
 
-def _undeformed(readings: Readings, cell: Cell, chain: Chain) -> Float2D:
-    """Return (m, 3) m, base frame, where the cell file puts the points of the undeformed robot."""
-    stated = nominal_parameters(cell).points
-    points = np.stack([stated[name] for name in readings.points])[readings.point].T
-    return posture(chain, readings.q).point(points).T
+def _decided(found: Sequence[Difference], recorded: Readings, simulated: Readings, cell: Cell) -> list[Difference]:
+    """Give what may be the fault of either to the one that by itself does not fit the cell file, if the other does."""
+
+    def open_to_both(difference: Difference) -> bool:
+        return difference.of_recording and difference.side == "either"
+
+    if not any(map(open_to_both, found)):
+        return list(found)
+    blocked = [any(one.blocks for one in check_inputs(each, cell)) for each in (recorded, simulated)]
+    if blocked[0] == blocked[1]:
+        return list(found)
+    side: Side = "recording" if blocked[0] else "simulation"
+    return [dataclasses.replace(d, side=side) if open_to_both(d) else d for d in found]
 
 
 def _frames(
@@ -179,7 +226,8 @@ def _frames(
     if differences[0] != differences[1]:
         which: Side = "recording" if differences[0] else "simulation"
         text = f"The {which} holds displacements from step 0, the other positions."
-        return [Difference("displacements", {"tracker": "tracker"}, which, 0.0, "m", text, True)], None
+        remedy = "state measurements.points: displacement in the cell file, or record positions"
+        return [Difference("no_relation", {"tracker": "tracker"}, which, 0.0, "m", text, True, remedy)], None
     placed = place(ours.position, theirs.position, ours.point, ours.points, (far[0].absolute, far[1].absolute))
     found = list(placed.differences)
     if placed.rms > WRONG_FILE * chain.reach and not known:
@@ -189,7 +237,8 @@ def _frames(
             f"With the best frame recording and simulation are {1e3 * placed.rms:.1f} mm apart (rms per coordinate) at "
             f"the same joint angles: {whose}, or its joints, signs or units are mixed up."
         )
-        found.append(Difference("wrong_robot_file", {"robot": "robot"}, side, placed.rms, "m", text, True))
+        remedy = "use the file of this robot, and check its joint zeros and signs"
+        found.append(Difference("wrong_robot_file", {"robot": "robot"}, side, placed.rms, "m", text, True, remedy))
     return found, placed
 
 
@@ -199,7 +248,7 @@ def _displacement_unit(ours: Readings, theirs: Readings) -> list[Difference]:
         if other > 0 and 1 / 3 < size / other / factor < 3:
             side: Side = "recording" if factor > 1 else "simulation"
             text = f"The displacements differ by a factor of 1000: the {whose} is in mm instead of m."
-            return [Difference("length_unit", {"tracker": "tracker"}, side, 1000.0, "1", text, True)]
+            return [position_unit(side, text)]
     return []
 
 
@@ -211,63 +260,10 @@ def sensor_axes(readings: Readings, cell: Cell, chain: Chain) -> Float3D:
     return np.ascontiguousarray(axes.transpose(2, 1, 0))
 
 
-def _step_by_step(ours: Readings, theirs: Readings, placed: Placed | None, cell: Cell) -> StepByStep:
-    """Compare what corresponds, deflections where there are several steps, else positions."""
-    position = theirs.position if placed is None else placed.position
-    bends = len(np.unique(ours.step)) > 1
-    mine, other = ours.position, position
-    if bends:
-        mine, other = _deflection(ours, mine), _deflection(ours, other)
-    rest = mine - other
-    noise = coordinate_std(position_covariance(ours, cell))
-    power = float(np.sum(other**2))
-    shown = mine if bends else np.zeros_like(mine)
-    groups = [
-        _parts(rest, shown, np.asarray(names), order)
-        for names, order in (
-            ([str(c) for c in ours.configuration], False),
-            ([str(s) for s in ours.step], True),
-            ([ours.points[p] for p in ours.point], True),
-        )
-    ]
-    return StepByStep(
-        rms=float(np.sqrt(np.mean(rest**2))),
-        noise=float(np.sqrt(2)) * noise,
-        slope=float(np.sum(mine * other)) / power if bends and power > 0 else float("nan"),
-        by_configuration=groups[0],
-        by_step=groups[1],
-        by_point=groups[2],
-    )
-
-
-def _deflection(readings: Readings, position: Float2D) -> Float2D:
-    """Return positions less the mean of their configuration and point."""
-    _, group = np.unique(np.column_stack([readings.configuration, readings.point]), axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    mean = np.zeros((group.max() + 1, 3))
-    np.add.at(mean, group, position)
-    return position - (mean / np.bincount(group)[:, None])[group]
-
-
-def _parts(rest: Float2D, measured: Float2D, names: np.ndarray, in_order: bool) -> tuple[PartDifference, ...]:
-    parts = []
-    for name in dict.fromkeys(map(str, names)):
-        rows = names == name
-        parts.append(
-            PartDifference(
-                name,
-                float(np.sqrt(np.mean(rest[rows] ** 2))),
-                float(np.linalg.norm(rest[rows], axis=1).max()),
-                float(np.sqrt(np.mean(measured[rows] ** 2))),
-            )
-        )
-    return tuple(parts) if in_order else tuple(sorted(parts, key=lambda part: -part.rms))
-
-
 def _sentences(
-    model: str, found: Sequence[Difference], steps: StepByStep | None, configurations: int
+    notes: Sequence[str], found: Sequence[Difference], steps: StepByStep | None, postures: StepByStep | None
 ) -> tuple[str, ...]:
-    lines = [model, *(difference.text for difference in found)]
+    lines = [*notes, *(difference.sentence for difference in found)]
     if not found:
         lines.append("Protocol, joints, frames, signs and units of recording and simulation are the same.")
     if steps is None:
@@ -275,12 +271,24 @@ def _sentences(
         return tuple(lines)
     bends = np.isfinite(steps.slope)
     what = "deflections" if bends else "positions"
-    lines.append(
-        f"Over {configurations} common configurations the {what} differ by {1e6 * steps.rms:.1f} µm rms a coordinate, "
-        f"noise alone would make {1e6 * steps.noise:.1f} µm."
-    )
+    which = "common configurations" if postures is None else "common configurations with several steps"
+    lines.append(_size(which, what, steps))
     if bends:
         lines.append(f"The recording bends {100 * (steps.slope - 1):+.1f} % against the simulation.")
-    worst = ", ".join(f"{part.name} ({1e6 * part.rms:.0f} µm)" for part in steps.by_configuration[:3])
-    lines.append(f"The difference is largest in configurations {worst}.")
+    lines.append(f"The difference is largest in configurations {_worst(steps)}.")
+    if postures is not None:
+        where = "common configurations with one step"
+        lines.append(_size(where, "positions, in the frame that fits the unloaded robot best,", postures))
+        lines.append(f"The difference of these positions is largest in configurations {_worst(postures)}.")
     return tuple(lines)
+
+
+def _size(which: str, what: str, steps: StepByStep) -> str:
+    return (
+        f"Over {len(steps.by_configuration)} {which} the {what} differ by {1e6 * steps.rms:.1f} µm rms a coordinate, "
+        f"noise alone would make {1e6 * steps.noise:.1f} µm."
+    )
+
+
+def _worst(steps: StepByStep) -> str:
+    return ", ".join(f"{part.name} ({1e6 * part.rms:.0f} µm)" for part in steps.by_configuration[:3])

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
 from calibration_core.identification.result.estimate import Anomaly
+from calibration_core.timeseries import Bool1D
 
 Side = Literal["simulation", "recording", "either"]
 CLEARLY = 3.0  # times worse than the other
+WHOSE: Mapping[Side, str] = {
+    "simulation": "The recording agrees with the cell file, the simulation does not.",
+    "recording": "The simulation agrees with the cell file, the recording does not.",
+    "either": "Which of the two disagrees with the cell file cannot be determined.",
+}
 
 
 def farther_off(recording: float, simulation: float) -> Side:
@@ -23,16 +29,23 @@ def farther_off(recording: float, simulation: float) -> Side:
 class Difference:
     """Something that differs between two recordings and is no physics: protocol, frames, signs, units, order.
 
+    What the contract lists as an anomaly has the contract's word.  `configurations`, `steps`, `points`, `loads` and
+    `tracker_frame` are differences between the two and no anomaly of either.
+
     Attributes:
-        kind: Short stable word: `configurations`, `steps`, `points`, `joints_swapped`, `joint_sign`, `joint_zero`,
-            `angle_unit`, `length_unit`, `points_swapped`, `mirrored_axes`, `tracker_frame`, `displacements`,
-            `wrong_robot_file`, `loads`, `wrench_sign`, `wrench_unit`, `wrench_axes`, `wrench_reference`.
+        kind: `joint_order`, `angle_unit`, `position_unit`, `point_order` (mirrored axes, too), `wrench_sign`,
+            `wrench_unit`, `wrench_frame` (axes or reference point), `no_relation` (displacements beside positions),
+            `wrong_robot_file` (another robot, or another sign or zero of a joint); of the simulation alone also
+            `target_moved`, `loose_target`, `tracker_moved`, `outlier_readings`, `noise_understated`, `unsettled`; or
+            one of the words above.
         location: What it concerns, as in a finding.
         side: Which of the two disagrees with the cell file; `either` where that cannot be determined.
         magnitude: Its size.
         unit: Of the size.
         text: One sentence.
         spoils: Whether deflections cannot be compared, and the side's physics not be trusted, because of it.
+        remedy: How to put the recording right where it is at fault, in words.
+        further: `factor`, `joints`, `points` or `axes` of the anomaly, as the contract has them.
     """
 
     kind: str
@@ -42,10 +55,48 @@ class Difference:
     unit: str
     text: str
     spoils: bool
+    remedy: str = ""
+    further: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def of_recording(self) -> bool:
+        """Whether the recording itself is, or may be, at fault: no physics can be read from it then.
+
+        Other loads than simulated spoil the comparison, not the recording.
+        """
+        return self.spoils and self.kind != "loads" and self.side != "simulation"
+
+    @property
+    def sentence(self) -> str:
+        """The text, and which of the two disagrees with the cell file where it matters."""
+        return f"{self.text} {WHOSE[self.side]}" if self.spoils and self.kind != "loads" else self.text
 
     def as_anomaly(self) -> Anomaly:
-        """Return it as an anomaly of the diagnosis."""
-        return Anomaly(self.kind, self.location, None, self.magnitude, self.unit, self.text)
+        """Return it as an anomaly of the recording."""
+        where, further = dict(self.location), dict(self.further)
+        return Anomaly(self.kind, where, None, self.magnitude, self.unit, self.sentence, self.remedy, further)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OwnFaults:
+    """What is wrong with a simulation by itself: anomalies that a recording might have, too.
+
+    Attributes:
+        differences: The anomalies, said of the simulation.
+        sound: (m,) readings of the simulation that can be compared.
+        noise: m per coordinate, seen in the simulation where that is more than claimed; None: as claimed.
+        note: Why nothing was looked for; empty where it was.
+    """
+
+    differences: tuple[Difference, ...]
+    sound: Bool1D
+    noise: float | None
+    note: str = ""
+
+    @property
+    def nothing(self) -> bool:
+        """Whether there is nothing to say."""
+        return not self.differences and not self.note
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,6 +172,7 @@ class Comparison:
         reproduction: Whether the core's model is the simulation's.
         differences: No physics; found before any.
         steps: Row by row; None where the two cannot be compared so.
+        postures: Beside deflections, the positions of configurations with one step; None where there are none.
         sentences: The whole in words.
     """
 
@@ -132,12 +184,10 @@ class Comparison:
     reproduction: Reproduction
     differences: tuple[Difference, ...]
     steps: StepByStep | None
+    postures: StepByStep | None
     sentences: tuple[str, ...]
 
     @property
     def recording_spoiled(self) -> bool:
-        """Whether the recording itself is, or may be, the one that is mixed up: no physics can be read from it then.
-
-        Other loads than simulated spoil the comparison, not the recording.
-        """
-        return any(d.spoils and d.kind != "loads" and d.side != "simulation" for d in self.differences)
+        """Whether the recording itself is, or may be, the one that is mixed up: no physics can be read from it then."""
+        return any(difference.of_recording for difference in self.differences)

@@ -86,19 +86,23 @@ def _named(way: _Way, side: Side) -> Iterator[Difference]:
     where = {"sensor": "force_torque"}
     if way.factor < 0:
         text = "The wrench has the opposite sign: one side records what the robot applies to the environment."
-        yield Difference("wrench_sign", where, side, 1.0, "1", text, True)
+        remedy = "turn the sign of all forces and torques"
+        yield Difference("wrench_sign", where, side, 1.0, "1", text, True, remedy, {"factor": -1.0})
     size = abs(way.factor)
     if size != 1.0:
         words = next(text for factor, text in UNITS.items() if max(size, 1 / size) == factor)
         text = f"The forces differ by {words}; the {'simulation' if size > 1 else 'recording'} has the smaller numbers."
-        yield Difference("wrench_unit", where, side, size, "1", text, True)
+        remedy = f"give forces in N and torques in N·m: multiply them by {1 / size:g}"
+        yield Difference("wrench_unit", where, side, size, "1", text, True, remedy, {"factor": 1 / size})
     if way.name:
         text = (
             f"The wrench is recorded in other axes: the simulation's are {way.name[3:]}, the recording's are not."
             if way.name.startswith("in ")
             else f"The wrench is recorded in other axes: {way.name} of the simulation."
         )
-        yield Difference("wrench_axes", where, side, 1.0, "1", text, True)
+        remedy = "correct measurements.wrench_axes or frames.force_torque in the cell file"
+        axes = way.name.removeprefix("x, y, z of the recording are ")
+        yield Difference("wrench_frame", where, side, 1.0, "1", text, True, remedy, {"axes": axes})
 
 
 def _reference(recorded: Float2D, simulated: Float2D, way: _Way, side: Side) -> Iterator[Difference]:
@@ -113,7 +117,8 @@ def _reference(recorded: Float2D, simulated: Float2D, way: _Way, side: Side) -> 
     for factor in (1e3, 1e-3):
         if float(np.sqrt(np.mean((torque - factor * _forward(way, simulated[:, 3:])) ** 2))) < TORQUE * scale:
             text = "The torques differ by a factor of 1000 (N·mm for N·m), the forces do not."
-            yield Difference("wrench_unit", where, side, factor, "1", text, True)
+            remedy = f"give torques in N·m: multiply them by {1 / factor:g}"
+            yield Difference("wrench_unit", where, side, factor, "1", text, True, remedy, {"factor": 1 / factor})
             return
     arm = _arm(force, rest)
     left = float(np.sqrt(np.mean((rest - np.cross(arm, force)) ** 2)))
@@ -123,7 +128,8 @@ def _reference(recorded: Float2D, simulated: Float2D, way: _Way, side: Side) -> 
             f"The wrench is reduced to another point, {1e3 * np.linalg.norm(arm):.0f} mm away ({vector} mm in the axes "
             "of the wrench)."
         )
-        yield Difference("wrench_reference", where, side, float(np.linalg.norm(arm)), "m", text, True)
+        remedy = "correct measurements.wrench_at or frames.force_torque in the cell file"
+        yield Difference("wrench_frame", where, side, float(np.linalg.norm(arm)), "m", text, True, remedy)
         return
     text = "The forces agree, the torques do not, and neither unit nor reference point explains it."
     yield Difference("loads", where, side, left, "N*m", text, True)

@@ -22,7 +22,7 @@ from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Bool1D, Float3D, Readings
+from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
 
 LOOSE = 4.0  # times the variance of the other points
 SWINGING = 4.0  # times the variance that the other configurations have
@@ -73,26 +73,9 @@ def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
     if prepared.frames is None:
         return Checked((), sound)
     residual = prepared.problem.linearise(prepared.fit.compliance).residual
-    axes = np.moveaxis(state.at.flange, -1, 0)
-    found: list[Anomaly] = []
-    shape = shape_of(residual, readings, axes)
-    point, geometry = None, _geometry(state)
-    seen = averages(residual, state.point.T, axes, readings)
-    if shape.points >= 2:
-        step = target_step(shape)
-        if step is not None and stands_beside_geometry(step, seen, geometry):
-            found.append(_target_moved(step, shape, readings))
-            point = int(shape.which[step.point])
-            moved = np.isin(readings.configuration, _minority(step, shape))
-            sound &= ~(moved & (readings.point == point))
-    if point is not None:
-        others = readings.point != point
-        seen = averages(residual[others], state.point.T[others], axes[others], readings.select(others))
-        geometry = geometry[others]
     noise = float(np.sqrt(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3))
-    bumped = tracker_step(seen, geometry, noise)
-    if bumped is not None:
-        found.append(_tracker_moved(bumped, shape))
+    shifts = find_shifts(readings, residual, state, noise)
+    found, shape, sound = list(shifts.anomalies), shifts.shape, sound & ~shifts.target
     loose = _loose_target(prepared, state, shape) if shape.points >= 3 else None
     if loose is not None:
         found.append(loose[0])
@@ -102,6 +85,55 @@ def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
         found.append(restless[0])
         sound &= ~np.isin(readings.configuration, restless[1])
     return Checked(tuple(found), sound)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Shifts:
+    """Where a target or the tracker stands elsewhere than in most of a recording.
+
+    Attributes:
+        anomalies: What was found.
+        shape: The residuals as a table.
+        target: (m,) readings of a target that moved, in the configurations before or after it: the fewer.
+        tracker: (m,) readings before or after the tracker moved: the fewer.
+    """
+
+    anomalies: tuple[Anomaly, ...]
+    shape: Shape
+    target: Bool1D
+    tracker: Bool1D
+
+
+def find_shifts(readings: Readings, residual: Float2D, state: State, noise: float) -> Shifts:
+    """Look for a target and a tracker that moved part-way.
+
+    Args:
+        readings: m readings, in the order of time.
+        residual: (m, 3) m, measured - predicted, base axes; frames fitted.
+        state: The null model's, of the same readings.
+        noise: Claimed standard deviation of one coordinate of a reading, m.
+    """
+    axes = np.moveaxis(state.at.flange, -1, 0)
+    found: list[Anomaly] = []
+    target, tracker = np.zeros(len(readings), dtype=bool), np.zeros(len(readings), dtype=bool)
+    shape = shape_of(residual, readings, axes)
+    point, geometry = None, _geometry(state)
+    seen = averages(residual, state.point.T, axes, readings)
+    if shape.points >= 2:
+        step = target_step(shape)
+        if step is not None and stands_beside_geometry(step, seen, geometry):
+            found.append(_target_moved(step, shape, readings))
+            point = int(shape.which[step.point])
+            target = np.isin(readings.configuration, _minority(step, shape)) & (readings.point == point)
+    if point is not None:
+        others = readings.point != point
+        seen = averages(residual[others], state.point.T[others], axes[others], readings.select(others))
+        geometry = geometry[others]
+    bumped = tracker_step(seen, geometry, noise)
+    if bumped is not None:
+        found.append(_tracker_moved(bumped, shape))
+        tracker = np.isin(readings.configuration, _minority(bumped, shape))
+    return Shifts(tuple(found), shape, target, tracker)
 
 
 def _geometry(state: State) -> Float3D:

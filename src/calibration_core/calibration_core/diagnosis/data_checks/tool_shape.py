@@ -7,10 +7,15 @@ of the robot that is right up to a rigid motion of the tool.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
+
+OTHERS = 2  # points at the same step, to which a reading must stand wrong to be the one at fault
+CLEARLY = 6.0  # times the usual change of a distance
+MEDIAN = 1.4826  # standard deviation over median size, normal distribution
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,3 +76,29 @@ def own_variances(squares: Float1D) -> Float1D:
     system = np.full((p, p), 1 / (p - 1) ** 2)
     np.fill_diagonal(system, 1.0)
     return np.asarray(np.linalg.solve(system, squares))
+
+
+def out_of_shape(readings: Readings, noise: float) -> Bool1D:
+    """Return the (m,) readings whose distances to all other points of their step, two or more, are not the usual ones.
+
+    No model of the robot is needed: whatever moves the tool keeps its shape.
+
+    Args:
+        readings: m readings, absolute positions.
+        noise: Claimed standard deviation of one coordinate, m.
+    """
+    keys = np.column_stack([readings.configuration, readings.step])
+    steps, row = np.unique(keys, axis=0, return_inverse=True)
+    table = np.full((len(steps), len(readings.points), 3), np.nan)
+    table[row.reshape(-1), readings.point] = readings.position
+    distance = np.linalg.norm(table[:, :, None] - table[:, None], axis=-1)
+    change = np.full_like(distance, np.nan)
+    for i, j in itertools.permutations(np.unique(readings.point), 2):
+        seen = np.isfinite(distance[:, i, j])
+        if seen.any():
+            change[:, i, j] = np.abs(distance[:, i, j] - np.median(distance[seen, i, j]))
+    known = np.isfinite(change)
+    usual = max(np.sqrt(2) * noise, MEDIAN * float(np.median(change[known]))) if known.any() else np.inf
+    off = (change > CLEARLY * usual).sum(axis=2)
+    gross = (off == known.sum(axis=2)) & (off >= OTHERS)
+    return np.asarray(gross[row.reshape(-1), readings.point])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -222,6 +222,7 @@ class Anomaly:
         unit: Unit of the magnitude.
         text: One sentence for a person.
         remedy: What to do about it, in words; empty where the text says it.
+        further: `factor`, `joints`, `points` or `axes` where they apply (contract, section 7).
     """
 
     kind: str
@@ -231,6 +232,7 @@ class Anomaly:
     unit: str
     text: str
     remedy: str = ""
+    further: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -124,14 +124,26 @@ def further_files(diagnosis: Diagnosis) -> dict[str, Mapping[str, str]]:
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
     """Return the comparison with a simulation as plain values."""
-    steps = comparison.steps
+    steps, postures = comparison.steps, comparison.postures
+    further = () if postures is None else postures.by_configuration
     return {
         "recording": comparison.recording,
         "simulation": comparison.simulation,
         "readings": comparison.readings,
         "configurations": comparison.configurations,
         "reproduction": {**vars(comparison.reproduction), "unit": "m"},
-        "differences": [vars(difference) for difference in comparison.differences],
+        "differences": [
+            {
+                "kind": difference.kind,
+                "location": dict(difference.location),
+                "side": difference.side,
+                "magnitude": difference.magnitude,
+                "unit": difference.unit,
+                "text": difference.text,
+                "spoils": difference.spoils,
+            }
+            for difference in comparison.differences
+        ],
         "step_by_step": None
         if steps is None
         else {
@@ -139,7 +151,9 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
             "noise": steps.noise,
             "slope": steps.slope,
             "unit": "m",
-            "by_configuration": [vars(part) for part in steps.by_configuration],
+            "by_configuration": [
+                vars(part) for part in sorted((*steps.by_configuration, *further), key=lambda part: -part.rms)
+            ],
             "by_step": [vars(part) for part in steps.by_step],
             "by_point": [vars(part) for part in steps.by_point],
         },

@@ -92,6 +92,7 @@ def anomaly_record(anomaly: Anomaly) -> dict[str, Any]:
         "unit": anomaly.unit,
         "text": anomaly.text,
         **({"remedy": anomaly.remedy} if anomaly.remedy else {}),
+        **anomaly.further,
     }
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.comparison.result import Comparison
+from calibration_core.diagnosis.comparison.result import Comparison, StepByStep
 from calibration_core.diagnosis.result.evidence_words import evidence_words
 from calibration_core.diagnosis.result.finding import EMPIRICAL, Diagnosis, Finding, ProposedMeasurement
 from calibration_core.model.effects import catalogue
@@ -42,11 +42,20 @@ def comparison_blocks(compared: Comparison) -> tuple[Block, ...]:
             Column("Disagrees with the cell file", "left"), Column("Spoils the comparison", "left"),
         )  # fmt: skip
         blocks.append(Table("Differences that are no physics", columns, rows))
-    steps = compared.steps
+    steps, postures = compared.steps, compared.postures
     if steps is None:
         return tuple(blocks)
     caption = "Recording minus simulation: a) per configuration; b) per step; dashed: the noise of both."
     blocks.append(Figure("comparison", caption, "Difference per configuration and step", comparison_figure(steps)))
+    bends = bool(np.isfinite(steps.slope))
+    blocks.append(_largest("Largest differences of recording and simulation", steps, bends=bends))
+    if postures is not None:
+        blocks.append(_largest("Largest differences of positions, configurations with one step", postures, bends=False))
+    return tuple(blocks)
+
+
+def _largest(title: str, steps: StepByStep, *, bends: bool) -> Table:
+    """Return the configurations that differ most; with the size of their deflections where they bend."""
     parts = steps.by_configuration[:MOST_ROWS]
     body = tuple(
         (p.name, significant(1e6 * p.rms, 3), significant(1e6 * p.largest, 3), significant(1e6 * p.measured, 3))
@@ -56,12 +65,9 @@ def comparison_blocks(compared: Comparison) -> tuple[Block, ...]:
         Column("Configuration"), Column("rms difference [µm]"), Column("Largest, 3-D [µm]"),
         Column("rms deflection [µm]"),
     )  # fmt: skip
-    kept = columns if np.isfinite(steps.slope) else columns[:-1]
+    kept = columns if bends else columns[:-1]
     note = "" if len(parts) == len(steps.by_configuration) else f"The {MOST_ROWS} largest."
-    blocks.append(
-        Table("Largest differences of recording and simulation", kept, padded([row[: len(kept)] for row in body]), note)
-    )
-    return tuple(blocks)
+    return Table(title, kept, padded([row[: len(kept)] for row in body]), note)
 
 
 def where_blocks(found: Diagnosis) -> tuple[Block, ...]:
