@@ -37,6 +37,10 @@ from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import coordinate_std, position_covariance
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Readings
 
+NOT_COMPARED = {
+    "target_moved": " The readings of this target are not compared.",
+    "tracker_moved": " The configurations before or after it, whichever are fewer, are not compared.",
+}
 WILD, NEARLY_ALL = 6.0, 0.95  # times what nearly all readings have: no physics does that to single ones
 
 
@@ -171,5 +175,6 @@ def _noise(audit: NoiseAudit) -> tuple[Anomaly, ...]:
 
 def _difference(anomaly: Anomaly) -> Difference:
     where = {key: str(value) for key, value in anomaly.location.items()}
-    text = f"In the simulation, {anomaly.text.rstrip('.')}."
+    seen = anomaly.text.partition(". ")[0].rstrip(".")  # what follows says what the search for physics makes of it
+    text = f"In the simulation, {seen}.{NOT_COMPARED.get(anomaly.kind, '')}"
     return Difference(anomaly.kind, where, "simulation", anomaly.magnitude, anomaly.unit, text, False)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -65,6 +67,54 @@ def test_a_simulation_with_the_wrong_sign_is_named(
     assert content["usable"] != "no"
     assert len(content["stiffness"]) == 6
     assert content["comparison"]["step_by_step"] is None
+
+
+def rewritten(table: Path, out: Path, change: Callable[[dict[str, str]], dict[str, str] | None]) -> Path:
+    """Write a measurement table with every row changed, or left out where the change is None."""
+    with table.open(newline="") as source, out.open("w", newline="") as target:
+        reader = csv.DictReader(source)
+        writer = csv.DictWriter(target, reader.fieldnames or [])
+        writer.writeheader()
+        writer.writerows(row for row in map(change, reader) if row is not None)
+    return out
+
+
+def test_a_tracker_that_jumps_in_the_simulation_leaves_the_recording_usable(
+    simulated: Path, clean: Path, diagnosed: Path, cell_path: Path, tmp_path: Path
+) -> None:
+    def moved(row: dict[str, str]) -> dict[str, str]:
+        return row | {"z": repr(float(row["z"]) + (0.03 if int(row["configuration"]) > 7 else 0.0))}
+
+    table, out = rewritten(clean / "measurements.csv", tmp_path / "jump.csv", moved), tmp_path / "out"
+    recording = simulated / "measurements.csv"
+    assert run("diagnose", recording, "--cell", cell_path, "--simulation", table, "--out", out, "--no-report") == 0
+    content, alone = result_of(out), result_of(diagnosed)
+    same = ("usable", "reason", "verdict", "stiffness", "findings", "anomalies", "fit")
+    assert {key: content[key] for key in same} == {key: alone[key] for key in same}
+    differences = content["comparison"]["differences"]
+    assert ("tracker_moved", "simulation") in [(one["kind"], one["side"]) for one in differences]
+    assert {one["side"] for one in differences if one["spoils"]} == set()
+    assert set(differences[0]) == {"kind", "location", "side", "magnitude", "unit", "text", "spoils"}
+
+
+def test_postures_beside_loaded_configurations_stand_in_result_and_report(
+    simulated: Path, clean: Path, cell_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def kept(row: dict[str, str]) -> dict[str, str] | None:
+        return row if int(row["configuration"]) <= 8 or row["step"] == "0" else None
+
+    ours, theirs = (
+        rewritten(folder / "measurements.csv", tmp_path / name, kept)
+        for folder, name in ((simulated, "ours.csv"), (clean, "theirs.csv"))
+    )
+    assert run("diagnose", ours, "--cell", cell_path, "--simulation", theirs, "--out", tmp_path / "out") == 0
+    steps = result_of(tmp_path / "out")["comparison"]["step_by_step"]
+    sizes = {one["name"]: one["rms"] for one in steps["by_configuration"]}
+    assert sorted(map(int, sizes)) == list(range(1, 13))
+    assert all(0.0 < size < 2 * steps["noise"] for size in sizes.values())
+    assert "Over 4 common configurations with one step the positions" in capsys.readouterr().out
+    shown = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Largest differences of positions, configurations with one step" in shown
 
 
 @pytest.mark.parametrize(

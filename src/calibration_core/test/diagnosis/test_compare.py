@@ -243,6 +243,7 @@ def test_a_fault_of_the_simulation_is_its_own(cell: Cell, recorded: Readings, si
     (fault,) = found.differences
     assert (fault.kind, fault.side, fault.spoils) == (kind, "simulation", False)
     assert fault.text.startswith("In the simulation, ")
+    assert fault.text.endswith("not compared.") is kind.endswith("moved")
     assert fault.text in found.sentences
     assert not found.recording_spoiled
     clean = compare(recorded, simulated, cell)
@@ -353,6 +354,11 @@ def test_what_the_cell_file_alone_leaves_open_its_check_decides(cell: Cell, reco
     turned = dataclasses.replace(simulated, wrench=-np.array(simulated.wrench))
     assert kinds(recorded, turned, without) == {"wrench_sign": "simulation"}
     assert kinds(turned, recorded, without) == {"wrench_sign": "recording"}
+    heavier = dataclasses.replace(simulated, wrench=9.80665 * np.array(simulated.wrench))
+    open_still = compare(recorded, heavier, without)
+    assert [(d.kind, d.side) for d in open_still.differences] == [("wrench_unit", "either")]
+    assert open_still.recording_spoiled
+    assert any(s.endswith("disagrees with the cell file cannot be determined.") for s in open_still.sentences)
 
 
 def test_positions_without_loads_are_compared_too(cell: Cell, recorded: Readings) -> None:

@@ -218,10 +218,8 @@ class Anomaly:
         kind: A word of the contract, e.g. `noise_understated`, `unsettled`, `outlier_readings`.
         location: For example {"point": "mp1"}.
         configurations: First and last configuration concerned; None if all.
-        magnitude: How large.
-        unit: Unit of the magnitude.
-        text: One sentence for a person.
-        remedy: What to do about it, in words; empty where the text says it.
+        magnitude, unit: How large, and in which unit.
+        text, remedy: What is seen, in one sentence, and what to do about it; empty where the text says it.
         further: `factor`, `joints`, `points` or `axes` where they apply (contract, section 7).
     """
 
