@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -219,6 +220,28 @@ def test_a_point_that_is_refused_refuses_the_trajectory(spinning: Any, node: Any
     assert len(far.q) == 0 == len(far.joints)
 
 
+def test_a_trajectory_that_is_too_fast_is_not_answered(spinning: Any, node: Any) -> None:
+    """As it is given, by the velocities between its points alone, or where a correction steps: 250 mm/s hold."""
+    fast = np.array([Q, [Q[0] + 0.2, *Q[1:]]])
+    swings = np.array([[0.0] * 6, [3.0, *[0.0] * 5]])
+    still, names = np.tile(Q, (2, 1)), joint_names()
+    for asked, wrenches, without in (
+        (trajectory(fast, names, times=[0.0, 0.2]), [PULL], "[0-9]{3,}"),
+        (trajectory(still, names, swings, [0.0, 0.5]), [PULL], "[0-9]{3,}"),
+        (trajectory(still, names, times=[0.0, 1e-5]), [Wrench(), PULL], "0"),
+    ):
+        answer = ask_trajectory(spinning, trajectory=asked, wrenches=wrenches)
+        assert answer.outcome.code == Outcome.INPUT_UNUSABLE
+        assert re.fullmatch(
+            r"request: trajectory\.points\[1\]: found [a-z0-9 /]+ at up to [0-9.]+ mm/s on the way there "
+            rf"\({without}\.[0-9] mm/s without the correction\), expected at most 250 mm/s .*",
+            answer.outcome.text,
+        ), answer.outcome.text
+        assert len(answer.trajectory.points) == 0 == len(answer.corrected)
+    slow = ask_trajectory(spinning, trajectory=trajectory(fast, names, times=[0.0, 2.0]), wrenches=[PULL])
+    assert slow.outcome.code == Outcome.OK, slow.outcome.text
+
+
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
@@ -228,6 +251,7 @@ def test_a_point_that_is_refused_refuses_the_trajectory(spinning: Any, node: Any
         ({"temperature": [float("inf")]}, "temperature: found inf"),
         ({"q": [0.0, 1.0]}, "q: found 2 values, expected 6"),
         ({"q": [float("nan")] * 6}, "q: found nan"),
+        ({"q": [30.0] * 6}, "q: found joint_1 at 30, far beyond the limits"),
         ({"joints": ["joint_1", "x"], "q": [0.0, 1.0]}, "joints: found 'joint_1, x', expected each of joint_1"),
         ({"joints": [f"joint_{i}" for i in range(1, 7)], "q": [0.0]}, "q: found 1 values, expected 6"),
         ({"target_of_joints": True}, "q: found nothing"),
@@ -260,6 +284,8 @@ HALF.points[1].velocities = []
         (SHORT, [], "trajectory.points[0].positions: found 5 values"),
         (HALF, [], "trajectory.points[1].velocities: found 0 values"),
         (trajectory(np.full((1, 6), np.nan), joint_names()), [], "trajectory.points: found nan"),
+        (trajectory(np.zeros((2, 6)), joint_names(), np.full((2, 6), np.nan)), [], "trajectory.points: found nan"),
+        (trajectory(np.array([[0.0] * 6, [45.0] * 6]), joint_names()), [], "points[1]: found joint_1 at 45, far"),
         (trajectory(np.zeros((2, 6)), joint_names(), times=[1.0, 1.0]), [], "points[1].time_from_start: found 1 s"),
         (trajectory(np.zeros((3, 6)), joint_names()), [PULL, PULL], "wrenches: found 2 wrenches, expected 3"),
     ],

@@ -31,13 +31,13 @@ from calibration.compensation.messages import (
 from calibration.conversions import to_outcome
 from calibration.node import CalibrationNode, Declared, run
 from calibration_core.cell import load_cell
-from calibration_core.compensation.applied import Applied, apply
 from calibration_core.compensation.requests import Request
 from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.compensation.task import Task
 from calibration_core.errors import EquilibriumError, InputError
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.identified.model_file import read_calibrated
+from calibration_core.outcomes.compensation import Applied, apply
 
 PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
@@ -129,7 +129,7 @@ class CompensationNode(CalibrationNode):
             request = request_of(message)
             robot = CalibratedRobot.of(self.cell, model.parameters, request.payload)
             task = task_of(message, request, robot.chain.joints)
-            return fill(apply(robot, model, task, axes=request.axes, payload=request.mass), response)
+            return fill(apply(robot, model, task, axes=request.axes), response)
 
         try:
             return await Background(self, work)

@@ -11,11 +11,9 @@ from geometry_msgs.msg import Pose, Quaternion
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from calibration.conversions import to_outcome, to_point, wrench_values
-from calibration_core.compensation.applied import Applied
 from calibration_core.compensation.compensate import OK
 from calibration_core.compensation.requests import (
     Request,
-    corrected_rates,
     ordered,
     place_task,
     quaternions,
@@ -24,6 +22,7 @@ from calibration_core.compensation.requests import (
 from calibration_core.compensation.tables import duration
 from calibration_core.compensation.task import Task
 from calibration_core.errors import InputError
+from calibration_core.outcomes.compensation import Applied
 from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D
 
 
@@ -66,8 +65,8 @@ def trajectory_task_of(message: Any, request: Request, joints: tuple[str, ...]) 
     places = ordered(joints, names, "trajectory.joint_names")
     times = np.array([one.time_from_start.sec + one.time_from_start.nanosec / NANOSECONDS for one in points])
     wrenches = np.array([wrench_values(one) for one in message.wrenches]).reshape(-1, 6)
-    _rates_of(message.trajectory, places)
-    return trajectory_task(request, _rows(points, "positions", places), times, wrenches)
+    rates = _rates_of(message.trajectory, places)
+    return trajectory_task(request, _rows(points, "positions", places), times, wrenches, rates)
 
 
 def to_pose_answer(applied: Applied, response: Any) -> Any:
@@ -112,14 +111,11 @@ def _trajectory(applied: Applied, asked: Any) -> JointTrajectory:
     names, found = list(asked.joint_names), applied.found
     joints = applied.robot.chain.joints
     back = [joints.index(name) for name in names]
-    rates = _rates_of(asked, ordered(joints, names, "trajectory.joint_names"))
-    if rates is not None:
-        rates = corrected_rates(found.nominal, found.q, applied.task.time, rates)[:, back]
     points = []
     for k, q in enumerate(found.q[:, back]):
         point = JointTrajectoryPoint(positions=q.tolist(), time_from_start=Duration(**duration(applied.task.time[k])))
-        if rates is not None:
-            point.velocities = rates[k].tolist()
+        if applied.rate is not None:
+            point.velocities = applied.rate[k, back].tolist()
         points.append(point)
     return JointTrajectory(header=asked.header, joint_names=names, points=points)
 

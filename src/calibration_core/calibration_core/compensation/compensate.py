@@ -18,6 +18,7 @@ from calibration_core.compensation.inverse import (
     reach_for,
     rigid,
 )
+from calibration_core.compensation.limits import OVERLOAD, check_units, overloaded
 from calibration_core.compensation.motion import covariance_of, length_bound, tool_columns, tool_movement
 from calibration_core.compensation.robot import CalibratedRobot, Conditions, left_aside, parts_of
 from calibration_core.compensation.task import Task
@@ -35,7 +36,6 @@ SETTLED = 1e-7  # m and rad: what effects change between two rounds
 JUMP = 0.5  # rad or m, that neighbouring rows of a path are apart at most without a second look
 BRANCH = 0.2  # rad or m, that a correction never is
 ARRIVED = 1e-6  # m: less is arrived
-GRAVITY = 9.80665
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -87,7 +87,6 @@ def compensate(
     *,
     axes: str = "base",
     seed_q: Float1D | None = None,
-    payload: float = 0.0,
 ) -> Compensation:
     """Correct all rows of a task.
 
@@ -97,17 +96,17 @@ def compensate(
         estimate: Covariance of the model; None: no intervals.
         axes: Axes of the wrenches: `base` or `tool`.
         seed_q: (n,) rad, chooses the branch where the task states places alone; None: the middle of the limits.
-        payload: kg, counted against the rated load.
 
     Raises:
         CellError: There is a load, and the cell file has no wrench point.
+        InputError: Angles are in degrees, or travels in millimetres.
         EquilibriumError: A load is beyond what the joints can carry.
     """
     nominal_chain = chain_of(robot.cell)
     forward = rigid(nominal_chain, robot.tool)
     status = np.full(len(task), OK, dtype=object)
     target, goal, nominal = _targets(task, forward, nominal_chain, seed_q, status)
-    _refuse(status, _overloaded(task, robot, payload), "load beyond the rated load")
+    _refuse(status, overloaded(task, robot), OVERLOAD)
     going = np.flatnonzero(status == OK)
     part = _Part(robot, task, target, goal, nominal, going, axes)
     q = nominal.copy()
@@ -132,17 +131,23 @@ def compensate(
 
 
 def nominal_angles(task: Task, robot: CalibratedRobot) -> tuple[Float2D, list[tuple[int, str]]]:
-    """Return the nominal robot's angles (m, n) for a task, and the rows, counted from 1, that have none, with why."""
+    """Return the nominal robot's angles (m, n) for a task, and the rows, counted from 0, that are refused, with why.
+
+    Raises:
+        InputError: Angles are in degrees, or travels in millimetres.
+    """
     chain = chain_of(robot.cell)
     status: Status = np.full(len(task), OK, dtype=object)
     _, _, nominal = _targets(task, rigid(chain, robot.tool), chain, None, status)
-    return nominal, [(k + 1, str(why)) for k, why in enumerate(status) if why != OK]
+    _refuse(status, overloaded(task, robot), OVERLOAD)
+    return nominal, [(k, str(why)) for k, why in enumerate(status) if why != OK]
 
 
 def _targets(
     task: Task, forward: Solve, chain: Chain, seed_q: Float1D | None, status: Status
 ) -> tuple[Float2D, Float3D, Float2D]:
     """Return target (3, m), axes (3, 3, m) and nominal angles (m, n); rows without a nominal solution are refused."""
+    check_units(task, chain, seed_q)
     everything = np.arange(len(task))
     if task.pose is None:
         assert task.q is not None  # noqa: S101 - a task has one of them
@@ -200,11 +205,6 @@ def _follow(
             q = into_limits(again.q, chain)[0]
             if again.arrived[0] and np.abs(q - nominal[before]).max() < np.abs(nominal[row] - nominal[before]).max():
                 nominal[row] = q
-
-
-def _overloaded(task: Task, robot: CalibratedRobot, payload: float) -> Bool1D:
-    force = np.linalg.norm(task.wrench[:, :3], axis=1) + payload * GRAVITY
-    return np.asarray(force > robot.cell.robot.rated_load * GRAVITY * (1 + 1e-9))
 
 
 def _refuse(status: Status, rows: Bool1D, why: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calibration_core.compensation.inverse import rpy_of_axes
-from calibration_core.compensation.task import LARGEST, Task, places
+from calibration_core.compensation.task import LARGEST, Task, first_not_later, places
 from calibration_core.errors import InputError, quoted
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -47,11 +47,6 @@ class Request:
         if self.temperature is not None:
             finite("temperature", np.array([self.temperature]))
 
-    @property
-    def mass(self) -> float:
-        """Mass of the payload, kg."""
-        return 0.0 if self.payload is None else self.payload[0]
-
 
 def place_task(
     request: Request, pose: tuple[Float1D, Float1D] | None, q: Float1D | None, wrench: Float1D, n: int
@@ -83,10 +78,10 @@ def place_task(
         finite("target.position", origin)
         task = places(pose=np.hstack([origin, _rpy(quaternion)])[None], wrench=wrench[None])
         task = dataclasses.replace(task, q=None if q is None else q[None])
-    return _warm(task, request)
+    return _warm(dataclasses.replace(task, source="request", labels=("q",)), request)
 
 
-def trajectory_task(request: Request, q: Float2D, times: Float1D, wrench: Float2D) -> Task:
+def trajectory_task(request: Request, q: Float2D, times: Float1D, wrench: Float2D, rate: Float2D | None = None) -> Task:
     """Return the task of a trajectory: one path in order of travel.
 
     Args:
@@ -94,6 +89,7 @@ def trajectory_task(request: Request, q: Float2D, times: Float1D, wrench: Float2
         q: (m, n) rad (m where a joint slides), nominal angles.
         times: (m,) s from the start.
         wrench: (m, 6) N and N*m at the wrench point: one per point; (1, 6) for all; (0, 6) for none.
+        rate: (m, n) rad/s (m/s where a joint slides), nominal joint rates; None: none.
 
     Raises:
         InputError: There is no point, or more than 20,000; a number is not finite; the times do not increase; or there
@@ -103,15 +99,19 @@ def trajectory_task(request: Request, q: Float2D, times: Float1D, wrench: Float2
     if not 0 < m <= MOST:
         raise InputError("request", "trajectory.points", f"{m} points", f"1 to {MOST}")
     finite("trajectory.points", q)
-    if np.any(np.diff(times) <= 0) or times[0] < 0:
-        place = int(np.argmax(np.diff(times, prepend=-1e-9) <= 0))
+    place = 0 if times[0] < 0 else first_not_later(times)
+    if place is not None:
         expected = "times that increase from point to point"
         raise InputError("request", f"trajectory.points[{place}].time_from_start", f"{times[place]:g} s", expected)
     if len(wrench) not in {0, 1, m}:
         raise InputError("request", "wrenches", f"{len(wrench)} wrenches", f"{m}, one per point, or one for all")
     finite("wrenches", wrench)
+    if rate is not None:
+        finite("trajectory.points", rate)
     loads = np.zeros((m, 6)) if not len(wrench) else np.broadcast_to(wrench, (m, 6))
-    return _warm(dataclasses.replace(places(q=q, wrench=loads, one_path=True), time=times), request)
+    labels = tuple(f"trajectory.points[{k}]" for k in range(m))
+    task = places(q=q, wrench=loads, one_path=True)
+    return _warm(dataclasses.replace(task, time=times, rate=rate, source="request", labels=labels), request)
 
 
 def ordered(joints: tuple[str, ...], names: Sequence[str], place: str) -> list[int]:

@@ -59,6 +59,7 @@ class CalibratedRobot:
         chain: With corrected geometry and the payload.
         tool: (4, 4) pose of the tool in the flange frame.
         point: Measurement point that the tool's origin is, and whose uncertainty is therefore its own; None: none.
+        payload: kg, mass of what it carries besides what the cell file says.
     """
 
     cell: Cell
@@ -66,6 +67,7 @@ class CalibratedRobot:
     chain: Chain
     tool: Float2D
     point: str | None = None
+    payload: float = 0.0
 
     @staticmethod
     def of(cell: Cell, parameters: ModelParameters, payload: tuple[float, ...] | None = None) -> CalibratedRobot:
@@ -80,7 +82,8 @@ class CalibratedRobot:
             CellError: The robot cannot be read.
         """
         chain = chain_of(cell).corrected(parameters.geometry)
-        return CalibratedRobot(cell, parameters, with_payload(chain, payload), tool_frame(cell))
+        mass = 0.0 if payload is None else payload[0]
+        return CalibratedRobot(cell, parameters, with_payload(chain, payload), tool_frame(cell), payload=mass)
 
     def at_point(self, point: str) -> CalibratedRobot:
         """Return the same robot with its tool's origin at a measurement point, as it was identified."""

@@ -13,7 +13,7 @@ from calibration_core.compensation.inverse import rpy_of_axes
 from calibration_core.compensation.task import Task
 from calibration_core.files.csv_cells import inert
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.timeseries import Float1D, Float2D, Int1D
+from calibration_core.timeseries import Float1D, Float2D
 
 PLACE = ("cx", "cy", "cz", "croll", "cpitch", "cyaw")
 RESULT = ("error_before", "error_after", "u95", "status")
@@ -72,21 +72,16 @@ def duration(seconds: float) -> dict[str, int]:
     return {"sec": total // NANOSECONDS, "nanosec": total % NANOSECONDS}
 
 
-def times_of(task: Task, rows: Int1D, q: Float2D, lever: Float2D, speed: float) -> Float1D:
-    """Return when each row is reached, (k,) s: as the task says, else as soon as no monitored point exceeds a speed.
+def times_of(q: Float2D, lever: Float2D, speed: float) -> Float1D:
+    """Return when each row is reached, (k,) s: as soon as no monitored point exceeds a speed.
 
     Between rows the joints move on a straight line; a point moves by no more than the sum of |dq_j| times its lever.
 
     Args:
-        task: The task; its times count where every row has one and they increase.
-        rows: (k,) rows of it.
-        q: (k, n) rad.
+        q: (k, n) rad, m where a joint slides.
         lever: (p, n) m/rad, bound of the speed of every monitored point per joint rate.
         speed: m/s.
     """
-    given = task.time[rows]
-    if len(given) and np.isfinite(given).all() and np.all(np.diff(given) > 0):
-        return np.asarray(given - given[0])
     travel = (np.abs(np.diff(q, axis=0)) @ lever.T).max(axis=1, initial=0.0)
     return np.concatenate([np.zeros(min(len(q), 1)), np.cumsum(np.maximum(travel / speed, 1e-3))])
 

@@ -20,6 +20,7 @@ WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
 SINGLE = ("temperature", "time")
 MAX_BYTES = 1 << 26
 MAX_ROWS = 500_000
+SHORTEST = 0.999e-9  # s between two rows: a trajectory counts nanoseconds
 LARGEST = 1e6  # m, rad, N, N*m, s: more is nothing that a robot does
 
 
@@ -36,6 +37,9 @@ class Task:
         temperature: (m,) degrees Celsius, NaN where unknown.
         time: (m,) s, NaN where unknown.
         path: (m,) number of the path that a row belongs to; -1: a place of its own.
+        rate: (m, n) rad/s, m/s where a joint slides: rates of the nominal joints; None where the task has none.
+        source: What the task is called in messages: the file, or who asks.
+        labels: Where each row stands there; empty: by its number.
     """
 
     header: tuple[str, ...]
@@ -46,10 +50,13 @@ class Task:
     temperature: Float1D
     time: Float1D
     path: Int1D
+    rate: Float2D | None = None
+    source: str | Path = "task"
+    labels: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays."""
-        for field in ("q", "pose", "wrench", "temperature", "time"):
+        for field in ("q", "pose", "wrench", "temperature", "time", "rate"):
             value = getattr(self, field)
             object.__setattr__(self, field, None if value is None else read_only(value))
         object.__setattr__(self, "path", read_only(self.path, np.int64))
@@ -61,6 +68,11 @@ class Task:
     def with_wrench(self, wrench: Sequence[float]) -> Task:
         """Return the task under one wrench for all rows, (6,) N and N*m."""
         return dataclasses.replace(self, wrench=np.tile(np.asarray(wrench, dtype=float), (len(self), 1)))
+
+    def fault(self, row: int, found: str, expected: str) -> TaskError:
+        """Return the error for a row, counted from 0, that cannot be used."""
+        place = self.labels[row] if self.labels else f"row {row + 1}"
+        return TaskError(self.source, place, found, expected)
 
 
 def places(
@@ -152,6 +164,8 @@ def _task(path: Path, header: tuple[str, ...], lines: list[int], rows: list[tupl
 
     m, n = len(rows), len(cell.robot.joints)
     wrench, warm, when = columns(WRENCH), columns(["temperature"]), columns(["time"])
+    time = np.full(m, np.nan) if when is None else when[:, 0]
+    _check_times(path, lines, time)
     return Task(
         header=header,
         rows=tuple(rows),
@@ -159,8 +173,10 @@ def _task(path: Path, header: tuple[str, ...], lines: list[int], rows: list[tupl
         pose=columns(POSE),
         wrench=np.zeros((m, 6)) if wrench is None else wrench,
         temperature=np.full(m, np.nan) if warm is None else warm[:, 0],
-        time=np.full(m, np.nan) if when is None else when[:, 0],
+        time=time,
         path=_paths([row[place["path"]].strip() for row in rows]) if "path" in place else np.full(m, -1),
+        source=path,
+        labels=tuple(f"line {line}" for line in lines),
     )
 
 
@@ -168,6 +184,23 @@ def _paths(labels: list[str]) -> Int1D:
     """Number the paths; an empty cell is a place of its own."""
     numbers = {label: k for k, label in enumerate(dict.fromkeys(label for label in labels if label))}
     return np.array([numbers.get(label, -1) for label in labels], dtype=np.int64)
+
+
+def _check_times(path: Path, lines: list[int], time: Float1D) -> None:
+    """Refuse times that do not increase from row to row; rows without one are passed over."""
+    stated = np.flatnonzero(np.isfinite(time))
+    row = first_not_later(time[stated])
+    if row is None:
+        return
+    now, before = stated[row], stated[row - 1]
+    found, expected = f"{time[now]:g} s", f"more than {time[before]:g} s of line {lines[before]}: times increase"
+    raise TaskError(path, f"line {lines[now]}, column time", found, expected)
+
+
+def first_not_later(time: Float1D) -> int | None:
+    """Return the first of some times (m,) s that is not later than the one before, by a nanosecond; None: all are."""
+    wrong = np.flatnonzero(~(np.diff(time) >= SHORTEST))
+    return int(wrong[0]) + 1 if len(wrong) else None
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from calibration_core.cell import Cell
 from calibration_core.commands.application import compensate as compensating
 from calibration_core.commands.application import deflect as deflecting
-from calibration_core.compensation.applied import Applied, apply
 from calibration_core.compensation.inverse import rpy_of_axes
 from calibration_core.compensation.requests import Request, finite
 from calibration_core.compensation.robot import CalibratedRobot
@@ -23,6 +22,7 @@ from calibration_core.errors import InputError
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.result import Columns, Picture, Result
 from calibration_core.model.identified.given import GivenModel
+from calibration_core.outcomes.compensation import Applied, apply
 from calibration_core.outcomes.deflection import Deflected, deflected
 from calibration_core.outcomes.inputs import Inputs, digest_of
 from calibration_core.recording.tables.columns import WRENCH, joint_columns
@@ -194,14 +194,15 @@ def deflect(
         Displacements (m) and turns (rad) in base axes with their 95 % intervals, and the tool's stiffness (N/m).
 
     Raises:
-        InputError: Model or task cannot be used, nothing pulls, or a place is out of reach.
+        InputError: Model or task cannot be used, nothing pulls, a place is out of reach, or a load is beyond the rated
+            load.
         EquilibriumError: A load is beyond what the joints can carry.
 
     Source: static equilibrium on the deformed geometry, CWA 17384, 6.2.
     """
     given, robot, inputs = _ready(cell, model, Request(axes, _payload(payload)), task, "poses")
     asked = _task(cell, task, wrench)
-    done = deflected(robot, given.calibrated, asked, axes=axes, plane=plane, name="task")
+    done = deflected(robot, given.calibrated, asked, axes=axes, plane=plane)
     return DeflectionResult(cell, done, inputs)
 
 
@@ -234,16 +235,16 @@ def compensate(
         is refused by name.
 
     Raises:
-        InputError: Model or task cannot be used.
+        InputError: Model or task cannot be used; angles are in degrees; or the times of the file let a point of the
+            robot move faster than 250 mm/s.
         EquilibriumError: A load is beyond what the joints can carry.
 
     Source: Newton's method on the calibrated, loaded robot; static equilibrium of CWA 17384, 6.2.
     """
-    request = Request(axes, _payload(payload))
-    given, robot, inputs = _ready(cell, model, request, task, "task")
+    given, robot, inputs = _ready(cell, model, Request(axes, _payload(payload)), task, "task")
     asked = _task(cell, task, wrench, one_path=one_path)
     seed = None if seed_q is None else _array("seed_q", seed_q, (len(cell.robot.joints),))
-    found = apply(robot, given.calibrated, asked, axes=axes, seed_q=seed, payload=request.mass)
+    found = apply(robot, given.calibrated, asked, axes=axes, seed_q=seed)
     return CompensationResult(cell, found, inputs)
 
 

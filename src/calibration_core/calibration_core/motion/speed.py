@@ -13,9 +13,11 @@ import numpy as np
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import cross, posture
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Float1D, Float2D, read_only
+from calibration_core.timeseries import Float1D, Float2D, Int1D, read_only
 
 SAFETY_RATED_SPEED = 0.25  # m/s (CWA 17384, 7.1)
+REFINED = (1, 4, 16, 64, 256)  # pieces per interval, as long as a bound is too large
+CHUNK = 500  # intervals at once
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -36,9 +38,11 @@ class Monitored:
     lever: Float2D
 
     @staticmethod
-    def of(chain: Chain, parameters: ModelParameters) -> Monitored:
-        """Return all monitored points of a robot with these frames and points."""
+    def of(chain: Chain, parameters: ModelParameters, tool: Float1D | None = None) -> Monitored:
+        """Return all monitored points of a robot with these frames and points, and its tool, (3,) m, flange frame."""
         named = {"flange": np.zeros(3)}
+        if tool is not None:
+            named["tool"] = np.asarray(tool)
         if parameters.wrench_point is not None:
             named["wrench point"] = np.asarray(parameters.wrench_point)
         if parameters.force_torque is not None:
@@ -109,8 +113,6 @@ def hermite_bound(
 ) -> Float2D:
     """Bound every point's speed over every interval of a trajectory that is interpolated by cubic Hermite polynomials.
 
-    On a piece of half-length h about its middle, the speed is at most that in the middle plus h times a bound on the
-    acceleration: |p..| <= sum_i |q.._i| R_i + sum_ij |q._i| |q._j| R_max(i,j), each factor at its largest on the piece.
     It holds for any such trajectory, whoever made it.
 
     Args:
@@ -123,14 +125,71 @@ def hermite_bound(
     Returns:
         (m - 1, k) m/s.
     """
-    span = np.diff(time)[:, None]
+    return _interval_bound(monitored, np.diff(time), position[:-1], position[1:], velocity[:-1], velocity[1:], pieces)
+
+
+def first_beyond(
+    monitored: Monitored, time: Float1D, position: Float2D, velocity: Float2D | None, speed: float
+) -> tuple[int, int, float] | None:
+    """Return the first interval of a trajectory on which a point may exceed a speed, or None.
+
+    The joints move on straight lines or, where there are velocities, on those or on cubic Hermite polynomials:
+    controllers do either.
+
+    Args:
+        monitored: The points.
+        time: (m,) s, increasing.
+        position: (m, n) rad, m where a joint slides.
+        velocity: (m, n) rad/s, m/s where a joint slides; None: none.
+        speed: m/s.
+
+    Returns:
+        Number of the interval, from 0; number of the point that may be fastest; its bound, m/s.
+    """
+    for begin in range(0, len(time) - 1, CHUNK):
+        open_ones = np.arange(begin, min(begin + CHUNK, len(time) - 1))
+        bound = np.zeros((0, len(monitored.names)))
+        for pieces in REFINED:
+            bound = _either_bound(monitored, time, position, velocity, open_ones, pieces)
+            beyond = ~(bound.max(axis=1) <= speed)
+            open_ones, bound = open_ones[beyond], bound[beyond]
+            if not len(open_ones):
+                break
+        if len(open_ones):
+            point = int(np.argmax(bound[0]))
+            return int(open_ones[0]), point, float(bound[0, point])
+    return None
+
+
+def _either_bound(
+    monitored: Monitored, time: Float1D, position: Float2D, velocity: Float2D | None, intervals: Int1D, pieces: int
+) -> Float2D:
+    span = np.diff(time)[intervals]
+    start, end = position[intervals], position[intervals + 1]
+    rate = (end - start) / span[:, None]
+    bound = _interval_bound(monitored, span, start, end, rate, rate, pieces)
+    if velocity is None:
+        return bound
+    cubic = _interval_bound(monitored, span, start, end, velocity[intervals], velocity[intervals + 1], pieces)
+    return np.maximum(bound, cubic)
+
+
+def _interval_bound(
+    monitored: Monitored, span: Float1D, start: Float2D, end: Float2D, first: Float2D, last: Float2D, pieces: int
+) -> Float2D:
+    """Bound every point's speed, (m, k) m/s, on m cubics between positions and velocities, (m, n) each, of span (m,) s.
+
+    On a piece of half-length h about its middle, the speed is at most that in the middle plus h times a bound on the
+    acceleration: |p..| <= sum_i |q.._i| R_i + sum_ij |q._i| |q._j| R_max(i,j), each factor at its largest on the piece.
+    """
+    span = span[:, None]
     middle = (np.arange(pieces) + 0.5) / pieces
     # per interval and joint: q(u) = c0 + c1 u + c2 u^2 + c3 u^3, u = 0 ... 1
-    change = np.diff(position, axis=0)
-    c1, ends = span * velocity[:-1], span * velocity[1:]
+    change = end - start
+    c1, ends = span * first, span * last
     c2, c3 = 3 * change - 2 * c1 - ends, c1 + ends - 2 * change
     u = middle[None, :, None]
-    q = position[:-1, None] + c1[:, None] * u + c2[:, None] * u**2 + c3[:, None] * u**3
+    q = start[:, None] + c1[:, None] * u + c2[:, None] * u**2 + c3[:, None] * u**3
     rate = (c1[:, None] + 2 * c2[:, None] * u + 3 * c3[:, None] * u**2) / span[:, None]
     half = 0.5 / pieces
     slope = (

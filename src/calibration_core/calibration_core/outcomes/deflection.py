@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 
-from calibration_core.compensation.applied import remarks
 from calibration_core.compensation.compensate import nominal_angles
 from calibration_core.compensation.deflection import Deflection, PlaneMap, deflect, plane_map
+from calibration_core.compensation.limits import GRAVITY, OVERLOAD, outside
 from calibration_core.compensation.robot import CalibratedRobot, Conditions
 from calibration_core.compensation.task import Task
 from calibration_core.errors import InputError
 from calibration_core.model.identified.calibrated import CalibratedModel
+from calibration_core.outcomes.compensation import remarks
 from calibration_core.timeseries import Float2D
 
 
@@ -27,6 +27,8 @@ class Deflected:
         q: (m, n) rad.
         found: The deflections.
         chart: Over a plane through the first place; None without a load there.
+        outside: Rows, counted from 1, beyond the model's valid range, by what is beyond: `joints`, `load`,
+            `temperature`.
         remarks: What the intervals do not hold.
     """
 
@@ -35,12 +37,11 @@ class Deflected:
     q: Float2D
     found: Deflection
     chart: PlaneMap | None
+    outside: dict[str, list[int]]
     remarks: list[str]
 
 
-def deflected(
-    robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axes: str, plane: str | None, name: str | Path
-) -> Deflected:
+def deflected(robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axes: str, plane: str | None) -> Deflected:
     """Predict what the wrenches of a task do.
 
     Args:
@@ -49,10 +50,9 @@ def deflected(
         task: Places and wrenches.
         axes: Axes of the wrenches: `base` or `tool`.
         plane: Plane of the map: `xy`, `xz` or `yz`; None: no map.
-        name: What the places are called in messages.
 
     Raises:
-        InputError: Nothing pulls, or a place is out of reach.
+        InputError: Nothing pulls, a place is out of reach, a load is beyond the rated load, or angles are in degrees.
         EquilibriumError: A load is beyond what the joints can carry.
     """
     if not np.any(task.wrench):
@@ -60,8 +60,10 @@ def deflected(
     q, refused = nominal_angles(task, robot)
     if refused:
         row, why = refused[0]
-        raise InputError(name, f"row {row}", why, "a place that the robot reaches within its limits")
+        reached = "a place that the robot reaches within its limits"
+        rated = f"at most {robot.cell.robot.rated_load * GRAVITY:.4g} N with the payload (robot.rated_load of the cell)"
+        raise task.fault(row, why, rated if why == OVERLOAD else reached)
     conditions = Conditions(task.time, task.temperature, task.path)
     found = deflect(robot, q, task.wrench, conditions, model.estimate, axes)
     chart = None if plane is None else plane_map(robot, q[0], task.wrench[0], plane, axes)
-    return Deflected(task, robot, q, found, chart, remarks(model, robot))
+    return Deflected(task, robot, q, found, chart, outside(task, q, robot, model), remarks(model, robot))

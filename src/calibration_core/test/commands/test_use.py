@@ -28,7 +28,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / "model.yaml"
 
 
-def test_deflect(model: Path, tmp_path: Path) -> None:
+def test_deflect(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--cell", CELL, "--model", model, "--out", tmp_path / "out")
     assert run("deflect", *options, "--q", ANGLES, "--wrench", "50 0 -60 0 0 1") == 0
     result = result_of(tmp_path / "out")
@@ -41,6 +41,8 @@ def test_deflect(model: Path, tmp_path: Path) -> None:
     with (tmp_path / "out" / "deflections.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(rows[0][name]) for name in ("dx", "dy", "dz", "rx", "ry", "rz")] == points["tool"]["moved"]
+    assert result["outside_valid_range"] == {"load": [1]}  # by the torque
+    assert "beyond the model's valid range (load): 1 row\n" in capsys.readouterr().out
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Stiffness of the tool" in page
     assert "Deflection of the tool over the xz plane" in page
@@ -87,6 +89,12 @@ def test_compensate(model: Path, tmp_path: Path) -> None:
         (("compensate", "task.csv", "--payload", "-1 0 0 0"), "--payload"),
         (("compensate", "task.csv", "--seed-q", "a b"), "--seed-q"),
         (("compensate", "nothing.csv"), "nothing.csv"),
+        (("compensate", "fast.csv"), "fast.csv: line 3: found"),
+        (("compensate", "degrees.csv"), "degrees.csv: line 2: found joint_2 at 45"),
+        (("compensate", "back.csv"), "back.csv: line 3, column time: found 1 s, expected more than 2 s of line 2"),
+        (("deflect", "--poses", "degrees.csv", "--wrench", "1 2 3 0 0 0"), "degrees.csv: line 2: found joint_2 at 45"),
+        (("deflect", "--q", ANGLES, "--wrench", "0 0 -9999 0 0 0"), "--q: row 1: found load beyond the rated load"),
+        (("deflect", "--q", ANGLES, "--wrench", "0 0 -1 0 0 0", "--payload", "999 0 0 0"), "beyond the rated load"),
     ],
 )
 def test_what_cannot_be_used_is_named(
@@ -99,6 +107,10 @@ def test_what_cannot_be_used_is_named(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "task.csv").write_text(TASK)
+    head, row = "q1,q2,q3,q4,q5,q6,time", "0.5,0.2,0.3,0.7,0.1"
+    (tmp_path / "fast.csv").write_text(f"{head}\n0.1,{row},0\n0.5,{row},1\n")
+    (tmp_path / "back.csv").write_text(f"{head}\n0.1,{row},2\n0.1,{row},1\n")
+    (tmp_path / "degrees.csv").write_text(f"{head}\n0,45,0,0,45,0,1\n")
     assert run(*options, "--cell", CELL, "--model", model, "--out", tmp_path / "out") == 2
     error = capsys.readouterr().err
     assert words in error

@@ -13,7 +13,6 @@ import yaml
 from robots import write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.compensation.applied import apply
 from calibration_core.compensation.compensate import Compensation, compensate
 from calibration_core.compensation.deflection import QUANTILE, deflect
 from calibration_core.compensation.inverse import axes_of, rpy_of_axes, turning
@@ -30,6 +29,7 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.model.statics import gravity_torque
+from calibration_core.outcomes.compensation import apply
 
 BEARING = AppliedEffect(
     "off_axis_compliance",
@@ -183,7 +183,7 @@ def test_history_temperature_and_what_is_of_the_measurement(cell: Cell) -> None:
 def test_rows_are_refused_by_name_and_the_others_done(cell: Cell) -> None:
     good = np.array([0.0, 0.1, 0.1, 0.2, 0.8, 0.3])
     q = np.tile(good, (4, 1))
-    q[1, 4], q[2, 1] = 0.0, 9.0
+    q[1, 4], q[2, 1] = 0.0, 3.0
     wrench = np.zeros((4, 6))
     wrench[3, 2] = -1e5
     found = compensate(CalibratedRobot.of(cell, model_of(cell)), places(q=q, wrench=wrench), None)
@@ -243,8 +243,8 @@ def test_tables_hold_the_task_and_its_corrections(cell: Cell, tmp_path: Path) ->
     path.write_text(
         "fx,fy,fz,tx,ty,tz,path,time,q1,q2,q3,q4,q5,q6\n"
         "0,0,-500,0,0,0,a,10.0,0,0.1,0.1,0.2,0.8,0.3\n"
-        "0,0,-500,0,0,0,a,11.5,0.1,0.1,0.1,0.2,0.8,0.3\n"
-        "0,0,-500,0,0,0,,12,0,0.1,0.1,0.2,0,0.3\n"
+        "0,0,-500,0,0,0,a,12.5,0.1,0.1,0.1,0.2,0.8,0.3\n"
+        "0,0,-500,0,0,0,,13,0,0.1,0.1,0.2,0,0.3\n"
     )
     task, found = _compensated(cell, path)
     assert task.path.tolist() == [0, 0, -1]
@@ -253,12 +253,12 @@ def test_tables_hold_the_task_and_its_corrections(cell: Cell, tmp_path: Path) ->
     assert [float(rows[0][f"q{j}"]) for j in range(1, 7)] == found.q[0].tolist()
     assert (rows[2]["q1"], rows[2]["cx"], rows[2]["fz"]) == ("", "", "-500")
     ok = np.flatnonzero(found.ok)
-    times = times_of(task, ok, found.q[ok], np.ones((1, 6)), 0.25)
+    times = apply(CalibratedRobot.of(cell, model_of(cell)), CalibratedModel(model_of(cell), None, None), task).time
     trajectory = yaml.safe_load(trajectory_yaml(cell.robot.joints, found, times))
     assert [point["time_from_start"] for point in trajectory["points"]] == [
-        {"sec": 0, "nanosec": 0}, {"sec": 1, "nanosec": 500_000_000}
+        {"sec": 0, "nanosec": 0}, {"sec": 2, "nanosec": 500_000_000}
     ]  # fmt: skip
-    untimed = times_of(places(q=found.q), ok, found.q[ok], np.full((1, 6), 2.0), 0.25)
+    untimed = times_of(found.q[ok], np.full((1, 6), 2.0), 0.25)
     assert untimed[1] == pytest.approx(2.0 * np.abs(np.diff(found.q[ok], axis=0)).sum() / 0.25)
 
 
@@ -275,6 +275,8 @@ def test_tables_hold_the_task_and_its_corrections(cell: Cell, tmp_path: Path) ->
         ("x,y,z,roll,pitch,yaw\n1,2,3,0,0,nan\n", "line 2, column yaw"),
         ("x,y,z,roll,pitch,yaw\n\n1,2,1_0,0,0,0\n", "line 3, column z"),
         ("x,y,z,roll,pitch,yaw,temperature\n1,2,3,0,0,0,warm\n", "line 2, column temperature"),
+        ("x,y,z,roll,pitch,yaw,time\n1,2,3,0,0,0,2\n1,2,3,0,0,0,\n\n1,2,3,0,0,0,1\n", "line 5, column time"),
+        ("x,y,z,roll,pitch,yaw,time\n1,2,3,0,0,0,2\n1,2,3,0,0,0,2\n", "line 3, column time"),
     ],
 )
 def test_every_fault_of_a_task_is_named(cell: Cell, tmp_path: Path, text: str, place: str) -> None:

@@ -76,6 +76,10 @@ def test_compensate(cell: cal.Cell, folder: Path, identified: cal.Identification
     np.testing.assert_allclose(again.q, found.q[:2], atol=1e-12)
     np.testing.assert_allclose(again.u95, found.u95[:2])
     assert np.all(again.error_before > again.u95)
+    timed = tmp_path / "timed.csv"
+    timed.write_text("q1,q2,q3,q4,q5,q6,time\n0.1,0.5,0.2,0.3,0.7,0.1,0\n0.5,0.5,0.2,0.3,0.7,0.1,1\n")
+    with pytest.raises(cal.InputError, match=r"timed\.csv: line 3: found .* mm/s"):
+        cal.compensate(cell, model, timed)
     each = cal.compensate(cell, identified, [Q, Q], [PULL, [0.0] * 6])
     np.testing.assert_allclose(each.q[0], found.q[0], atol=1e-9)
     assert np.abs(each.q[1] - each.q[0]).max() > 1e-6
@@ -95,8 +99,10 @@ def test_deflect(cell: cal.Cell, folder: Path, identified: cal.IdentificationRes
     stiffness, directions = again.stiffness
     assert np.all(np.diff(stiffness) > 0)
     np.testing.assert_allclose(directions[0] @ directions[0].T, np.eye(3), atol=1e-12)
-    heavier = cal.deflect(cell, identified, Q, PULL, payload=[5.0, 0.0, 0.0, 0.1], plane="xy")
+    heavier = cal.deflect(cell, identified, Q, PULL, payload=[2.0, 0.0, 0.0, 0.1], plane="xy")
     assert np.abs(heavier.moved - again.moved).max() > 0
+    with pytest.raises(cal.InputError, match="row 1: found load beyond the rated load"):
+        cal.deflect(cell, identified, Q, PULL, payload=[5.0, 0.0, 0.0, 0.1])
     assert heavier.plot()._repr_svg_().startswith("<?xml")
 
 

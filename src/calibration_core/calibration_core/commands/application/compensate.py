@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.commands.application.inputs import calibrated, numbers, payload_mass, task_of
+from calibration_core.commands.application.inputs import calibrated, numbers, outside_lines, task_of
 from calibration_core.commands.shared.common import report_line, report_progress
-from calibration_core.compensation.applied import Applied, apply
 from calibration_core.compensation.compensate import OK
-from calibration_core.compensation.tables import compensated_csv, poses_csv, times_of, trajectory_yaml
-from calibration_core.motion.speed import SAFETY_RATED_SPEED, Monitored
+from calibration_core.compensation.tables import compensated_csv, poses_csv, trajectory_yaml
+from calibration_core.outcomes.compensation import Applied, apply
 from calibration_core.outcomes.inputs import Inputs, digest_of
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import result_json
@@ -37,7 +36,7 @@ def run(arguments: argparse.Namespace) -> str:
     seed = None
     if arguments.seed_q is not None:
         seed = numbers("--seed-q", arguments.seed_q, n, f"{n} joint angles, rad (m where a joint slides)")
-    applied = apply(robot, model, task, axes=arguments.axes, seed_q=seed, payload=payload_mass(arguments))
+    applied = apply(robot, model, task, axes=arguments.axes, seed_q=seed)
     if arguments.report:
         report_progress(arguments, 0.5, "drawing the report")
     inputs = {"model": digest_of(arguments.model), "task": digest_of(arguments.task)}
@@ -56,14 +55,11 @@ def files_of(applied: Applied, cell: Cell, inputs: Inputs, *, report: bool) -> d
     """
     task, found, robot = applied.task, applied.found, applied.robot
     result = result_json(compensation_result(applied, cell, inputs))
-    lever = Monitored.of(robot.chain, robot.parameters).lever
-    rows = np.flatnonzero(found.ok)
-    times = times_of(task, rows, found.q[rows], lever, SAFETY_RATED_SPEED)
     files: dict[str, Content] = {
         RESULT: result,
         COMPENSATED: compensated_csv(task, found),
         POSES: poses_csv(found),
-        TRAJECTORY: trajectory_yaml(robot.chain.joints, found, times),
+        TRAJECTORY: trajectory_yaml(robot.chain.joints, found, applied.time),
     }
     if report:
         from calibration_core.report.documents.application import compensation_document, space_of
@@ -128,5 +124,4 @@ def summary(applied: Applied) -> str:
             )
     counts = Counter(status for status in found.status if status != OK)
     lines += [f"refused: {number} ({why})" for why, number in counts.most_common()]
-    lines += [f"beyond the model's valid range ({key}): {len(rows)} rows" for key, rows in applied.outside.items()]
-    return "\n".join([*lines, *applied.remarks])
+    return "\n".join([*lines, *outside_lines(applied.outside), *applied.remarks])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.commands.application.inputs import calibrated, finite_or_none, task_of
+from calibration_core.commands.application.inputs import calibrated, finite_or_none, outside_lines, task_of
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.compensation.deflection import TOOL, Deflection
 from calibration_core.errors import InputError
@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> str:
     if arguments.poses is not None:
         inputs["poses"] = digest_of(arguments.poses)
     plane = arguments.plane if arguments.report else None
-    done = deflected(robot, model, task, axes=arguments.axes, plane=plane, name=arguments.poses or "--q")
+    done = deflected(robot, model, task, axes=arguments.axes, plane=plane)
     if arguments.report:
         report_progress(arguments, 0.5, "drawing the report")
     write_files(arguments.out, files_of(done, cell, inputs, report=arguments.report))
@@ -109,6 +109,7 @@ def deflection_result(done: Deflected, cell: Cell, inputs: Inputs) -> dict[str, 
             }
             for k in range(len(task))
         ],
+        outside_valid_range=done.outside,
         remarks=done.remarks,
         files=[DEFLECTIONS],
         input=input_record(cell, None, inputs),
@@ -131,7 +132,7 @@ def summary(done: Deflected) -> str:
         )
     if len(done.task) > 5:
         lines.append(f"{len(done.task) - 5} further rows in {DEFLECTIONS}")
-    return "\n".join([*lines, *done.remarks])
+    return "\n".join([*lines, *outside_lines(done.outside), *done.remarks])
 
 
 def _with_bound(value: float, bound: float) -> str:

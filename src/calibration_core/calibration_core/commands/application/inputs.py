@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from calibration_core.compensation.task import Task, places, read_task
 from calibration_core.errors import InputError, quoted
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.identified.model_file import read_calibrated
+from calibration_core.report.rounding import counted
 from calibration_core.timeseries import Float1D
 
 WRENCH = "six numbers fx fy fz tx ty tz, N and N·m"
@@ -64,17 +67,17 @@ def task_of(path: Path | None, arguments: argparse.Namespace, cell: Cell) -> Tas
         task = read_task(path, cell)
     else:
         angles = numbers("--q", arguments.q, n, f"{n} joint angles, rad (m where a joint slides)")
-        task = places(q=angles[None])
+        task = dataclasses.replace(places(q=angles[None]), source="--q")
     if arguments.wrench is None:
         return task
     return task.with_wrench([float(x) for x in numbers("--wrench", arguments.wrench, 6, WRENCH)])
 
 
-def payload_mass(arguments: argparse.Namespace) -> float:
-    """Return the mass of the payload, kg; zero without one."""
-    return 0.0 if arguments.payload is None else float(numbers("--payload", arguments.payload, 4, PAYLOAD)[0])
-
-
 def finite_or_none(value: float) -> float | None:
     """Return a number that JSON can hold; None for what is not known."""
     return value if math.isfinite(value) else None
+
+
+def outside_lines(outside: Mapping[str, Sequence[int]]) -> list[str]:
+    """Return a line of the summary for everything by which rows lie beyond the model's valid range."""
+    return [f"beyond the model's valid range ({key}): {counted(len(rows), 'row')}" for key, rows in outside.items()]

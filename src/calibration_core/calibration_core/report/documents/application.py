@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import Counter
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.compensation.applied import Applied
 from calibration_core.compensation.compensate import OK
 from calibration_core.compensation.deflection import TOOL
 from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.identification.result.estimate import OperatingSpace
 from calibration_core.model.simulation.simulate import Schedule
+from calibration_core.outcomes.compensation import Applied
 from calibration_core.outcomes.deflection import Deflected
 from calibration_core.outcomes.inputs import Inputs
 from calibration_core.outcomes.spaces import scheduled_space
@@ -80,10 +81,7 @@ def compensation_document(applied: Applied, cell: Cell, inputs: Inputs, result: 
         caption = "Errors at the tool, row by row: without the correction, and what is to be expected with it."
         drawn = errors_figure(before, after, bound, ("row", "predicted with"))
         front = (*front, Figure("errors", caption, caption, drawn))
-    beyond = [
-        f"{key}: {len(numbers):,} rows beyond what the recording covered" for key, numbers in applied.outside.items()
-    ]
-    texts = (*beyond, *applied.remarks) or ("Every row lies within the model's valid range.",)
+    texts = (*_beyond(applied.outside), *applied.remarks) or ("Every row lies within the model's valid range.",)
     sections = (Section("Range and remarks", "", (Items(texts),)),)
     facts = _facts(cell, inputs, len(ok))
     return _document("Compensated targets", result, facts, verdict, front, (*sections, _records(cell, inputs)))
@@ -135,9 +133,13 @@ def deflection_document(done: Deflected, cell: Cell, inputs: Inputs, result: byt
     verdict = Verdict(
         f"The tool yields by at most {size.max():.3f} mm", (("Softest", f"{1e-6 * stiff[:, 0].min():.3f} N/µm"),)
     )
-    remarks = tuple(done.remarks) or ("Everything that moves the tool has its interval.",)
+    remarks = (*_beyond(done.outside), *done.remarks) or ("Everything that moves the tool has its interval.",)
     sections = (Section("Remarks", "", (Items(remarks),)), _records(cell, inputs))
     return _document("Deflection under load", result, _facts(cell, inputs, len(size)), verdict, front, sections)
+
+
+def _beyond(outside: Mapping[str, Sequence[int]]) -> list[str]:
+    return [f"{key}: {len(numbers):,} rows beyond what the recording covered" for key, numbers in outside.items()]
 
 
 def _bounded(value: float, bound: float) -> str:

@@ -7,9 +7,13 @@ import dataclasses
 import numpy as np
 
 from calibration_core.compensation.compensate import Compensation, compensate
+from calibration_core.compensation.limits import outside
+from calibration_core.compensation.requests import corrected_rates
 from calibration_core.compensation.robot import CalibratedRobot
+from calibration_core.compensation.tables import times_of
 from calibration_core.compensation.task import Task
 from calibration_core.model.identified.calibrated import CalibratedModel
+from calibration_core.motion.speed import SAFETY_RATED_SPEED, Monitored, first_beyond
 from calibration_core.timeseries import Float1D, Float2D
 
 
@@ -25,6 +29,10 @@ class Applied:
         outside: Rows, counted from 1, beyond the model's valid range, by what is beyond: `joints`, `load`,
             `temperature`.
         remarks: What is not compensated, and what the intervals do not hold, in sentences.
+        time: (k,) s from the first, when each of the k compensated rows is reached: as the task says where every row
+            has a time, else as soon as no monitored point exceeds 250 mm/s.
+        rate: (m, n) rad/s, m/s where a joint slides: the task's joint rates with the change of the correction added;
+            None where the task has none.
     """
 
     task: Task
@@ -33,6 +41,8 @@ class Applied:
     model: CalibratedModel
     outside: dict[str, list[int]]
     remarks: list[str]
+    time: Float1D
+    rate: Float2D | None
 
 
 def apply(
@@ -42,26 +52,48 @@ def apply(
     *,
     axes: str = "base",
     seed_q: Float1D | None = None,
-    payload: float = 0.0,
 ) -> Applied:
-    """Correct all rows of a task; arguments and errors as `compensate`, whose covariance is the model's."""
-    found = compensate(robot, task, model.estimate, axes=axes, seed_q=seed_q, payload=payload)
+    """Correct all rows of a task; arguments as `compensate`, whose covariance is the model's.
+
+    Raises:
+        CellError: There is a load, and the cell file has no wrench point.
+        InputError: Angles are in degrees, or travels in millimetres; or the times of the task let a monitored point of
+            the robot move faster than 250 mm/s, with the corrections or without.
+        EquilibriumError: A load is beyond what the joints can carry.
+    """
+    found = compensate(robot, task, model.estimate, axes=axes, seed_q=seed_q)
     sentences = [*remarks(model, robot), *_nominal_geometry(model), *_left_aside(found)]
-    return Applied(task, robot, found, model, outside(task, found.q, model), sentences)
+    rate = None if task.rate is None else corrected_rates(found.nominal, found.q, task.time, task.rate)
+    time = _timed(robot, task, found, rate)
+    return Applied(task, robot, found, model, outside(task, found.q, robot, model), sentences, time, rate)
 
 
-def outside(task: Task, q: Float2D, model: CalibratedModel) -> dict[str, list[int]]:
-    """Return the rows, counted from 1, beyond what the recording covered: `joints`, `load`, `temperature`."""
-    covered = model.valid_range
-    if covered is None:
-        return {}
-    force, torque = (np.linalg.norm(task.wrench[:, part], axis=1) for part in (slice(0, 3), slice(3, 6)))
-    beyond = {
-        "joints": covered.joint_outside(q).any(axis=1),
-        "load": covered.load_outside(force, torque),
-        "temperature": covered.temperature_outside(task.temperature),
-    }
-    return {key: [int(k) + 1 for k in np.flatnonzero(rows)] for key, rows in beyond.items() if rows.any()}
+def _timed(robot: CalibratedRobot, task: Task, found: Compensation, rate: Float2D | None) -> Float1D:
+    """Return when each compensated row is reached, (k,) s from the first, so that no monitored point is too fast.
+
+    Raises:
+        InputError: The times of the task make a monitored point faster than 250 mm/s.
+    """
+    monitored = Monitored.of(robot.chain, robot.parameters, robot.tool[:3, 3])
+    rows = np.flatnonzero(found.ok)
+    given = task.time[rows]
+    if not np.isfinite(given).all():
+        return times_of(found.q[rows], monitored.lever, SAFETY_RATED_SPEED)
+    fastest = first_beyond(monitored, given, found.q[rows], None if rate is None else rate[rows], SAFETY_RATED_SPEED)
+    if fastest is None:
+        return np.asarray(given - given[:1])
+    interval, point, speed = fastest
+    pair = rows[interval : interval + 2]
+    nominal = first_beyond(
+        monitored, task.time[pair], found.nominal[pair], None if task.rate is None else task.rate[pair], 0.0
+    )
+    without = 0.0 if nominal is None else nominal[2]
+    how = f"{monitored.names[point]} at up to {1e3 * speed:.1f} mm/s on the way there"
+    raise task.fault(
+        int(pair[1]),
+        f"{how} ({1e3 * without:.1f} mm/s without the correction)",
+        f"at most {1e3 * SAFETY_RATED_SPEED:.0f} mm/s for every point of the robot: more time after the row before",
+    )
 
 
 def remarks(model: CalibratedModel, robot: CalibratedRobot) -> list[str]:
