@@ -24,13 +24,17 @@ from calibration_core.cell.urdf import MOST_RADIANS, RADIANS, urdf_joint_types
 from calibration_core.cell.values import (
     Angle,
     FieldError,
+    Gravity,
     Interval,
+    Label,
     Length,
     Name,
     NonNegative,
     Number,
     Pose,
     Positive,
+    Radians,
+    Statement,
     Stiffness,
     Strict,
     Vector,
@@ -51,9 +55,9 @@ class DhRow(Strict):
     """One row of Denavit-Hartenberg parameters, standard (distal) or modified (proximal)."""
 
     a: Number
-    alpha: Number
+    alpha: Radians
     d: Number
-    theta: Number = 0.0
+    theta: Radians = 0.0
 
 
 class Inertial(Strict):
@@ -67,11 +71,11 @@ class Robot(Strict):
     """The robot as its maker states it."""
 
     name: Name
-    maker: str = ""
-    serial: str = ""
+    maker: Label = ""
+    serial: Label = ""
     urdf: str | None = None
-    base_link: str | None = None
-    flange: str | None = None
+    base_link: Label | None = None
+    flange: Label | None = None
     dh: tuple[DhRow, ...] | None = None
     modified_dh: bool = False
     joints: tuple[Name, ...]
@@ -81,7 +85,7 @@ class Robot(Strict):
     rated_load: Annotated[Positive, Field(ge=1e-3, le=1e5)]
     joint_types: tuple[Literal["revolute", "prismatic"], ...] | None = None
     stiffness: tuple[Stiffness, ...] | None = None
-    gravity: Vector = STANDARD_GRAVITY
+    gravity: Gravity = STANDARD_GRAVITY
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -147,9 +151,9 @@ class Tracker(Strict):
     sigma_angle: Angle | None = None
     acceptance_angle: Annotated[Positive, Field(lt=np.pi)] | None = None
     range: Interval | None = None
-    name: str = ""
-    serial: str = ""
-    calibrated: str = ""
+    name: Label = ""
+    serial: Label = ""
+    calibrated: Label = ""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -172,18 +176,18 @@ class ForceTorque(Strict):
 
     sigma_force: Annotated[NonNegative, Field(le=1e5)]
     sigma_torque: Annotated[NonNegative, Field(le=1e5)]
-    name: str = ""
-    serial: str = ""
-    calibrated: str = ""
+    name: Label = ""
+    serial: Label = ""
+    calibrated: Label = ""
 
 
 class Thermometer(Strict):
     """Standard deviation of one temperature reading, K."""
 
     sigma: NonNegative
-    name: str = ""
-    serial: str = ""
-    calibrated: str = ""
+    name: Label = ""
+    serial: Label = ""
+    calibrated: Label = ""
 
 
 class Instruments(Strict):
@@ -203,7 +207,7 @@ class Safety(Strict):
     """
 
     speed_limit: Annotated[Positive, Field(le=REDUCED_SPEED)]
-    source: Name
+    source: Statement
 
 
 class Topics(Strict):

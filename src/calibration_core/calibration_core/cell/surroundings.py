@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calibration_core.cell.values import Name, NonNegative, Positive, Strict, Vector
+from calibration_core.cell.values import Angles, Name, NonNegative, Positive, Statement, Strict, Vector
 
 
 class Box(Strict):
@@ -17,7 +17,7 @@ class Box(Strict):
 
     name: Name
     xyz: Vector
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rpy: Angles = (0.0, 0.0, 0.0)
     size: tuple[Positive, Positive, Positive]
 
 
@@ -32,4 +32,4 @@ class EndEffector(Strict):
 
     rotation: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
     translation: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
-    source: Name
+    source: Statement

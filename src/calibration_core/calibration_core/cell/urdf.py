@@ -15,6 +15,7 @@ from typing import cast
 from xml.etree import ElementTree as ET
 
 from calibration_core.errors import CellError, quoted
+from calibration_core.files.names import NAME, is_name
 
 MAX_BYTES = 8 << 20
 MAX_ELEMENTS = 50_000
@@ -136,6 +137,8 @@ def _unique(path: Path, elements: list[ET.Element]) -> set[str]:
         name = element.get("name")
         if not name:
             raise CellError(path, element.tag, "no name", 'an attribute name="..."')
+        if not is_name(name):
+            raise CellError(path, element.tag, quoted(name), NAME)
         if name in names:
             raise CellError(path, f"{element.tag} {quoted(name)}", "the name twice", "every name once")
         names.add(name)

@@ -7,6 +7,11 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
+from calibration_core.files.names import CONTROL_FREE, NAME, PRINTABLE, is_name, is_printable
+
+TURN = 2 * math.pi * 1.001  # rad: an angle beyond a turn is in degrees
+EARTH = 9.80665  # m/s^2
+MOST_OFF = 2.0  # m/s^2 from the Earth's gravity: more is another unit, or axes that are forgotten
 LARGEST = 1e12  # in SI units: stiffer or larger is nothing that a cell has
 
 
@@ -29,10 +34,36 @@ def _stiffness(value: object) -> object:
     return _number(value)
 
 
-def _not_empty(value: str) -> str:
+def _name(value: str) -> str:
+    if not is_name(value):
+        raise ValueError(NAME)
+    return value
+
+
+def _label(value: str) -> str:
+    if not is_printable(value):
+        raise ValueError(PRINTABLE)
+    return value
+
+
+def _statement(value: str) -> str:
     if not value.strip():
-        msg = "a name that is not empty"
+        msg = "a text that is not empty"
         raise ValueError(msg)
+    return value
+
+
+def _radians(value: float) -> float:
+    if abs(value) > TURN:
+        msg = f"radians, at most one turn ({2 * math.pi:.2f}) either way: is it in degrees?"
+        raise ValueError(msg)
+    return value
+
+
+def _gravity(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    size = math.hypot(*value)
+    if abs(size - EARTH) > MOST_OFF:
+        raise field_error("", f"an acceleration of {size:.4g} m/s²", "9.76 to 9.84 m/s², as on Earth")
     return value
 
 
@@ -49,8 +80,17 @@ Length = Annotated[
 ]  # m, a standard deviation of positions
 Angle = Annotated[Positive, Field(ge=1e-9, le=1.0), _schema(minimum=1e-9, maximum=1)]  # rad, one of directions
 Stiffness = Annotated[float, BeforeValidator(_stiffness), Field(gt=0), _schema(exclusiveMinimum=0)]
-Name = Annotated[str, AfterValidator(_not_empty), WithJsonSchema({"type": "string", "minLength": 1})]
+Name = Annotated[
+    str, AfterValidator(_name), WithJsonSchema({"type": "string", "minLength": 1, "pattern": CONTROL_FREE})
+]
+Label = Annotated[
+    str, AfterValidator(_label), WithJsonSchema({"type": "string", "pattern": CONTROL_FREE})
+]  # a name that may be missing
+Statement = Annotated[str, AfterValidator(_statement), WithJsonSchema({"type": "string", "minLength": 1})]
+Radians = Annotated[Number, AfterValidator(_radians), _schema(minimum=-TURN, maximum=TURN)]
+Angles = tuple[Radians, Radians, Radians]  # about x, y, z
 Vector = tuple[Number, Number, Number]
+Gravity = Annotated[Vector, AfterValidator(_gravity)]  # m/s^2
 Interval = tuple[Number, Number]
 
 
@@ -64,7 +104,7 @@ class Pose(Strict):
     """Pose of one frame in another: position (m) and fixed-axis angles about x, y, z (rad), R = Rz(y) Ry(p) Rx(r)."""
 
     xyz: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rpy: Angles = (0.0, 0.0, 0.0)
 
 
 class FieldError(ValueError):

@@ -5,10 +5,9 @@ A row beyond the rated load has no answer.  A row beyond what the recording cove
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from calibration_core.cell.values import TURN
 from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.compensation.task import Task
 from calibration_core.errors import InputError
@@ -18,7 +17,6 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D
 
 OVERLOAD = "load beyond the rated load"
 GRAVITY = 9.80665
-TURN = 2 * math.pi * 1.001  # rad: an angle that is farther from where it can be is in degrees
 
 
 def force_of(task: Task, robot: CalibratedRobot) -> Float1D:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import TaskError, quoted
+from calibration_core.files.names import PRINTABLE, is_printable
 from calibration_core.files.regular import read_regular
 from calibration_core.timeseries import Float1D, Float2D, Int1D, read_only
 
@@ -104,7 +106,7 @@ def read_task(path: Path, cell: Cell) -> Task:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise TaskError(path, f"byte {error.start}", quoted(raw[error.start : error.start + 1]), "UTF-8") from None
-    reader = csv.reader(text.splitlines(), strict=True)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     lines: list[int] = []
     rows: list[tuple[str, ...]] = []
     try:
@@ -162,6 +164,10 @@ def _task(path: Path, header: tuple[str, ...], lines: list[int], rows: list[tupl
         ]
         return np.array(table)
 
+    labels = [row[place["path"]].strip() for row in rows] if "path" in place else [""] * len(rows)
+    for line, label in zip(lines, labels, strict=True):
+        if not is_printable(label):
+            raise TaskError(path, f"line {line}, column path", quoted(label), PRINTABLE)
     m, n = len(rows), len(cell.robot.joints)
     wrench, warm, when = columns(WRENCH), columns(["temperature"]), columns(["time"])
     time = np.full(m, np.nan) if when is None else when[:, 0]
@@ -174,7 +180,7 @@ def _task(path: Path, header: tuple[str, ...], lines: list[int], rows: list[tupl
         wrench=np.zeros((m, 6)) if wrench is None else wrench,
         temperature=np.full(m, np.nan) if warm is None else warm[:, 0],
         time=time,
-        path=_paths([row[place["path"]].strip() for row in rows]) if "path" in place else np.full(m, -1),
+        path=_paths(labels),
         source=path,
         labels=tuple(f"line {line}" for line in lines),
     )

@@ -1,6 +1,7 @@
-"""Whether what a cell file states can be: a tracker at 4,000 m, angles in degrees, targets in millimetres.
+"""Whether what a cell file states can be: a tracker at 4,000 m, targets in millimetres.
 
-Each rule has two limits: beyond the first a value is doubtful and said so, beyond the second it cannot be.
+Each rule has two limits: beyond the first a value is doubtful and said so, beyond the second it cannot be.  What cannot
+be whatever the recording, such as angles in degrees, no reader of a cell file accepts (`calibration_core.cell`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ STANDARD_GRAVITY = 9.80665
 FARTHEST_TRACKER = (40.0, 400.0)  # m; makers state 40 to 320 m for laser trackers
 LONGEST_REACH = (5.0, 30.0)  # m; the largest robots reach 4.7 m
 FARTHEST_TARGET = (1.5, 10.0)  # m from the flange
-TWO_TURNS = 4 * math.pi * 1.001  # rad: more is what degrees look like
 USUAL_STIFFNESS = (1e3, 1e8)  # N*m/rad; physics of joints from desktop arms to 1,000 kg robots
 WORST_TRACKER = (1e-3, 2e-2)  # m, one standard deviation
 SHARE_OF_LOAD = (0.02, 0.5)  # standard deviation of the force as a share of the rated load
@@ -49,10 +49,6 @@ def implausible(cell: Cell, chain: Chain) -> tuple[Remark, ...]:
 
 def _robot(cell: Cell, chain: Chain) -> Iterator[Remark]:
     robot = cell.robot
-    for i, (low, high) in enumerate(chain.limits):
-        if not chain.prismatic[i] and max(abs(low), abs(high)) > TWO_TURNS:
-            found = f"limits of {low:g} to {high:g} rad for {robot.joints[i]}"
-            yield Remark("robot.joint_limits", found, "radians: these look like degrees", True)
     yield from _beyond("robot", "a reach", chain.reach, LONGEST_REACH, "metres: are the lengths in millimetres?")
     if chain.reach < 0.15:
         found = f"a reach of {chain.reach:.3g} m"
@@ -66,7 +62,7 @@ def _robot(cell: Cell, chain: Chain) -> Iterator[Remark]:
     gravity = float(np.linalg.norm(robot.gravity))
     if abs(gravity - STANDARD_GRAVITY) > 0.1:
         found = f"an acceleration of {gravity:.4g} m/s²"
-        yield Remark("robot.gravity", found, "9.76 to 9.84 m/s², as on Earth", abs(gravity - STANDARD_GRAVITY) > 2.0)
+        yield Remark("robot.gravity", found, "9.76 to 9.84 m/s², as on Earth", False)
     if chain.mass is not None and chain.com is not None:
         moving = float(chain.mass.sum())
         if moving < 0.5 * robot.rated_load:
@@ -86,11 +82,9 @@ def _frames(cell: Cell, chain: Chain) -> Iterator[Remark]:
         if away < 0.3 * chain.reach:
             found = f"a tracker {away:.3g} m from the base of a robot that reaches {chain.reach:.3g} m"
             yield Remark("frames.tracker.xyz", found, "a tracker out of the robot's reach; in the base frame", False)
-        yield from _turned("frames.tracker.rpy", frames.tracker.rpy)
     if frames.force_torque is not None:
         away = float(np.linalg.norm(frames.force_torque.xyz))
         yield from _beyond("frames.force_torque.xyz", "a sensor at", away, FARTHEST_TARGET, "metres from the flange")
-        yield from _turned("frames.force_torque.rpy", frames.force_torque.rpy)
     if frames.wrench_point is not None:
         away = float(np.linalg.norm(frames.wrench_point))
         cause = "metres from the flange: in millimetres?"
@@ -147,9 +141,3 @@ def _instruments(cell: Cell) -> Iterator[Remark]:
 def _beyond(place: str, what: str, value: float, limits: tuple[float, float], expected: str) -> Iterator[Remark]:
     if value > limits[0]:
         yield Remark(place, f"{what} {value:,.4g} m", expected, value > limits[1])
-
-
-def _turned(place: str, angles: tuple[float, float, float]) -> Iterator[Remark]:
-    largest = max(abs(angle) for angle in angles)
-    if largest > 2 * math.pi * 1.001:
-        yield Remark(place, f"an angle of {largest:g} rad", "radians: is it in degrees?", True)

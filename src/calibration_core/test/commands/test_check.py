@@ -60,7 +60,7 @@ def test_every_error_is_a_line_with_its_place(tmp_path: Path, capsys: pytest.Cap
     ("old", "new", "place", "cause"),
     [
         ("xyz: [4.0, 1.0, 1.2]", "xyz: [4000.0, 1000.0, 1200.0]", "frames.tracker.xyz", "millimetres"),
-        ("rpy: [0.0, 0.0, -2.9]", "rpy: [0.0, 0.0, -166.0]", "frames.tracker.rpy", "degrees"),
+        ("rpy: [0.0, 0.0, -2.9]", "rpy: [0.0, 0.0, -166.0]", "frames.tracker.rpy.2", "degrees"),
         ("mp2: [-0.09, 0.15, 0.12]", "mp2: [-90.0, 150.0, 120.0]", "frames.measurement_points.mp2", "millimetres"),
         ("wrench_point: [0.12, -0.08, 0.25]", "wrench_point: [120, -80, 250]", "frames.wrench_point", "millimetres"),
         ("tracker: {sigma: 2.0e-5", "tracker: {sigma: 0.03", "instruments.tracker.sigma", "millimetres"),

@@ -12,6 +12,7 @@ from typing import Any
 
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.csv_cells import meant
+from calibration_core.files.names import NAME, is_name
 from calibration_core.files.regular import read_regular
 from calibration_core.recording.source import BAG_SUFFIXES, SESSION_DATABASE
 
@@ -126,8 +127,8 @@ def _entry(source: Path, values: dict[str, Any], line: int) -> Entry:
             raise InputError(source, name, "nothing", "a value in every row", line, 1)
     for name in ("robot", "type"):
         text = str(values[name])
-        if len(text) > MAX_NAME or not text.isprintable():
-            raise InputError(source, name, quoted(text), f"a name of at most {MAX_NAME} characters", line, 1)
+        if len(text) > MAX_NAME or not is_name(text):
+            raise InputError(source, name, quoted(text), f"{NAME}, of at most {MAX_NAME} characters", line, 1)
     return Entry(
         type=str(values["type"]),
         robot=str(values["robot"]),
@@ -161,6 +162,9 @@ def _of_folder(source: Path) -> list[Entry]:
     try:
         for kind in _folders(source):
             for robot in _folders(kind):
+                for folder in (kind, robot):
+                    if not is_name(folder.name):
+                        raise InputError(folder, "", quoted(folder.name), NAME)
                 for date in _folders(robot):
                     day = _folder_day(date)
                     entries.append(Entry(kind.name, robot.name, day, str(_recording_in(date)), str(_cell_of(date))))

@@ -19,6 +19,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.cell.identity import robot_sha256
 from calibration_core.errors import ModelFileError, quoted
+from calibration_core.files.names import NAME, is_name
 from calibration_core.files.yaml_file import YamlFile, read_yaml, yaml_text
 from calibration_core.model.chain import pose_matrix, rpy_of
 from calibration_core.model.effects import catalogue
@@ -141,6 +142,9 @@ def _parameters(path: Path, data: dict[str, Any], cell: Cell) -> ModelParameters
     points = data.get("measurement_points")
     if not isinstance(points, dict) or not points:
         raise ModelFileError(path, "measurement_points", quoted(points), "a mapping of points")
+    for name in points:
+        if not is_name(str(name)):
+            raise ModelFileError(path, "measurement_points", quoted(name), NAME)
     compliance = vector(path, "compliance", data.get("compliance"), n)
     if np.any(compliance < 0):
         raise ModelFileError(path, "compliance", quoted(float(compliance.min())), "compliances that are not negative")

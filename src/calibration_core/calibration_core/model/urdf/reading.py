@@ -160,7 +160,7 @@ def _masses(cell: Cell, tree: Tree) -> tuple[Float1D | None, Float2D | None]:
 def _limits(cell: Cell, tree: Tree) -> Float2D:
     if cell.robot.joint_limits is not None:
         for i, (name, (low, high)) in enumerate(zip(cell.robot.joints, cell.robot.joint_limits, strict=True)):
-            if tree.joints[name].type == "revolute" and max(abs(low), abs(high)) > MOST_RADIANS:
+            if tree.joints[name].type != "prismatic" and max(abs(low), abs(high)) > MOST_RADIANS:
                 raise CellError(cell.path, f"robot.joint_limits.{i}", f"[{low:g}, {high:g}]", RADIANS)
         return np.array(cell.robot.joint_limits, dtype=float)
     limits = np.empty((len(cell.robot.joints), 2))

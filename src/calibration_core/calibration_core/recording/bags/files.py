@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.files.names import NAME, is_name
 from calibration_core.recording.bags.metadata import METADATA, information, metadata_file
 from calibration_core.recording.bags.plan_hash import plan_of_metadata
 from calibration_core.recording.source import BAG_SUFFIXES
@@ -92,8 +93,8 @@ def _listed(path: Path, file: Path, about: dict[str, Any]) -> BagFiles:
     files: dict[Path, None] = {}
     for i, name in enumerate(names):
         place = f"relative_file_paths.{i}"
-        if len(name) > MAX_NAME or not name.isprintable():
-            raise RecordingError(file, place, quoted(name), f"a file name of at most {MAX_NAME} printable characters")
+        if len(name) > MAX_NAME or not is_name(name):
+            raise RecordingError(file, place, quoted(name), f"a file name of at most {MAX_NAME} characters: {NAME}")
         one = path / PurePath(name).name
         if _storage_suffix(one) not in BAG_SUFFIXES:
             raise RecordingError(file, place, quoted(one.name), ".mcap or .db3 files")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.files.names import NAME, is_name
 from calibration_core.recording.foreign.mapping import ImportMap
 from calibration_core.recording.foreign.meaning import AXES, FORCES, JOINT, TORQUES
 from calibration_core.recording.foreign.names import split_by, split_names
@@ -137,8 +138,8 @@ def _keyed(source: Source, how: ImportMap, account: list[str]) -> _Rows:
         account.append(f"No column names a point: all positions belong to one, called {ONLY_POINT}.")
         return _Rows(source, configuration, step, point, np.arange(len(source)))
     for row, label in enumerate(labels):
-        if not label.isprintable() or not label:
-            raise source.fault(row, column, quoted(label), "the name of a point, of printable characters")
+        if not is_name(label):
+            raise source.fault(row, column, quoted(label), NAME)
     point = labels
     pattern = how.of(source.path).name
     if pattern is not None:
@@ -159,6 +160,9 @@ def _keyed(source: Source, how: ImportMap, account: list[str]) -> _Rows:
             point = tuple(parts[2])
             account.append(f"Configuration, step and point stand in the names: {full[0]} is {_place(parts, 0)}.")
     point = tuple(how.points.get(name, name) for name in point)
+    for row, name in enumerate(point):
+        if not is_name(name):
+            raise source.fault(row, "point", quoted(name), NAME)
     return _Rows(source, configuration, step, point, _blocks(point))
 
 
