@@ -177,7 +177,7 @@ class Bench:
         self.permitted, self.text = True, "yes"
         self.told_by_guard = self.hears = True
         cell = load_cell(CELL)
-        self.monitored = Monitored.of(chain_of(cell), nominal_parameters(cell))
+        self.monitored = Monitored.of(chain_of(cell), nominal_parameters(cell), None)
         steps = np.array([[0.0] * 6, [0.0, 0.0, -500.0, 0.0, 0.0, 0.0]])
         goals = HOME + np.array([[0.1], [0.2]]) * np.array([1.0, 0.5, -0.5, 1.0, 0.2, 1.0])
         spare = PlannedConfiguration(3, HOME - 0.05, steps, spare=True)

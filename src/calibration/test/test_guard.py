@@ -249,6 +249,14 @@ def declaring(directory: Path, text: str) -> str:
     return str(file)
 
 
+def test_the_tool_of_the_cell_file_is_watched(spinning: Any, until: Any, tmp_path: Path) -> None:
+    file = Path(declaring(tmp_path, ""))
+    file.write_text(file.read_text("utf-8").replace("frames:", "frames:\n  tool: {xyz: [0, 0, 9]}"), "utf-8")
+    cell = Cell(spinning, cell=str(file))
+    cell.robot.rate = np.array([0, 0, 0, 0, 0.05, 0])
+    until(cell.why(Permission.OVER_SPEED))
+
+
 def test_a_limit_is_declared_in_the_cell_file_alone(spinning: Any, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="declared_limit: found an unknown parameter"):
         Cell(spinning, declared_limit=0.2)

@@ -38,7 +38,7 @@ from calibration.robot_state.confirmation import Confirmation, checked, confirme
 from calibration.topics import GUARD_EVIDENCE, PERMISSION, ROBOT_STATE, several_publishers
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
-from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.guard import Guard, GuardDecision
 from calibration_core.motion.robot_status import Reason
@@ -70,7 +70,7 @@ class GuardNode(CalibrationNode):
     def on_configure(self) -> None:
         """Read the cell, choose adapter and stop path, and offer what the guard says."""
         self.cell = load_cell(self.value("cell"))
-        self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
+        self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell), tool_point(self.cell))
         self.rules = guard_rules(self, self.cell)
         self.adapter = configured_adapter(self)
         self._joints = Joints(ArrivalRules())

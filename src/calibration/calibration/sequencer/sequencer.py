@@ -56,7 +56,7 @@ from calibration_core.cell import load_cell
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
 from calibration_core.measurement.session import Session
-from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored
 from calibration_core.planning.plans.plan import Plan
@@ -95,7 +95,7 @@ class SequencerNode(CalibrationNode):
     def on_configure(self) -> None:
         """Connect to the cell."""
         self.cell = load_cell(self.value("cell"))
-        self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell))
+        self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell), tool_point(self.cell))
         self.runner: Runner | None = None
         self.port: CellPort | None = None
         self._decided: tuple[Any, ...] = ()

@@ -7,6 +7,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Float1D
 
 
 def nominal_parameters(cell: Cell) -> ModelParameters:
@@ -23,3 +24,8 @@ def nominal_parameters(cell: Cell) -> ModelParameters:
         wrench_point=None if frames.wrench_point is None else np.array(frames.wrench_point),
         force_torque=None if sensor is None else pose_matrix(np.array(sensor.xyz), np.array(sensor.rpy)),
     )
+
+
+def tool_point(cell: Cell) -> Float1D | None:
+    """Return the tool centre point, (3,) m in the flange frame, where the cell file states a tool of its own."""
+    return None if cell.frames.tool is None else np.array(cell.frames.tool.xyz)

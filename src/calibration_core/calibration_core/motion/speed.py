@@ -1,7 +1,7 @@
 """How fast every monitored point of the robot moves, and how fast it can at most move between samples.
 
-Monitored are the flange, the wrench point, the sensor, every measurement point and every joint's origin (CWA 17384,
-7.1: the Cartesian speed shall not exceed 250 mm/s).
+Monitored are the flange, the tool, the wrench point, the sensor, every measurement point and every joint's origin
+(CWA 17384, 7.1: the Cartesian speed shall not exceed 250 mm/s).
 """
 
 from __future__ import annotations
@@ -38,8 +38,11 @@ class Monitored:
     lever: Float2D
 
     @staticmethod
-    def of(chain: Chain, parameters: ModelParameters, tool: Float1D | None = None) -> Monitored:
-        """Return all monitored points of a robot with these frames and points, and its tool, (3,) m, flange frame."""
+    def of(chain: Chain, parameters: ModelParameters, tool: Float1D | None) -> Monitored:
+        """Return all monitored points of a robot with these frames and points, and its tool, (3,) m, flange frame.
+
+        Without a tool of its own the tool is the wrench point.
+        """
         named = {"flange": np.zeros(3)}
         if tool is not None:
             named["tool"] = np.asarray(tool)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
-from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.motion.speed import Monitored
 from calibration_core.motion.trajectory import MotionLimits
@@ -111,7 +111,7 @@ def make_pose_plan(
     )
     total = content.total(best.chosen)
     std = np.sqrt(np.diag(np.linalg.inv(total))) * content.scale
-    monitored = Monitored.of(ground.site.chain, parameters)
+    monitored = Monitored.of(ground.site.chain, parameters, tool_point(cell))
     duration, unclear = way_through(plan, ground.bodies, monitored, MotionLimits(), SequenceRules())
     figures = Observability.of(total / configurations)
     unjudged = ground.bodies.unjudged

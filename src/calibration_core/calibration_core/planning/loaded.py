@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import ModelFileError, PlanError
-from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored
@@ -145,7 +145,7 @@ def make_plan(
         reference=Reference(found.reference, rules.reference_every) if rules.reference_every else None,
         made_for=planned_robot(cell),
     )
-    monitored = Monitored.of(chain, parameters)
+    monitored = Monitored.of(chain, parameters, tool_point(cell))
     duration, unclear = way_through(
         plan, ground.bodies, monitored, motion or MotionLimits(), sequence or SequenceRules()
     )

@@ -16,7 +16,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
 from calibration_core.model.kinematics import posture
-from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.motion.speed import Monitored
 from calibration_core.motion.trajectory import MotionLimits
@@ -144,7 +144,7 @@ def with_phases(
     ground = ground_of(cell, parameters, rules.space, None)
     home = plan.primary[0].q if plan.reference is None else plan.reference.q
     plan = dataclasses.replace(plan, preparation=_standstills(ground, rules, seed, home))
-    monitored = Monitored.of(ground.site.chain, parameters)
+    monitored = Monitored.of(ground.site.chain, parameters, tool_point(cell))
     duration, unclear = way_through(plan, ground.bodies, monitored, MotionLimits(), SequenceRules())
     if plan.expected is not None:
         expected = dataclasses.replace(plan.expected, duration=duration.named, unclear_moves=unclear)

@@ -98,7 +98,7 @@ def test_repeated_stamps_are_stale_and_repeated_values_in_motion_are_frozen(plan
 def test_over_speed_is_measured(demo_cell: Cell, rate: float) -> None:
     """A turn of joint 1: the farthest point's speed is its distance from the axis times the rate."""
     chain = chain_of(demo_cell)
-    monitored = Monitored.of(chain, nominal_parameters(demo_cell))
+    monitored = Monitored.of(chain, nominal_parameters(demo_cell), None)
     guard, q, now = Guard(monitored, RULES, RequestedStop.NONE), np.array([0.0, 0.2, -0.3, 0.1, 0.8, 0.0]), 0.0
     unit = monitored.speeds(q[None], np.eye(6)[:1])[0].max()
     speed = rate * RULES.speed_limit

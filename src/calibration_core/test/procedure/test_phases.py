@@ -89,7 +89,7 @@ def test_standstills_are_free_and_seen(cell: Cell, planned: tuple[PlannedConfigu
 
 
 def test_a_sweep_keeps_to_the_speed(cell: Cell, planned: tuple[PlannedConfiguration, ...]) -> None:
-    monitored = Monitored.of(chain_of(cell), nominal_parameters(cell))
+    monitored = Monitored.of(chain_of(cell), nominal_parameters(cell), None)
     swept = of(planned, "base_frame")[: RULES.dwells]
     assert plan_path(monitored, swept[[0, -1]], MotionLimits()).speed_bound <= 0.25
 

@@ -24,7 +24,7 @@ LIMITS = MotionLimits()
 @pytest.fixture(scope="module", params=["demo", "small"])
 def monitored(request: pytest.FixtureRequest) -> Monitored:
     cell: Cell = request.getfixturevalue(f"{request.param}_cell")
-    return Monitored.of(chain_of(cell), nominal_parameters(cell))
+    return Monitored.of(chain_of(cell), nominal_parameters(cell), None)
 
 
 def _random_motion(monitored: Monitored, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -256,7 +256,7 @@ def test_overshoot_of_a_joint_limit_between_points_is_seen(monitored: Monitored)
 
 
 def test_plan_can_be_driven(demo_cell: Cell, plan: Plan) -> None:
-    monitored = Monitored.of(chain_of(demo_cell), nominal_parameters(demo_cell))
+    monitored = Monitored.of(chain_of(demo_cell), nominal_parameters(demo_cell), None)
     assert plan.reference is not None
     way = [plan.reference.q, *plan.startup_cycle, *(c.q for c in plan.configurations)]
     total = sum(plan_motion(monitored, a, b, LIMITS).duration for a, b in pairwise(way))
