@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def apply(
         EquilibriumError: A load is beyond what the joints can carry.
     """
     found = compensate(robot, task, model.estimate, axes=axes, seed_q=seed_q)
-    sentences = [*remarks(model, robot), *_nominal_geometry(model), *_left_aside(found)]
+    sentences = [*remarks(model, robot), *_nominal_geometry(model), *_left_aside(found), *_untimed(task, found)]
     rate = None if task.rate is None else corrected_rates(found.nominal, found.q, task.time, task.rate)
     time = _timed(robot, task, found, rate)
     return Applied(task, robot, found, model, outside(task, found.q, robot, model), sentences, time, rate)
@@ -88,7 +89,7 @@ def _timed(robot: CalibratedRobot, task: Task, found: Compensation, rate: Float2
         monitored, task.time[pair], found.nominal[pair], None if task.rate is None else task.rate[pair], 0.0
     )
     without = 0.0 if nominal is None else nominal[2]
-    how = f"{monitored.names[point]} at up to {1e3 * speed:.1f} mm/s on the way there"
+    how = f"{monitored.names[point]} at up to {math.ceil(1e4 * speed) / 10:.1f} mm/s on the way there"
     raise task.fault(
         int(pair[1]),
         f"{how} ({1e3 * without:.1f} mm/s without the correction)",
@@ -133,3 +134,11 @@ def _left_aside(found: Compensation) -> list[str]:
         return []
     names = sorted({effect.effect.replace("_", " ") for effect in found.aside})
     return [f"Not compensated (of the measurement, or the task lacks path, time or temperature): {', '.join(names)}."]
+
+
+def _untimed(task: Task, found: Compensation) -> list[str]:
+    known = np.isfinite(task.time[found.ok])
+    if known.all() or not known.any():
+        return []
+    text = "Some rows have no time: the trajectory is timed so that no point of the robot exceeds 250 mm/s"
+    return [f"{text}, and not by the task."]

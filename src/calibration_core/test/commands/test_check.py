@@ -82,6 +82,27 @@ def test_what_cannot_be_is_an_error_with_its_likely_cause(
 @pytest.mark.parametrize(
     ("old", "new", "place"),
     [
+        ("rpy: [0.0, 0.0, -2.9]", "rpy: [0.0, 0.0, -166.0]", "frames.tracker.rpy.2"),
+        ("rpy: [0.0, 0.0, 0.3]", "rpy: [0.0, 90.0, 0.3]", "frames.force_torque.rpy.1"),
+        ("rated_load: 240.0", "rated_load: 240.0\n  gravity: [0.0, 0.0, -9806.65]", "robot.gravity"),
+        ("mp2: [-0.09", '"mp2\\n": [-0.09', "frames.measurement_points.mp2"),
+    ],
+)
+def test_what_no_recording_can_have_every_command_refuses_alike(
+    old: str, new: str, place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert old in GOOD
+    assert checked(tmp_path, GOOD.replace(old, new)) == 2
+    (line,) = capsys.readouterr().out.splitlines()
+    assert f": {place}" in line
+    for command in (("plan",), ("identify", "gone.csv"), ("deflect", "--model", "gone.yaml", "--q", "0")):
+        assert run(*command, "--cell", tmp_path / "my.cell.yaml", "--out", tmp_path / "out") == 2
+        assert line in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
         ("xyz: [4.0, 1.0, 1.2]", "xyz: [60.0, 1.0, 1.2]", "frames.tracker.xyz"),
         ("xyz: [4.0, 1.0, 1.2]", "xyz: [0.3, 0.1, 0.2]", "frames.tracker.xyz"),
         ("stiffness: [2.2e+6", "stiffness: [2.2e+2", "robot.stiffness.0"),

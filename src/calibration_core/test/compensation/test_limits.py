@@ -92,6 +92,16 @@ def test_one_rule_of_loads_for_deflections_and_compensations(cell: Cell) -> None
                 deflected(robot, calibrated, task, axes="base", plane=None)
 
 
+def test_times_that_some_rows_lack_are_not_used_and_it_is_said(cell: Cell) -> None:
+    model = model_of(cell)
+    robot, calibrated = CalibratedRobot.of(cell, model), CalibratedModel(model, None, None)
+    q = np.array([GOOD, GOOD, [0.2, *GOOD[1:]]])
+    for time, said in (([0.0, 9.0, 18.0], False), ([np.nan] * 3, False), ([0.0, np.nan, 18.0], True)):
+        applied = apply(robot, calibrated, dataclasses.replace(places(q=q), time=np.array(time)))
+        assert any("Some rows have no time" in one for one in applied.remarks) is said
+        assert bool(applied.time[-1] == 18.0) is (time[1] == 9.0)
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
