@@ -101,7 +101,7 @@ READS: dict[str, tuple[Line, ...]] = {  # command -> lines of arguments, `{role}
     ),
     "compensate": (
         ("{task}", *FITTED), ("{places}", "--cell", "{cell}", "--model", "{model}", "--wrench", "0 0 -40 0 0 0"),
-        ("{task}", *FITTED, "--payload", "2 0 0 0.1", "--seed-q", "0.1 0.2 0.3"),
+        ("{places}", *FITTED, "--wrench", "0 0 -40 0 0 0", "--payload", "2 0 0 0.1", "--seed-q", "0.1 0.2 0.3"),
     ),
     "verify": (
         ("{other}", *FITTED, "--tolerance", "1e-4"), ("{other}", *FITTED, "--tolerance", "1e-4", "--fit-tracker"),

@@ -17,7 +17,7 @@ from calibration_core.commands.planning.arguments import plan_arguments
 from calibration_core.commands.shared.population_arguments import population_arguments
 from calibration_core.commands.terminal.outcome import NOTHING, carry_out, tolerate
 from calibration_core.engine.arguments import cluster_arguments
-from calibration_core.engine.command_line import OneLineParser, path, whole
+from calibration_core.engine.command_line import OneLineParser, path, stated_options, whole
 
 RECORDING_KINDS = "rosbag2 directory, .mcap file, measurement table (.csv), or a session (its directory or session.db)"
 
@@ -48,7 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options of one command; end the process if the arguments make no sense."""
-    options = argument_parser().parse_args(arguments)
+    parser = argument_parser()
+    options = parser.parse_args(arguments)
+    options.stated = stated_options(parser, arguments)
     if getattr(options, "recordings", None):  # of one robot: the first stands for all of them
         options.recording, options.cell = options.recordings[0], options.cells[0]
     options.out = options.out or Path("build/calibration") / options.command

@@ -9,7 +9,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from calibration_core.cell import load_cell
-from calibration_core.engine.command_line import OneLineParser, path, whole, within
+from calibration_core.engine.command_line import (
+    OneLineParser,
+    path,
+    refuse_without_effect,
+    stated_options,
+    whole,
+    within,
+)
 from calibration_core.errors import EquilibriumError, InputError
 from calibration_core.recording.bags.writer import write_bag
 from calibration_core.recording.tables.table import write_table
@@ -28,6 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; return 0, or 2 with one line on stderr where the input cannot be used."""
     parser = _parser()
     options = parser.parse_args(arguments)
+    options.stated = stated_options(parser, arguments)
     if options.action is _record and options.storage == "sqlite3" and options.compression == "lz4":
         parser.error("--compression lz4 exists for mcap alone")
     try:
@@ -39,6 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _record(options: argparse.Namespace) -> None:
+    if options.plan is not None:
+        needed = "a recording without --plan"
+        refuse_without_effect(options.stated, "calibration-sim record", ("--configurations",), "with --plan", needed)
     refuse_existing(options.out, options.table, options.truth_out)
     cell = load_cell(options.cell)
     truth = draw_truth(cell, options.seed, spread=WORKSHOP if options.imperfect else ROUGH)

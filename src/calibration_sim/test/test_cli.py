@@ -87,6 +87,18 @@ def test_record_follows_a_plan(
     assert "/calibration/step" not in _topics(bag)
 
 
+def test_configurations_beside_a_plan_are_refused(
+    demo: Cell, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bag"
+    options = ["--plan", str(tmp_path / "plan.yaml"), "--configurations", "18"]
+    assert main(["record", "--cell", str(demo.path), "--out", str(out), *options]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "--configurations: found an option that has no effect with --plan" in error
+    assert not out.exists()
+
+
 @pytest.mark.parametrize("fault", ["cell", "plan", "out", "table"])
 def test_unusable_input_ends_with_two_and_one_line(
     demo: Cell, tmp_path: Path, fault: str, capsys: pytest.CaptureFixture[str]

@@ -84,6 +84,20 @@ def test_end_to_end_with_a_stand_in(tmp_path: Path, program: Path, capsys: pytes
     assert capsys.readouterr().out.count(digest) == 4
 
 
+@pytest.mark.parametrize(("options", "named"), [
+    (("--report", "--batch"), "--batch"), (("--report", "--limit", "120"), "--limit"),
+    (("--report", "--command", "x"), "--command"), (("--report", "--cluster", "tcp://h:1"), "--cluster"),
+    (("--tls", "a", "b", "c"), "--tls"),
+])  # fmt: skip
+def test_an_option_without_effect_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], named: str
+) -> None:
+    out = tmp_path / "proof"
+    assert main(["--out", str(out), "--count", "1", *options]) == 2
+    assert f"calibration-prove: {named}: found an option that has no effect" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_labels_that_were_touched_are_refused(tmp_path: Path) -> None:
     scenarios = grid(5)
     _, digest = write_recordings(scenarios[:1], len(scenarios), tmp_path, jobs=1)

@@ -6,7 +6,7 @@ import argparse
 import difflib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -36,6 +36,49 @@ def _with_suggestion(message: str) -> str:
         return message
     near = difflib.get_close_matches(wrong.group(1), re.findall(r"[\w-]+", wrong.group(2)), n=1)
     return f"{message}: did you mean {near[0]}?" if near else message
+
+
+def stated_options(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> frozenset[str]:
+    """Return the options that a command line states, also where they state a default, by their longest names.
+
+    Args:
+        parser: Of the program; it knows no defaults afterwards.
+        arguments: The command line, which the parser accepts; None: the process's own.
+    """
+    names = _without_defaults(parser)
+    return frozenset(names[name] for name in vars(parser.parse_args(arguments)) if name in names)
+
+
+def _without_defaults(parser: argparse.ArgumentParser) -> dict[str, str]:
+    """Remove the defaults of a parser and of its commands; return attribute -> option."""
+    names: dict[str, str] = {}
+    parser._defaults.clear()
+    for action in parser._actions:
+        action.default = argparse.SUPPRESS
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                names |= _without_defaults(command)
+        elif action.option_strings:
+            names[action.dest] = max(action.option_strings, key=len)
+    return names
+
+
+def refuse_without_effect(stated: Collection[str], who: str, names: Iterable[str], where: str, needed: str) -> None:
+    """Refuse options that are stated and have no effect on this input.
+
+    Args:
+        stated: The options that are stated.
+        who: The command, for the message.
+        names: Those without effect.
+        where: Where they have none: `without --population`, `on a recording at rest`.
+        needed: What they would have an effect on, or with.
+
+    Raises:
+        InputError: There is one.
+    """
+    for name in names:
+        if name in stated:
+            raise InputError(who, name, f"an option that has no effect {where}", f"{needed}, or no {name}")
 
 
 def path(text: str) -> Path:

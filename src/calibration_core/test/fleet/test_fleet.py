@@ -111,7 +111,7 @@ def test_what_is_done_is_not_done_again(reference: Path, plant: Path, tmp_path: 
     shutil.copytree(reference, out)
     before = {path: path.stat().st_mtime_ns for path in rows_on_disk(out)}
     begun = time.monotonic()
-    assert fleet(plant, out, "--jobs", "1", "--cluster", "tcp://127.0.0.1:9").returncode == 0  # nobody is asked
+    assert fleet(plant, out, "--cluster", "tcp://127.0.0.1:9").returncode == 0  # nobody is asked
     assert {path: path.stat().st_mtime_ns for path in rows_on_disk(out)} == before
     assert time.monotonic() - begun < PATIENCE
     assert said(out) == said(reference)
@@ -132,11 +132,19 @@ def test_a_changed_recording_alone_is_done_again(reference: Path, plant: Path, t
     before = {path: path.stat().st_mtime_ns for path in rows_on_disk(out)}
     try:
         other.write_text("still no table\n")
-        assert fleet(plant, out, "--jobs", "1").returncode == 0
+        done = fleet(plant, out, "--jobs", "3")
+        assert done.returncode == 0
+        assert "--jobs 3 had no effect beyond that of --jobs 1: 1 recording had to be evaluated" in done.stdout
     finally:
         other.write_text("no table\n")
     changed = [path for path, when in before.items() if path.stat().st_mtime_ns != when]
     assert [json.loads(path.read_text())["recording"] for path in changed] == [str(other)]
+
+
+def test_a_robot_of_no_recording_is_refused(plant: Path, tmp_path: Path) -> None:
+    done = fleet(plant, tmp_path / "out", "--alone", "r9")
+    assert done.returncode == 2
+    assert done.stderr == "fleet: --alone: found 'r9', expected a robot of the manifest: r1, r2, r3\n"
 
 
 def test_killed_and_gone_on_with_it_is_the_same_data_set(reference: Path, plant: Path, tmp_path: Path) -> None:

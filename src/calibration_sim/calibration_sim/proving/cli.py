@@ -12,6 +12,7 @@ from pathlib import Path
 
 from calibration_core.engine.arguments import cluster_arguments
 from calibration_core.engine.cluster import Cluster, require
+from calibration_core.engine.command_line import refuse_without_effect, stated_options
 from calibration_core.errors import CalibrationError
 from calibration_sim.proving.diagnosing import Settings
 from calibration_sim.proving.measures import Case, markdown, measures, power, wrong
@@ -27,7 +28,9 @@ ENTRY = "calibration_core.cli:main"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; return 0 whatever the table says, 2 where it cannot be made."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    options.stated = stated_options(parser, arguments)
     try:
         sys.stdout.write(_prove(options))
     except (CalibrationError, ValueError, OSError) as error:
@@ -37,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _prove(options: argparse.Namespace) -> str:
+    _refuse_idle(options)
     if not options.report:
         require("calibration-prove")
     scenarios = second_grid(options.seed) if options.kinds else grid(options.seed)
@@ -69,6 +73,16 @@ def _prove(options: argparse.Namespace) -> str:
     }
     (options.out / "table.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return text
+
+
+def _refuse_idle(options: argparse.Namespace) -> None:
+    """Refuse stated options that have no effect on what is asked for."""
+    who = "calibration-prove"
+    if options.report:
+        running = ("--cluster", "--tls", "--limit", "--command", "--batch")
+        refuse_without_effect(options.stated, who, running, "with --report, which runs nothing", "no --report")
+    if not options.cluster:
+        refuse_without_effect(options.stated, who, ("--tls",), "without --cluster", "--cluster ADDRESS")
 
 
 def _settings(options: argparse.Namespace) -> Settings:

@@ -13,6 +13,8 @@ from calibration_core.commands.application.inputs import calibrated, numbers, ou
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.compensation.compensate import OK
 from calibration_core.compensation.tables import compensated_csv, poses_csv, trajectory_yaml
+from calibration_core.compensation.task import Task
+from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.outcomes.compensation import Applied, apply
 from calibration_core.outcomes.inputs import Inputs, digest_of
 from calibration_core.report.results.command import command_result, input_record
@@ -32,6 +34,7 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 0.0, "correcting the targets")
     cell, model, robot = calibrated(arguments)
     task = task_of(arguments.task, arguments, cell)
+    _refuse_idle(arguments, task)
     n = robot.chain.n
     seed = None
     if arguments.seed_q is not None:
@@ -42,6 +45,16 @@ def run(arguments: argparse.Namespace) -> str:
     inputs = {"model": digest_of(arguments.model), "task": digest_of(arguments.task)}
     write_files(arguments.out, files_of(applied, cell, inputs, report=arguments.report))
     return f"{summary(applied)}\ntargets: {arguments.out / COMPENSATED}\n{report_line(arguments)}"
+
+
+def _refuse_idle(arguments: argparse.Namespace, task: Task) -> None:
+    """Refuse stated options that have no effect on this task."""
+    if task.q is not None:
+        where = "on a task with q1 ... qn, which choose the branch"
+        refuse_without_effect(arguments.stated, "compensate", ("--seed-q",), where, "a task of places alone")
+    if not np.any(task.wrench):
+        where = "without a wrench other than zero"
+        refuse_without_effect(arguments.stated, "compensate", ("--axes",), where, "--wrench, or fx ... tz in the task")
 
 
 def files_of(applied: Applied, cell: Cell, inputs: Inputs, *, report: bool) -> dict[str, Content]:

@@ -13,6 +13,7 @@ from calibration_core.cell import Cell
 from calibration_core.commands.application.inputs import calibrated, finite_or_none, outside_lines, task_of
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.compensation.deflection import TOOL, Deflection
+from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import InputError
 from calibration_core.outcomes.deflection import Deflected, deflected
 from calibration_core.outcomes.inputs import Inputs, digest_of
@@ -34,6 +35,8 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 0.0, "predicting the deflections")
     if (arguments.q is None) == (arguments.poses is None):
         raise InputError("--q", "", "both or none", "either --q with joint angles or --poses with a file")
+    if not arguments.report:
+        refuse_without_effect(arguments.stated, "deflect", ("--plane",), "with --no-report", "the report, with its map")
     cell, model, robot = calibrated(arguments)
     task = task_of(arguments.poses, arguments, cell)
     inputs = {"model": digest_of(arguments.model)}

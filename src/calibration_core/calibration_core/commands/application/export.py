@@ -10,6 +10,7 @@ import re
 from typing import Any
 
 from calibration_core.cell import Cell, load_cell
+from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import CalibrationError, InputError, quoted
 from calibration_core.formats.calibrated import Exported, ExportedRobot, calibrated_robot, named
 from calibration_core.formats.dh import dh_files
@@ -28,6 +29,8 @@ WITHOUT_FORMAT = (
     "KUKA's, FANUC's, ABB's and Yaskawa's own calibration files have no published format: correct the targets instead "
     "(calibration compensate)."
 )
+OF_FORMAT = {"ur": ("--template",), "table": ("--joints", "--points", "--q", "--range")}
+"""Format -> the options that have an effect on it alone."""
 MOST = {"urdf": 1e-9, "dh": 1e-6, "ur": 1e-6}  # m: what is written may not differ from the model by more
 
 
@@ -38,6 +41,10 @@ def run(arguments: argparse.Namespace) -> str:
         InputError: Cell, model or template cannot be used, the format cannot hold the robot, or nothing can be written.
         EquilibriumError: The robot cannot carry its own weight.
     """
+    for form, options in OF_FORMAT.items():
+        if arguments.format != form:
+            where = f"on the format {arguments.format}"
+            refuse_without_effect(arguments.stated, "export", options, where, f"--format {form}")
     cell = load_cell(arguments.cell)
     refuse_inputs(arguments.out, "export", () if cell.urdf_path is None else (cell.urdf_path,))
     with naming_model(arguments.model):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from calibration_core.cell import Cell
@@ -15,11 +15,12 @@ from calibration_core.commands.shared.several import look_at_all, prepared_from,
 from calibration_core.diagnosis.bias import with_bias
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import InputError, quoted
-from calibration_core.identification.identify import identify
+from calibration_core.identification.identify import identify, is_loaded
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.stiffness.loaded import Options
-from calibration_core.identification.stiffness.outlier_rejection import Key
+from calibration_core.identification.stiffness.outlier_rejection import Key, keys_of
 from calibration_core.model.identified.calibrated import ValidRange
 from calibration_core.model.identified.given import GivenModel, read_given
 from calibration_core.model.identified.model_file import model_text
@@ -92,6 +93,7 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 0.0, "reading the recording")
     cells, recordings = read_recordings(arguments)
     cell = cells[0]
+    _refuse_idle(arguments, recordings)
     test = None if arguments.test is None else observe(arguments.test, cell)
     given = None if arguments.model is None else read_given(arguments.model, cell)
     options = Options(
@@ -103,9 +105,30 @@ def run(arguments: argparse.Namespace) -> str:
     )
     report_progress(arguments, 1 / 3, "identifying, and looking for missing physics")
     answer = evaluate_all(recordings, cells, options, test, given)
+    if isinstance(answer, Identified):
+        _refuse_unknown(options.readmit, answer.readings)
     report_progress(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, answer.files(report=arguments.report))
     return f"{answer.summary}\n{report_line(arguments)}"
+
+
+def _refuse_idle(arguments: argparse.Namespace, recordings: Sequence[Readings]) -> None:
+    """Refuse stated options that have no effect on these recordings."""
+    if arguments.no_robust:
+        where = "with --no-robust, which uses every reading"
+        refuse_without_effect(arguments.stated, "identify", ("--readmit",), where, "no --no-robust")
+    if not any(map(is_loaded, recordings)):
+        options = ("--method", "--weights", "--deflections")
+        refuse_without_effect(arguments.stated, "identify", options, "on a recording at rest", "a loaded recording")
+
+
+def _refuse_unknown(keys: Collection[Key], readings: Readings) -> None:
+    """Refuse to use a reading after all that the recordings do not hold."""
+    known = set(keys_of(readings))
+    for configuration, step, point in sorted(keys):
+        if (configuration, step, point) not in known:
+            found = quoted(f"{configuration}:{step}:{point}")
+            raise InputError("identify", "--readmit", found, f"a reading of {readings.provenance.path}")
 
 
 def evaluate_all(

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from calibration_core.commands.shared.common import report_progress
 from calibration_core.engine.cluster import INSTALL, Cluster, connected, dashboard_of, default_jobs, require
+from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.engine.pieces import run_all
-from calibration_core.errors import InputError
+from calibration_core.errors import InputError, quoted
 from calibration_core.fleet.recordings.manifest import Entry, read_entries
 from calibration_core.fleet.recordings.rows import Row, failed
 from calibration_core.fleet.recordings.store import DATASET, claimed, keep, kept, write_dataset
@@ -18,6 +19,7 @@ from calibration_core.fleet.recordings.task import VERSION, EvaluatedRecording, 
 from calibration_core.report.writing.output import Content, write_files
 
 MEASURING = 0.9  # share of the time that the recordings take
+SHOWN = 10  # robots that an error names
 STAGES = 20  # lines of progress that are printed of the recordings
 
 
@@ -28,11 +30,13 @@ def run(arguments: argparse.Namespace) -> str:
         InputError: The manifest cannot be used, Dask is not installed, the cluster does not answer, or the output
             cannot be written.
     """
+    _refuse_idle(arguments)
     require_installed()
     entries = read_entries(arguments.recording)
+    _refuse_unknown(arguments.alone, entries)
     cluster = Cluster(arguments.cluster, arguments.jobs or default_jobs(), arguments.tls)
     with claimed(arguments.out):
-        rows = measured(entries, arguments, cluster)
+        rows, evaluated = measured(entries, arguments, cluster)
         report_progress(arguments, MEASURING, "comparing the robots")
         from calibration_core.commands.fleet.results import fleet_files, fleet_summary
         from calibration_core.fleet.plant import evaluate_plant
@@ -41,7 +45,25 @@ def run(arguments: argparse.Namespace) -> str:
         files: dict[str, Content] = {DATASET: functools.partial(write_dataset, rows)}
         files |= fleet_files(plant, rows, str(arguments.recording), report=arguments.report)
         write_files(arguments.out, files)
-    return fleet_summary(plant, arguments)
+    return fleet_summary(plant, arguments, evaluated)
+
+
+def _refuse_idle(arguments: argparse.Namespace) -> None:
+    """Refuse stated options that have no effect where the work is done."""
+    if arguments.cluster:
+        where = "on a cluster, which has its own workers"
+        refuse_without_effect(arguments.stated, "fleet", ("--jobs",), where, "no --cluster")
+    else:
+        refuse_without_effect(arguments.stated, "fleet", ("--tls",), "without --cluster", "--cluster ADDRESS")
+
+
+def _refuse_unknown(robots: Sequence[str], entries: Sequence[Entry]) -> None:
+    """Refuse robots that no recording is of."""
+    known = sorted({entry.robot for entry in entries})
+    for robot in robots:
+        if robot not in known:
+            named = ", ".join(known[:SHOWN]) + (", ..." if len(known) > SHOWN else "")
+            raise InputError("fleet", "--alone", quoted(robot), f"a robot of the manifest: {named}")
 
 
 def require_installed() -> None:
@@ -57,8 +79,10 @@ def require_installed() -> None:
         raise InputError("calibration fleet", "", f"no package {error.name}", INSTALL) from None
 
 
-def measured(entries: Sequence[Entry], arguments: argparse.Namespace, cluster: Cluster) -> list[Row]:
-    """Return one row per recording, sorted by recording; what is done and unchanged is not done again.
+def measured(entries: Sequence[Entry], arguments: argparse.Namespace, cluster: Cluster) -> tuple[list[Row], int]:
+    """Return one row per recording, sorted by recording, and how many of them were evaluated now.
+
+    What is done and unchanged is not done again.
 
     Raises:
         InputError: The cluster does not answer or has gone, or a result cannot be written.
@@ -86,7 +110,7 @@ def measured(entries: Sequence[Entry], arguments: argparse.Namespace, cluster: C
                 if len(rows) * STAGES // len(entries) > (len(rows) - 1) * STAGES // len(entries):
                     text = f"recording {len(rows)} of {len(entries)}{f', dashboard {link}' if link else ''}"
                     report_progress(arguments, MEASURING * len(rows) / len(entries), text)
-    return [rows[name] for name in sorted(rows)]
+    return [rows[name] for name in sorted(rows)], len(open_)
 
 
 def _note_what_stays(arguments: argparse.Namespace, done: int, of: int) -> None:

@@ -85,8 +85,14 @@ def fleet_result(plant: Plant, rows: Sequence[Row], source: str, proposed: Seque
     return {key: plain(value) for key, value in content.items()}
 
 
-def fleet_summary(plant: Plant, arguments: argparse.Namespace) -> str:
-    """Return what came out, a few lines."""
+def fleet_summary(plant: Plant, arguments: argparse.Namespace, evaluated: int) -> str:
+    """Return what came out, a few lines.
+
+    Args:
+        plant: What all rows say.
+        arguments: Options of the command.
+        evaluated: How many recordings were evaluated now; the others were done before.
+    """
     states = Counter(robot.state for robot in plant.robots)
     lines = [
         f"{counted(plant.rows, 'recording')}, {plant.failed} of them not usable",
@@ -96,4 +102,8 @@ def fleet_summary(plant: Plant, arguments: argparse.Namespace) -> str:
     lines += [
         f"  {robot.type} {robot.robot}: {robot.reasons[0].text}" for robot in plant.robots[:SHOWN] if robot.reasons
     ]
+    if "--jobs" in arguments.stated and arguments.jobs > evaluated:
+        beyond = f" beyond that of --jobs {evaluated}" if evaluated else ""
+        few = counted(evaluated, "recording") if evaluated else "no recording"
+        lines.append(f"--jobs {arguments.jobs} had no effect{beyond}: {few} had to be evaluated")
     return "\n".join([*lines, report_line(arguments)])

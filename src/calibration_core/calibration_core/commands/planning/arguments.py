@@ -5,7 +5,22 @@ from __future__ import annotations
 import argparse
 
 from calibration_core.commands.shared.population_arguments import population_arguments
-from calibration_core.engine.command_line import path, whole
+from calibration_core.engine.command_line import path, refuse_without_effect, whole
+
+OF_VERIFY = ("--tolerance", "--risk")
+LOAD_STEPS = ("--load-levels", "--protocol")
+LOAD_SIZES = ("--load-share", "--largest-force", "--largest-torque")
+CHOICE = ("--configurations", "--spares", "--criterion")
+WITHOUT_EFFECT = {
+    "stiffness": (OF_VERIFY, "without --for verify", "--for verify"),
+    "geometry": ((*OF_VERIFY, *LOAD_STEPS, *LOAD_SIZES), "on a plan without loads and tolerance", "another --for"),
+    "verify": (
+        (*CHOICE, *LOAD_STEPS),
+        "on the 5 to 8 poses of a re-check, which are unloaded and under the full pull",
+        "--for stiffness",
+    ),
+}
+"""What is to be found -> options that have no effect on such a plan, why, and what they need."""
 
 
 def plan_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,3 +114,36 @@ def plan_arguments(parser: argparse.ArgumentParser) -> None:
         help="--population: wanted standard deviation of every stiffness, of its value (default 0.01)",
     )
     parser.add_argument("--model", type=path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
+
+
+def refuse_idle(arguments: argparse.Namespace) -> None:
+    """Refuse stated options that have no effect on the plan that is asked for.
+
+    Raises:
+        InputError: There is one.
+    """
+    refuse_without_effect(arguments.stated, f"plan --for {arguments.purpose}", *WITHOUT_EFFECT[arguments.purpose])
+    if arguments.population is None:
+        refuse_without_effect(arguments.stated, "plan", ("--accuracy",), "without --population", "--population")
+
+
+def refuse_idle_loads(arguments: argparse.Namespace, *, loads: bool, torque: bool) -> None:
+    """Refuse stated limits of a load that cannot be applied, or is not held against them.
+
+    Args:
+        arguments: The options.
+        loads: Whether the plan loads the robot.
+        torque: Whether the pose of the sensor is known, and with it the torque that a pull exerts there.
+
+    Raises:
+        InputError: There is one.
+    """
+    who = f"plan --for {arguments.purpose}"
+    if not loads:
+        where = "where the robot cannot be loaded"
+        needed = "frames.wrench_point and instruments.force_torque in the cell file, and a stiffness"
+        refuse_without_effect(arguments.stated, who, LOAD_SIZES, where, needed)
+    if not torque:
+        where = "where the pose of the sensor is not known"
+        needed = "frames.force_torque in the cell file"
+        refuse_without_effect(arguments.stated, who, ("--largest-torque",), where, needed)

@@ -14,6 +14,7 @@ import numpy as np
 
 from calibration_core.acceptance.recheck import Recheck
 from calibration_core.cell import Cell, load_cell
+from calibration_core.commands.planning.arguments import refuse_idle, refuse_idle_loads
 from calibration_core.commands.planning.geometry import (
     GeometryExpectation,
     geometry_result,
@@ -30,6 +31,7 @@ from calibration_core.commands.planning.population import (
 )
 from calibration_core.commands.planning.protocols import judged_protocols, protocols_result, protocols_section
 from calibration_core.commands.planning.recheck import (
+    can_load,
     plan_recheck,
     recheck_result,
     recheck_section,
@@ -158,12 +160,15 @@ def make(arguments: argparse.Namespace, cell: Cell, given: GivenModel | None) ->
     Raises:
         InputError: The options make no sense, or no plan can be made under them.
     """
+    refuse_idle(arguments)
     refuse_lengths(cell)
     population = asked_population(arguments, cell)
     if population is not None and arguments.purpose != "stiffness":
         raise InputError("--population", "", f"--for {arguments.purpose}", "a plan for stiffness")
     parameters = nominal_parameters(cell) if given is None else given.parameters
     inputs = {} if given is None else given.digest
+    loads = arguments.purpose != "verify" or can_load(cell, parameters)
+    refuse_idle_loads(arguments, loads=loads, torque=parameters.force_torque is not None)
     rules, task = space_of(arguments, cell, parameters, rules_of(arguments))
     inputs |= {} if population is None else {"population": {population.file: population.sha256}}
     inputs |= {} if arguments.task is None else {"task": digest_of(arguments.task)}

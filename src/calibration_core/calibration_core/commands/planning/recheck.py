@@ -13,6 +13,7 @@ from calibration_core.acceptance.recheck import Recheck, recheck
 from calibration_core.cell import Cell
 from calibration_core.errors import InputError, PlanError
 from calibration_core.model.identified.calibrated import CalibratedModel
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.planning.feasible.candidates import Ground, draw_postures
 from calibration_core.planning.feasible.loads import full_pulls
@@ -88,11 +89,16 @@ def plan_recheck(
     return plan, found
 
 
+def can_load(cell: Cell, parameters: ModelParameters) -> bool:
+    """Say whether a re-check loads the robot: there is a point to pull at, a sensor, and a joint that yields."""
+    measured = parameters.wrench_point is not None and cell.instruments.force_torque is not None
+    return measured and bool(np.any(parameters.compliance > 0))
+
+
 def _steps(cell: Cell, model: CalibratedModel, rules: PlanningRules, count: int, rng: np.random.Generator) -> Any:
     """Return the wrenches of every posture's steps, (count, k, 6)."""
     parameters = model.parameters
-    loads = parameters.wrench_point is not None and cell.instruments.force_torque is not None
-    if not loads or not np.any(parameters.compliance > 0):
+    if not can_load(cell, parameters):
         return np.zeros((count, 1, 6))
     pull = full_pulls(cell, parameters, dataclasses.replace(rules.load, directions=1), count, rng)[:, 0]
     steps = np.zeros((count, len(LEVELS), 6))

@@ -11,7 +11,7 @@ from calibration_core.identification.result.estimate import Exclusion
 from calibration_core.identification.statistics.offsets import deleted, deletion_limit, normal_equations
 from calibration_core.identification.stiffness.fit import CONVERGED, NEARLY, LoadedFit, fit_compliance, stepped
 from calibration_core.identification.stiffness.problem import LoadedProblem
-from calibration_core.timeseries import Bool1D, Float1D, Int1D
+from calibration_core.timeseries import Bool1D, Float1D, Int1D, Readings
 
 MAX_SHARE = 0.05  # never more than this share of the readings
 RETURN = 0.5  # an excluded reading is taken back below this share of the threshold
@@ -64,7 +64,7 @@ def reject_outliers(
         return OutlierRejection(fit_compliance(problem, start, near=near, converged=converged), used, ())
     fit = fit_compliance(problem, start, near=near, converged=NEARLY)
     groups = {(configuration, point) for configuration, _, point in readmit}  # a reading judges its neighbours too
-    kept = np.array([(configuration, point) in groups for configuration, _, point in _keys(problem)])
+    kept = np.array([(configuration, point) in groups for configuration, _, point in keys_of(problem.readings)])
     exclusions: dict[int, Exclusion] = {}
     budget = max(1, int(MAX_SHARE * m))
     while len(exclusions) < budget:  # until nothing is left to set aside under the compliances of those that are left
@@ -128,6 +128,6 @@ def _exclusion(problem: LoadedProblem, row: int, size: float, squared: float, th
     return exclusion(problem.readings, row, reason, size, squared)
 
 
-def _keys(problem: LoadedProblem) -> list[Key]:
-    r = problem.readings
+def keys_of(r: Readings) -> list[Key]:
+    """Return (configuration, step, point) of every reading."""
     return [(int(c), int(s), r.points[p]) for c, s, p in zip(r.configuration, r.step, r.point, strict=True)]
