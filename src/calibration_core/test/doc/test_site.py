@@ -148,6 +148,22 @@ def test_the_readme_says_of_concealed_effects_what_the_record_says() -> None:
     assert f"in recordings with concealed effects of typical size | {right:.1f} % |" in readme
 
 
+def test_the_page_on_use_says_what_the_record_says() -> None:
+    groups = yaml.safe_load((CORE / "validation" / "measured.yaml").read_text("utf-8"))
+    figures = {one["what"].split(",")[0]: one["measured"] for group in groups for one in group["figures"]}
+    use = (CORE / "use.md").read_text("utf-8")
+    shares = re.findall(r"(at least|median|of the means) (\d+) %", figures["twelve concealed effects"])
+    assert [how for how, _ in shares] == ["at least", "median", "of the means"]
+    assert [share for _, share in shares if f"{share} % less" not in use] == []
+    held = re.search(r"holds (\d+ to \d+ %) of the places", figures["twelve concealed effects"])
+    assert held is not None
+    assert f"holds at {held.group(1)} of the places" in use
+    real = figures["real recordings"].partition("MA1400 ")[2]
+    one, other, left, also = (f"{float(text):.2f}" for text in re.findall(r"0\.\d+", real)[:4])
+    assert f"off by {one} and {other} mm" in use
+    assert f"leaves {left} and {also} mm" in use
+
+
 def test_what_proof_and_benchmarks_wrote_is_collected(tmp_path: Path) -> None:
     table = {"seed": 7, "labels": "abc", "recordings": 2, "wrong": [], "power": [], "measures": [
         {"text": "a finding", "value": 0.25, "bar": "<= 0.3", "met": True, "count": 4}]}  # fmt: skip
