@@ -100,7 +100,11 @@ def _completion(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _describe(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "what a result says, in words"
-    parser = commands.add_parser("describe", help=text, description=text[0].upper() + text[1:] + ".")
+    more = (
+        "It states the decision or verdict of a result, the numbers that count with their units and intervals, and the "
+        "next step; it writes nothing."
+    )
+    parser = commands.add_parser("describe", help=text, description=f"{text[0].upper()}{text[1:]}. {more}")
     parser.add_argument("result", type=path, metavar="RESULT", help="a result.json, or the directory that holds it")
     _output(parser)
     parser.set_defaults(recording=None, cell=None, out=None)

@@ -8,12 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from calibration_core.commands.files.describe_use import describe_use, records
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.regular import read_regular
 from calibration_core.report.results.result import SCHEMA
+from calibration_core.report.rounding import counted
 from calibration_core.report.writing.output import RESULT
 
 MOST = 1 << 28  # bytes of a result.json
+OF_ROWS = ("compare", "compensate", "deflect")  # their `recording` is no recording: they read tasks, or several
 VERDICTS = {
     "consistent": "The model explains the recording to its noise.",
     "missing_physics": "The model leaves out physics, which was found; what remains is noise.",
@@ -53,15 +56,7 @@ def read_result(path: Path) -> dict[str, Any]:
 def describe(result: Mapping[str, Any]) -> list[str]:
     """Return a result in words, a line each; what it does not have is passed over."""
     lines = [f"{result['command']}: {result.get('robot', '')}".rstrip(": ")]
-    recording = result.get("recording")
-    if isinstance(recording, Mapping):
-        kind = "with loads" if recording.get("loaded") else "without loads"
-        points = recording.get("points")
-        names = ", ".join(map(str, points)) if isinstance(points, list) else "unknown"
-        lines.append(
-            f"Recording {recording.get('file')}: {recording.get('configurations')} configurations, "
-            f"{recording.get('steps')} steps, points {names}, {kind}."
-        )
+    lines += _recording(result) if result["command"] not in OF_ROWS else []
     lines += _recordings(result)
     if "usable" in result:
         lines += [f"Usable: {result['usable']}. {result.get('reason', '')}".rstrip()]
@@ -69,15 +64,32 @@ def describe(result: Mapping[str, Any]) -> list[str]:
     verdict = result.get("verdict")
     if isinstance(verdict, str) and verdict in VERDICTS and result["command"] in {"identify", "diagnose"}:
         lines.append(f"Verdict: {verdict}. {VERDICTS[verdict]}")
-    lines += [_joint(joint) for joint in _records(result, "stiffness")]
-    lines += _fit(result.get("fit"))
-    lines += [_named("Finding", one, "effect", "explanation") for one in _records(result, "findings")]
-    lines += [_named("Anomaly", one, "kind", "text") for one in _records(result, "anomalies")]
-    proposals = _records(result, "next_measurements")
+    lines += [_joint(joint) for joint in records(result, "stiffness")]
+    lines += describe_use(result) or _fit(result.get("fit"))
+    lines += [_named("Finding", one, "effect", "explanation") for one in records(result, "findings")]
+    lines += [_named("Anomaly", one, "kind", "text") for one in records(result, "anomalies")]
+    proposals = records(result, "next_measurements")
     if proposals:
         why = proposals[0].get("why") or "see the report"
         lines.append(f"Proposed next measurements: {len(proposals)}; the first: {why}")
     return lines
+
+
+def _recording(result: Mapping[str, Any]) -> list[str]:
+    """Return the line of the recording, or of the plan; what it does not have is passed over."""
+    recording = result.get("recording")
+    if not isinstance(recording, Mapping):
+        return []
+    counts = [
+        counted(value, noun)
+        for key, noun in (("configurations", "configuration"), ("steps", "step"), ("readings", "reading"))
+        if isinstance(value := recording.get(key), int)
+    ]
+    points = recording.get("points")
+    names = [f"points {', '.join(map(str, points))}"] if isinstance(points, list) and points else []
+    kind = "with loads" if recording.get("loaded") else "without loads"
+    title = "Plan" if result["command"] == "plan" else "Recording"
+    return [f"{title} {recording.get('file')}: {', '.join([*counts, *names, kind])}."]
 
 
 def _recordings(result: Mapping[str, Any]) -> list[str]:
@@ -85,22 +97,17 @@ def _recordings(result: Mapping[str, Any]) -> list[str]:
     lines = [
         f"Recording {one.get('number')}: {one.get('file')}: {one.get('configurations')} configurations, numbered from "
         f"{one.get('numbered_from')}, {one.get('readings')} readings, measured in {one.get('cell')}."
-        for one in _records(result, "recordings")
+        for one in records(result, "recordings")
     ]
     agreement = result.get("agreement")
     if isinstance(agreement, Mapping):
-        places = dict.fromkeys(str(one.get("location")) for one in _records(agreement, "differences"))
+        places = dict.fromkeys(str(one.get("location")) for one in records(agreement, "differences"))
         lines.append(f"The recordings differ at {', '.join(places)}." if places else "The recordings agree.")
     return lines
 
 
 def _named(title: str, of: Mapping[str, Any], name: str, text: str) -> str:
     return f"{title}: {of.get(name)} at {_place(of)}. {of.get(text) or ''}".rstrip()
-
-
-def _records(of: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    value = of.get(key)
-    return [one for one in value if isinstance(one, Mapping)] if isinstance(value, list) else []
 
 
 def _joint(joint: Mapping[str, Any]) -> str:

@@ -163,7 +163,9 @@ def recheck_summary(found: Recheck) -> list[str]:
         f"an unchanged robot conforms with {sure}; smallest tolerance with these instruments "
         f"{1e3 * found.least_tolerance:.3f} mm"
     )
-    lines.append("afterwards: calibration verify RECORDING --cell CELL.yaml --model MODEL.yaml --tolerance M --fit-tracker")
+    lines.append(
+        "afterwards: calibration verify RECORDING --cell CELL.yaml --model MODEL.yaml --tolerance M --fit-tracker"
+    )
     return lines
 
 
