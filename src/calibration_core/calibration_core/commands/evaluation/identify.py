@@ -17,6 +17,7 @@ from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import InputError, quoted
+from calibration_core.identification.checks.exclusion_anomalies import with_own_outliers
 from calibration_core.identification.identify import identify, is_loaded
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.stiffness.loaded import Options
@@ -220,7 +221,11 @@ def _searched(
     except InputError as error:
         note = Note("search", "missing physics", f"could not be looked for: {error}")
         return dataclasses.replace(found, notes=(*found.notes, note)), None
-    return dataclasses.replace(with_bias(found, searched), anomalies=searched.anomalies), searched
+    anomalies = with_own_outliers(searched.anomalies, found.anomalies)
+    return (
+        dataclasses.replace(with_bias(found, searched), anomalies=anomalies),
+        dataclasses.replace(searched, anomalies=anomalies),
+    )
 
 
 def _reading(text: str, cell: Cell, recordings: int) -> Key:

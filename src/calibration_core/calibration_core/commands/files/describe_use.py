@@ -81,12 +81,12 @@ def _verify(result: Content) -> Iterable[str]:
     if decision is None:  # the input was refused
         return
     if _known(tolerance):
-        said = {
+        statement = {
             CONFORMING: "The robot conforms to the tolerance of",
             NOT_CONFORMING: "The robot does not conform to the tolerance of",
         }.get(str(decision), "The measurement uncertainty leaves open whether the robot conforms to the tolerance of")
         yield (
-            f"{said} {_mm(tolerance)} ({rule.get('standard', 'ISO 14253-1')}, conformance probability "
+            f"{statement} {_mm(tolerance)} ({rule.get('standard', 'ISO 14253-1')}, conformance probability "
             f"{fixed(100 * _number(rule, 'probability'), 0)} %)."
         )
     yield _error_sentence(_number(after, "mean"), _number(after, "max"), _number(before, "mean"))

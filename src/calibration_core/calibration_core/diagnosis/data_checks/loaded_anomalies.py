@@ -16,6 +16,7 @@ from calibration_core.diagnosis.data_checks.change_points import (
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter, left_over
 from calibration_core.diagnosis.data_checks.tool_shape import Shape, own_variances, shape_of
+from calibration_core.identification.checks.exclusion_anomalies import OUTLIERS, outlier_text
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.statistics.distributions import f_tail
 from calibration_core.identification.stiffness.loaded import PreparedLoaded
@@ -156,21 +157,14 @@ def noise_understated(seen: Scatter, claimed: float) -> tuple[Anomaly, ...]:
 
 def outlier_readings(excluded: Bool1D, size: float, readings: Readings) -> tuple[Anomaly, ...]:
     """Name the gross errors that the extended model sets aside; `size` is the largest, m."""
-    count = int(excluded.sum())
-    if count == 0:
+    rows = np.flatnonzero(excluded)
+    if not len(rows):
         return ()
-    keys = [
-        f"{readings.configuration[i]}/{readings.step[i]}/{readings.points[readings.point[i]]}"
-        for i in np.flatnonzero(excluded)[:12]
-    ]
+    keys = [(int(readings.configuration[i]), int(readings.step[i]), readings.points[readings.point[i]]) for i in rows]
     numbers = readings.configuration[excluded]
-    more = f" and {count - 12} more" if count > 12 else ""
-    text = (
-        f"{count} readings do not fit the others of their configuration (configuration/step/point {', '.join(keys)}"
-        f"{more}), by up to {1e3 * size:.2f} mm; they are not used."
-    )
+    text = outlier_text(keys, size, "the others of their configuration under the model of the diagnosis")
     where = {"tracker": "tracker"}
-    return (Anomaly("outlier_readings", where, (int(numbers.min()), int(numbers.max())), size, "m", text),)
+    return (Anomaly(OUTLIERS, where, (int(numbers.min()), int(numbers.max())), size, "m", text),)
 
 
 def _target_moved(step: Step, shape: Shape, readings: Readings) -> Anomaly:

@@ -8,11 +8,40 @@ from collections.abc import Sequence
 from calibration_core.identification.result.estimate import Anomaly, Exclusion, NoiseAudit
 from calibration_core.timeseries import Readings
 
+OUTLIERS = "outlier_readings"
+NAMED = 12  # readings that a text names
+
 
 def exclusion(readings: Readings, row: int, reason: str, size: float, squared: float) -> Exclusion:
     """Name a reading that is not used: its row, why, the length of its residual, m, and its square in variances."""
     place = int(readings.configuration[row]), int(readings.step[row]), readings.points[readings.point[row]]
     return Exclusion(*place, reason=reason, size=float(size), times_sigma=math.sqrt(squared))
+
+
+def outlier_text(keys: Sequence[tuple[int, int, str]], size: float, beside: str) -> str:
+    """Say how many readings are set aside, and which.
+
+    Args:
+        keys: Configuration, step and point of each.
+        size: The largest residual, m.
+        beside: What they do not fit.
+    """
+    named = ", ".join("/".join(map(str, key)) for key in keys[:NAMED])
+    more = f" and {len(keys) - NAMED} more" if len(keys) > NAMED else ""
+    count, unused = (
+        ("1 reading does", "it is not used") if len(keys) == 1 else (f"{len(keys):,} readings do", "they are not used")
+    )
+    return f"{count} not fit {beside} (configuration/step/point {named}{more}), by up to {1e3 * size:.2f} mm; {unused}."
+
+
+def with_own_outliers(anomalies: Sequence[Anomaly], own: Sequence[Anomaly]) -> tuple[Anomaly, ...]:
+    """Return the anomalies of a search, outliers as the identification itself sets them aside, where it does."""
+    outliers = [one for one in own if one.kind == OUTLIERS]
+    if not outliers or all(one.kind != OUTLIERS for one in anomalies):
+        return tuple(anomalies)
+    first = next(k for k, one in enumerate(anomalies) if one.kind == OUTLIERS)
+    others = [one for one in anomalies[first:] if one.kind != OUTLIERS]
+    return (*anomalies[:first], *outliers, *others)
 
 
 def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: Readings) -> tuple[Anomaly, ...]:
@@ -35,8 +64,9 @@ def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: R
             "configuration": largest.configuration,
             "step": largest.step,
         }
-        text = f"{len(exclusions)} readings excluded, each named"
-        found.append(Anomaly("outlier_readings", where, (min(numbers), max(numbers)), largest.size, "m", text))
+        keys = [(one.configuration, one.step, one.point) for one in exclusions]
+        text = outlier_text(keys, largest.size, "the others")
+        found.append(Anomaly(OUTLIERS, where, (min(numbers), max(numbers)), largest.size, "m", text))
     unsettled = [note for note in readings.notes if note.kind == "unsettled"]
     found += [Anomaly("unsettled", {"place": n.place}, None, float(n.count), "1", n.text) for n in unsettled]
     return tuple(found)

@@ -61,6 +61,7 @@ def diagnosis_document(
     """
     day = day or dt.datetime.now(dt.UTC).date()
     null = found.identification
+    by = " by the fit of the joint stiffness alone" if null.kind == "loaded" else ""
     sections = []
     if null.together is not None:
         sections.append(Section("Recordings evaluated together", "", together_blocks(null.together, null.stiffness)))
@@ -79,7 +80,7 @@ def diagnosis_document(
         Section("What to measure next", "", next_blocks(found, cell.prismatic)),
         Section("Joint stiffness in the extended model", "", stiffness_blocks(found)),
         *([Section("What this kind of recording cannot show", "", (Items(found.aliases),))] if found.aliases else []),
-        Section("Readings not used", "", exclusion_section(null)),
+        Section("Readings not used", "", exclusion_section(null, by)),
         Section("Input and software", "", traceability_section(cell, null.readings.provenance, further_files(found))),
     ]
     document = Document(

@@ -59,7 +59,10 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
 
 
 def judgement(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return verdict, findings, anomalies and what stays unexplained: the same in every result that looked for them."""
+    """Return verdict, findings, anomalies and what stays unexplained: the same in every result that looked for them.
+
+    Outliers alone are those of the fit that the result is about: `identify` names the readings that it did not use.
+    """
     rest = diagnosis.rest
     return {
         "verdict": diagnosis.verdict,

@@ -14,11 +14,16 @@ from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
 from calibration_core.timeseries import Provenance
 
 
-def exclusion_section(result: Identification) -> tuple[Block, ...]:
-    """Return every reading that was not used, why, and how to use it after all."""
+def exclusion_section(result: Identification, by: str = "") -> tuple[Block, ...]:
+    """Return every reading that was not used, why, and how to use it after all.
+
+    Args:
+        result: What was identified.
+        by: Which fit did not use it, for a report of more than one: ` by the fit of ...`.
+    """
     exclusions = result.exclusions
     if not exclusions:
-        return (Paragraph("Every reading was used."),)
+        return (Paragraph(f"Every reading was used{by}."),)
     largest = max((item.size for item in exclusions if math.isfinite(item.size)), default=0.0)
     unit = length_unit(largest)
     shown = exclusions if len(exclusions) <= MOST_ROWS else exclusions[:SHOWN_ROWS]
@@ -48,7 +53,7 @@ def exclusion_section(result: Identification) -> tuple[Block, ...]:
     )
     return (
         Paragraph(
-            f"{counted(len(exclusions), 'reading was', 'readings were')} not used. Nothing was deleted: each "
+            f"{counted(len(exclusions), 'reading was', 'readings were')} not used{by}. Nothing was deleted: each "
             "stays in the recording and, "
             "marked, in residuals.csv. " + (READMIT if result.kind == "loaded" else "") + USE_ALL
         ),
