@@ -38,11 +38,11 @@ CHAIN = (
 FAMILIES = {
     "identification": (
         "statistics", "circle_point", "wrist", "result", "checks", "geometry", "stiffness", "absolute", "standard",
-        "identify", "progress",
+        "several", "identify", "progress",
     ),
     "diagnosis": (
         "location", "comparison", "result", "data_checks", "evidence", "empirical", "findings", "proposals", "tested",
-        "model_estimate", "bias", "loaded", "positions", "simulated", "diagnose",
+        "model_estimate", "bias", "loaded", "positions", "simulated", "diagnose", "parts",
     ),
 }  # fmt: skip
 FOR_ALL = {"errors", "files", "cell", "loading"}

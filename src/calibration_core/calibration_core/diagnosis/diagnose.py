@@ -16,12 +16,13 @@ from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.geometry.named_estimate import with_known_effects
-from calibration_core.identification.identify import holds_single_steps, is_loaded, with_given
+from calibration_core.identification.identify import with_given
 from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import without_effects
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.given import GivenModel
+from calibration_core.observations.kinds import holds_single_steps, is_loaded
 from calibration_core.timeseries import Readings
 
 NO_PHYSICS = Rest(

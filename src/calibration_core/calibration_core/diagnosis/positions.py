@@ -37,25 +37,22 @@ from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.absolute.evaluate import Evaluated, evaluate_absolute, identification_of
 from calibration_core.identification.checks.noise_audit import rigid_triangle
 from calibration_core.identification.geometry.problem import absolute_problem
-from calibration_core.identification.identify import is_loaded
+from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Anomaly, Identification, TestResult
 from calibration_core.identification.statistics.sizes import rms, rms_length
 from calibration_core.identification.stiffness.loaded import (
     MIN_CONFIGURATIONS,
     Options,
-    identify_prepared,
-    loaded_configurations,
     prepare_loaded,
 )
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.observations.covariance import coordinate_std, position_covariance
-from calibration_core.timeseries import Bool1D, Readings
+from calibration_core.observations.kinds import is_loaded, loaded_configurations, standing
+from calibration_core.timeseries import Readings
 
 DWARFS = 10.0  # times what remains unexplained, that a geometry error beside it must move the points
-SLACK = 0.02  # of the largest force: less is none
-FEWEST = 12  # unloaded postures from which on they alone fix frames and geometry
 REPORTED = {"time": 10, "posture": 20}  # blocks left out in the figures that are reported
 
 
@@ -253,16 +250,15 @@ def diagnose_mixed(
     """
     start = nominal_parameters(cell) if options.start is None else options.start
     still = standing(readings)
+    loaded_test = test if test is not None and is_loaded(test) else None
+    identification = fit_freed(readings, cell, options, loaded_test)
     if len(loaded_configurations(readings)) < MIN_CONFIGURATIONS:  # too few for a stiffness by themselves
         evaluated = evaluate_absolute(readings.select(still), cell, believed=start)
-        identification = identification_of(evaluated, readings.select(still), cell)
         used = np.ones(len(readings), dtype=bool)
         used[still] = evaluated.used
         found = estimate(readings, cell, evaluated, used)
         return diagnosis_of(found, evaluated, identification, cell, test=test, offers=offers)
     prepared = prepare_loaded(readings, cell, options)
-    loaded_test = test if test is not None and is_loaded(test) else None
-    identification = identify_prepared(prepared, cell, options, loaded_test)
     checked = check_each(prepared, lambda problem: loaded_state(problem, cell, prepared.fit.compliance))
     evaluated = evaluate_absolute(
         readings.select(still), cell, believed=start.replace(compliance=prepared.fit.compliance)
@@ -270,8 +266,9 @@ def diagnose_mixed(
     used = checked.sound & prepared.rejection.used
     used[still] &= evaluated.used  # gross errors that only the geometry shows
     found = estimate(readings, cell, evaluated, used)
+    claimed = coordinate_std(prepared.problem.noise[prepared.rejection.used])
     unsettled = (a for a in identification.anomalies if a.kind == "unsettled")
-    anomalies = (*checked.anomalies, *_of_readings(found, checked, identification.noise.claimed), *unsettled)
+    anomalies = (*checked.anomalies, *_of_readings(found, checked, claimed), *unsettled)
     silent = dataclasses.replace(identification, anomalies=())
     result = diagnosis_of(found, evaluated, silent, cell, test=test, offers=offers, anomalies=anomalies)
     return dataclasses.replace(result, aliases=ALIASES)
@@ -289,27 +286,3 @@ def _of_readings(found: Estimate, checked: Checked, claimed: float) -> tuple[Ano
         own = triangle.seen / claimed
         noise = noise_understated(Scatter((own, own, own), 0.0, 0.0, triangle.degrees_of_freedom), claimed)
     return (*noise, *outlier_readings(aside, size, readings))
-
-
-def standing(readings: Readings) -> Bool1D:
-    """Return the rows of first steps at which next to nothing pulls, (m,); where these are few, of all first steps.
-
-    Of several recordings, each is judged by itself: each has frames of its own that they have to fix.
-    """
-    found = np.zeros(len(readings), dtype=bool)
-    for rows in readings.each():
-        found[rows] = _standing(readings.select(rows))
-    return found
-
-
-def _standing(readings: Readings) -> Bool1D:
-    first = np.zeros(len(readings), dtype=bool)
-    for number in np.unique(readings.configuration):
-        inside = readings.configuration == number
-        first |= inside & (readings.step == readings.step[inside].min())
-    if readings.wrench is None:
-        return first
-    force = np.linalg.norm(readings.wrench[:, :3], axis=1)
-    unloaded = first & (force < SLACK * force.max())
-    enough = len(np.unique(readings.configuration[unloaded])) >= FEWEST
-    return unloaded if enough else first

@@ -26,7 +26,6 @@ from calibration_core.identification.absolute.evaluate import Evaluated
 from calibration_core.identification.absolute.prediction_error import compare
 from calibration_core.identification.geometry.problem import absolute_problem
 from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm
-from calibration_core.identification.stiffness.loaded import loaded_configurations
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.priors import typical
@@ -34,6 +33,7 @@ from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.kinds import loaded_configurations
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
 
 ROUNDS = 3  # searches about what was found, at most

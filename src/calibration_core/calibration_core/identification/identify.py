@@ -4,32 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
 from calibration_core.cell import Cell
 from calibration_core.identification.absolute.evaluate import identify_absolute
 from calibration_core.identification.geometry.named_estimate import with_known_effects
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.standard.decoupled import with_decoupled
+from calibration_core.identification.several.mixed import identify_mixed
+from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.standard.phases import holds_phases, identify_phases
 from calibration_core.identification.standard.standard_geometry import standard_geometry
 from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import without_effects
-from calibration_core.identification.stiffness.loaded import Options, identify_prepared, prepare_loaded
+from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.identified.given import GivenModel
+from calibration_core.observations.kinds import holds_both, is_loaded
 from calibration_core.timeseries import Note, Readings
-
-
-def is_loaded(readings: Readings) -> bool:
-    """Say whether a recording carries loaded-minus-unloaded information (contract, section 4)."""
-    keys = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
-    return readings.wrench is not None and len(keys) > len(np.unique(readings.configuration))
-
-
-def holds_single_steps(readings: Readings) -> bool:
-    """Say whether any configuration has one step alone."""
-    pairs = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
-    return bool(np.any(np.unique(pairs[:, 0], return_counts=True)[1] == 1))
 
 
 def identify(
@@ -77,9 +65,10 @@ def fit_freed(readings: Readings, cell: Cell, options: Options, test: Readings |
     """Identify from readings of which everything known was taken off; arguments as for `identify`."""
     if readings.recording is None and is_loaded(readings) and holds_phases(readings):
         return identify_phases(readings, cell, options, test)
+    if holds_both(readings, cell):
+        return identify_mixed(readings, cell, options, test)
     if is_loaded(readings):
-        prepared = prepare_loaded(readings, cell, options)
-        return with_decoupled(identify_prepared(prepared, cell, options, test), prepared)
+        return identify_loaded(readings, cell, options, test)
     readings = readings.with_notes(*_without_effect(options))
     found = identify_absolute(
         readings, cell, robust=options.robust, test=test, readmit=options.readmit, believed=options.start

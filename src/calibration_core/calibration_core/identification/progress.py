@@ -13,7 +13,6 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.result.stiffness_interval import TWO_SIDED
 from calibration_core.identification.statistics.distributions import chi2_limit
 from calibration_core.identification.statistics.offsets import normal_equations
@@ -22,6 +21,7 @@ from calibration_core.identification.stiffness.loaded import Options, identify_p
 from calibration_core.identification.stiffness.problem import LoadedProblem, build_problem
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulation.simulate import Loading, simulate_plan
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings
 
 FALSE_ALARM = 1e-3  # probability that a sound configuration is called suspicious

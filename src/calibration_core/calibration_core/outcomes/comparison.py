@@ -16,13 +16,14 @@ from calibration_core.acceptance.joint_laws import joint_laws, reference_torques
 from calibration_core.cell import Cell
 from calibration_core.errors import InputError, ModelFileError, RecordingError, quoted
 from calibration_core.files.regular import read_regular
-from calibration_core.identification.identify import identify, is_loaded
+from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.model_file import read_calibrated
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import digest_of, look
 from calibration_core.report.rounding import significant

@@ -10,7 +10,6 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.checks.space import operating_space
-from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.result.estimate import OperatingSpace, Residuals
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings, references
 from calibration_core.input_checks.anomaly import InputAnomaly
@@ -20,6 +19,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.outcomes.inputs import naming_model, refuse_lengths
 from calibration_core.outcomes.prediction_check import PredictionCheck, check_prediction
 from calibration_core.timeseries import Float2D, Readings

@@ -11,6 +11,7 @@ from robots import STIFFNESS, cell_dict
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.files.yaml_file import yaml_text
+from calibration_core.identification.several.members import members_of
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.predict import shift_by_effects
 from calibration_core.identification.stiffness.problem import load_of
@@ -18,7 +19,6 @@ from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.outcomes.together.members import members_of
 from calibration_core.outcomes.together.prepare import Prepared, prepare
 from calibration_core.timeseries import Provenance, Readings
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from robots import loaded_readings, write_cell
 
-from calibration_core.identification.identify import identify, is_loaded
+from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.observations.kinds import is_loaded
 
 
 def test_steps_and_a_wrench_make_a_loaded_recording(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from calibration_core.cell import Cell
 from calibration_core.errors import InputError
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.several.members import members_of
 from calibration_core.outcomes.together.evaluate import identify_together
-from calibration_core.outcomes.together.members import members_of
 from calibration_core.timeseries import Readings
 
 TRUE = np.array(STIFFNESS)

@@ -11,6 +11,7 @@ from typing import Any
 
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.errors import InputError, quoted
+from calibration_core.identification.several.members import cells_of
 from calibration_core.outcomes.comparison import (
     Compared,
     compared_sources,
@@ -20,7 +21,6 @@ from calibration_core.outcomes.comparison import (
     refuse_other_robots,
     source_of,
 )
-from calibration_core.outcomes.together.members import cells_of
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import result_json
 from calibration_core.report.writing.output import RESULT, Content, write_files

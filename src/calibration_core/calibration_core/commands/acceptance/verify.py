@@ -18,12 +18,12 @@ from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.errors import InputError, RecordingError
 from calibration_core.files.regular import read_regular
 from calibration_core.identification.checks.space import operating_space
-from calibration_core.identification.identify import is_loaded
 from calibration_core.model.identified.given import read_given
 from calibration_core.model.identified.model_file import read_calibrated
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import Inputs, blocked, digest_of, look, naming_model
 from calibration_core.outcomes.verification import error_sizes, places, remarks

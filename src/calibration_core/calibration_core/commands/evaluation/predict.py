@@ -12,8 +12,8 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.commands.shared.inputs import Refusal
-from calibration_core.identification.identify import is_loaded
 from calibration_core.model.identified.given import GivenModel, read_given
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import blocked, look, refuse_lengths, with_unit_note
 from calibration_core.outcomes.prediction import Prediction, predict

@@ -9,7 +9,6 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.result import Reproduction
 from calibration_core.errors import EquilibriumError
-from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.statistics.offsets import normal_equations, without_offsets
 from calibration_core.identification.stiffness.fit import fit_compliance
 from calibration_core.identification.stiffness.predict import predict_readings
@@ -18,6 +17,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.timeseries import Float1D, Readings
 
 NOISE = 1.1  # times the claimed noise, that a model may leave and still be called the same

@@ -31,10 +31,10 @@ from calibration_core.fleet.recordings.inputs import (
 )
 from calibration_core.fleet.recordings.manifest import Entry
 from calibration_core.fleet.recordings.rows import MEASURED, SCHEMA, Row, failed
-from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.report.results.result import result_json
 

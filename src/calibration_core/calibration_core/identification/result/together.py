@@ -24,7 +24,7 @@ class Contribution:
         excluded: Number of those that were not used.
         points: Its measurement points, as in its own file.
         noise: Standard deviation of one coordinate that its instrument claims, m.
-        scale: Factor on it that its own audit of the noise asks for (>= 1).
+        scale: Factor on it with which it stands beside the others (>= 1): where its own audit shows more noise.
         rms: Root mean square per coordinate of what the common model leaves of it, m.
         tracker: (6,) x, y, z (m), roll, pitch, yaw (rad) of its tracker in the base frame; None for displacements.
         stiffness: Joint -> (value, standard deviation) that it shows by itself, N*m/rad (N/m where the joint slides).

@@ -12,23 +12,45 @@ import dataclasses
 
 import numpy as np
 
+from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.result.phase import Decoupled
 from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
 from calibration_core.identification.statistics.offsets import Rows
-from calibration_core.identification.stiffness.loaded import PreparedLoaded
+from calibration_core.identification.stiffness.loaded import (
+    Options,
+    PreparedLoaded,
+    identify_prepared,
+    prepare_loaded,
+)
 from calibration_core.identification.stiffness.poses import as_poses
 from calibration_core.identification.wrist.centre import WRIST
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import Posture, cross, posture
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
 MEETS = 5e-3  # m: how far the wrist axes may pass by the wrist centre; their share in its displacement is subtracted
 PARALLEL = 1e-3  # sine of the angle between the last two axes
 SINGULAR = 1e-8  # inverse condition number of the scaled normal matrix
 ITERATIONS = 3  # the equilibrium is nearly linear in the compliances
 DISTINGUISHED = 1e-4  # variance of a difference, in units of the joint estimate's, below which it is rounding
+
+
+def identify_loaded(readings: Readings, cell: Cell, options: Options, test: Readings | None = None) -> Identification:
+    """Identify from the differences between loaded and unloaded steps alone, with arm and wrist apart beside it.
+
+    Args:
+        readings: The recording; a posture at rest says nothing here.
+        cell: The cell file.
+        options: How to evaluate.
+        test: A second recording, predicted but not fitted.
+
+    Raises:
+        InputError: As `prepare_loaded`.
+    """
+    prepared = prepare_loaded(readings, cell, options)
+    return with_decoupled(identify_prepared(prepared, cell, options, test), prepared)
 
 
 def with_decoupled(

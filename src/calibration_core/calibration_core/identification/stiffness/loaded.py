@@ -37,6 +37,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.observations.kinds import loaded_configurations
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D, Readings
 
 MIN_CONFIGURATIONS = 2  # one posture cannot tell joints from frames
@@ -217,12 +218,6 @@ def predict_loaded(
     after, nominal = (relative(problem, problem.linearise(c), cell) for c in (parameters.compliance, before))
     shown = counted(problem.readings, cell)
     return TestResult.of(readings, after[shown], nominal[shown])
-
-
-def loaded_configurations(readings: Readings) -> list[int]:
-    """Return the numbers of the configurations with several steps."""
-    numbers = np.unique(readings.configuration)
-    return [int(c) for c in numbers if len(np.unique(readings.step[readings.configuration == c])) > 1]
 
 
 def require_load(readings: Readings) -> None:

@@ -11,12 +11,12 @@ from calibration_core.diagnosis.findings.registration import registration_findin
 from calibration_core.diagnosis.loaded import FRAMES_SPOILED
 from calibration_core.diagnosis.proposals.candidates import Offer, Offers
 from calibration_core.diagnosis.result.finding import Alternative, Diagnosis, Finding, Location, Verdict, by_size
-from calibration_core.identification.identify import holds_single_steps, is_loaded
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.observations.kinds import holds_both, is_loaded
 from calibration_core.outcomes.together.agreement import as_anomalies
 from calibration_core.outcomes.together.evaluate import (
     answered,
@@ -90,13 +90,16 @@ def _beside_all(offers: Offers, prepared: Prepared) -> Offers:
 def _registered(prepared: Prepared, anomalies: Sequence[Anomaly]) -> list[Finding]:
     """Return trackers and points that stand elsewhere than their own cell file says, as each loaded recording shows it.
 
-    Where a target or the tracker has moved, the recording does not show where they stood.
+    Where a target or the tracker has moved, the recording does not show where they stood; nor does it beside postures
+    at rest, which show errors of the geometry that would be taken for those of the frames.
     """
+    if holds_both(prepared.merged.readings, prepared.merged.cell):
+        return []
     spoiled = {one.location.get(RECORDING) for one in anomalies if one.kind in FRAMES_SPOILED}
     found = []
     for member, start in zip(prepared.members, prepared.starts, strict=True):
         readings, cell = member.readings, member.cell
-        if member.file in spoiled or not is_loaded(readings) or holds_single_steps(readings):
+        if member.file in spoiled or not is_loaded(readings):
             continue
         alone = prepare_loaded(readings, cell, Options(robust=prepared.options.robust, start=start))
         state = loaded_state(alone.problem, cell, alone.fit.compliance)

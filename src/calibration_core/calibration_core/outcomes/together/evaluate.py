@@ -11,6 +11,9 @@ import numpy as np
 from calibration_core.identification.identify import fit_freed, with_given
 from calibration_core.identification.result.estimate import Anomaly, Identification, ParameterEstimate, Precondition
 from calibration_core.identification.result.together import Contribution, Together
+from calibration_core.identification.several.first import SET_UP, estimate_of_set_up, of_set_up
+from calibration_core.identification.several.members import Member, numbered
+from calibration_core.identification.several.merge import noise_factor
 from calibration_core.identification.stiffness.known_effects import without_effects
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.chain import xyz_rpy
@@ -21,14 +24,10 @@ from calibration_core.model.identified.valid_range import range_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.outcomes.together.agreement import agreement, as_anomalies
-from calibration_core.outcomes.together.members import Member, numbered
-from calibration_core.outcomes.together.mixture import identify_mixture, of_several_kinds, residual_of
 from calibration_core.outcomes.together.prepare import Prepared
 from calibration_core.timeseries import Bool1D, Float2D
 
-POINTS, TRACKER = "measurement_points.", "tracker."
 FOUND = "what was found"
-SET_UP = ("tracker", "point")
 
 
 def identify_together(prepared: Prepared) -> Identification:
@@ -37,14 +36,11 @@ def identify_together(prepared: Prepared) -> Identification:
     Raises:
         InputError: They cannot be evaluated together.
     """
-    merged, at_rest = prepared.merged, None
-    if of_several_kinds(prepared):
-        found, at_rest = identify_mixture(prepared)
-    else:
-        found = fit_freed(merged.readings, merged.cell, prepared.options, prepared.test)
+    merged = prepared.merged
+    found = fit_freed(merged.readings, merged.cell, prepared.options, prepared.test)
     if prepared.given is not None:
         found = with_given(found, prepared.given)
-    return answered(found, prepared, *residual_of(found, prepared, at_rest))
+    return answered(found, prepared, found.residuals.residual, found.residuals.excluded)
 
 
 def answered(
@@ -84,28 +80,12 @@ def answered(
 
 def of_first(model: ModelParameters, prepared: Prepared) -> ModelParameters:
     """Return a model of all recordings with tracker pose and points of the first one, as its cell file names them."""
-    member, tracker = prepared.members[prepared.first], prepared.alone[prepared.first].model.tracker
-    if model.setups is not None:
-        tracker = model.tracker @ model.setups[prepared.first] @ tracker
-    points = {name: np.array(point) for name, point in member.cell.frames.measurement_points.items()}
-    points |= {name: model.points[member.point(name)] for name in member.readings.points}
-    return model.replace(tracker=tracker, points=points, setups=None)
+    return of_set_up(model, prepared.members[prepared.first], prepared.alone[prepared.first])
 
 
 def estimate_of_first(estimate: GaussianEstimate, prepared: Prepared) -> GaussianEstimate:
-    """Return what is known of the numbers of `of_first`: what is shared, and the first recording's points and tracker.
-
-    The tracker pose, and points that displacements do not show, are known as the first recording shows them by itself.
-    """
-    member = prepared.members[prepared.first]
-    mark = f"@{member.number}."
-    others = (POINTS, TRACKER)
-    kept = [k for k, name in enumerate(estimate.names) if mark in name or not name.startswith(others)]
-    shared = estimate.chosen(kept)
-    shared = shared.renamed([name.replace(mark, ".") for name in shared.names])
-    alone = prepared.alone[prepared.first].estimate
-    own = [k for k, name in enumerate(alone.names) if name.startswith(others) and name not in shared.names]
-    return GaussianEstimate.independent((shared, alone.chosen(own)))
+    """Return what is known of the numbers of `of_first`."""
+    return estimate_of_set_up(estimate, prepared.members[prepared.first], prepared.alone[prepared.first])
 
 
 def covered(prepared: Prepared, model: ModelParameters) -> ValidRange:
@@ -194,7 +174,7 @@ def _contribution(
         excluded=int(excluded.sum()),
         points=readings.points,
         noise=alone.noise.claimed,
-        scale=alone.noise.scale,
+        scale=noise_factor(alone),
         rms=float(np.sqrt(np.mean(left**2))) if len(left) else 0.0,
         tracker=None if displacement else _pose(found, prepared, k),
         stiffness={one.joint: (one.value, one.std) for one in alone.stiffness if one.identifiable},
@@ -210,9 +190,12 @@ def _pose(found: Identification, prepared: Prepared, k: int) -> tuple[float, ...
 
 
 def _preconditions(found: Identification, prepared: Prepared) -> tuple[Precondition, ...]:
-    """Return the standard's demands on every recording by itself; on the number of configurations, of all together."""
+    """Return the standard's demands on every recording by itself; on the number of configurations, of all together.
+
+    Beside loaded recordings those at rest are for frames and geometry, and nothing is demanded of them.
+    """
     merged: dict[tuple[str, str], list[tuple[Member, Precondition]]] = {}
-    for k in prepared.named:
+    for k in (k for k in prepared.named if prepared.alone[k].kind == found.kind):
         for one in prepared.alone[k].preconditions:
             merged.setdefault((one.clause, one.requirement), []).append((prepared.members[k], one))
     whole = {(one.clause, one.requirement): one for one in found.preconditions}

@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from calibration_core.identification.identify import fit_freed, is_loaded
+from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.several.members import Member
+from calibration_core.identification.several.merge import Merged, merge, placed, start_of, wrench_reference
 from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import without_effects
 from calibration_core.identification.stiffness.loaded import Options
@@ -14,8 +16,7 @@ from calibration_core.identification.stiffness.outlier_rejection import Key
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.outcomes.together.members import Member
-from calibration_core.outcomes.together.merge import Merged, merge, placed, start_of, wrench_reference
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.timeseries import Readings
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.cell.identity import robot_sha256
 from calibration_core.errors import InputError, RecordingError, quoted
-from calibration_core.identification.identify import holds_single_steps
+from calibration_core.observations.kinds import holds_single_steps, is_loaded
 from calibration_core.timeseries import Readings
 
 
@@ -23,8 +23,8 @@ class Member:
     Attributes:
         readings: What was measured, numbered and named as in its own files.
         cell: The cell that it was measured in.
-        number: From 1, in the order of time; where no dates are known, of the digests: it does not depend on the order
-            in which the recordings were named.
+        number: From 1, loaded recordings before those at rest, each kind in the order of time; where no dates are
+            known, of the digests: it does not depend on the order in which the recordings were named.
         first_number: What is added to its configurations' numbers, so that no two recordings share one.
     """
 
@@ -84,9 +84,9 @@ def cells_of(paths: Sequence[Path], count: int, command: str) -> tuple[Cell, ...
     return cells if len(cells) == count else cells * count
 
 
-def _key(readings: Readings) -> tuple[str, list[str], str]:
+def _key(readings: Readings) -> tuple[bool, str, list[str], str]:
     provenance = readings.provenance
-    return provenance.start, sorted(provenance.sha256.values()), provenance.path
+    return not is_loaded(readings), provenance.start, sorted(provenance.sha256.values()), provenance.path
 
 
 def _same_robot(cells: Sequence[Cell]) -> None:

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell, Pose
+from calibration_core.errors import RecordingError, quoted
 from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.several.members import Member, displacements
 from calibration_core.identification.stiffness.predict import from_step_zero
 from calibration_core.model.chain import xyz_rpy
 from calibration_core.model.kinematics import posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
-from calibration_core.outcomes.together.members import Member, displacements
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Provenance, Readings
 
 
@@ -82,7 +83,8 @@ def placed(
             they do where one of the recordings holds displacements alone.
     """
     readings, cell, model = member.readings, member.cell, found.model
-    rotation, scale = model.tracker[:3, :3], found.noise.scale
+    _require_points(member, names)
+    rotation, scale = model.tracker[:3, :3], noise_factor(found)
     position = readings.position @ rotation.T
     position = from_step_zero(readings, position) if differences else position + model.tracker[:3, 3]
     m = len(readings)
@@ -110,6 +112,22 @@ def placed(
         wrench_change=change,
         notes=tuple(dataclasses.replace(note, place=f"{path}: {note.place}") for note in readings.notes),
     )
+
+
+def noise_factor(found: Identification) -> float:
+    """Return the factor on a recording's claimed noise with which it stands beside the others, at least 1.
+
+    What positions at rest leave of the geometry that they show by themselves is no noise: the others show more of it.
+    """
+    return found.noise.scale if found.kind == "loaded" or found.noise.understated else 1.0
+
+
+def _require_points(member: Member, names: tuple[str, ...]) -> None:
+    """Refuse a further recording of a set-up with a point that the set-up does not have."""
+    for name in member.readings.points:
+        if member.point(name) not in names:
+            known = [one.removesuffix(member.point("")) for one in names if one.endswith(member.point(""))]
+            raise RecordingError(member.file, "point", quoted(name), f"a point of its set-up: {', '.join(known)}")
 
 
 def _wrench_change(member: Member, model: ModelParameters, to_member: Member, to: Identification) -> Float3D:

@@ -1,0 +1,1 @@
+"""Recordings, or parts of one, with a set-up each: put together, and identified on what they share."""

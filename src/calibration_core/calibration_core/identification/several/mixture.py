@@ -1,0 +1,117 @@
+"""Loaded configurations beside postures at rest: the geometry from positions at rest, the stiffness from the loads."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.identification.absolute.evaluate import Evaluated, evaluate_absolute, identification_of
+from calibration_core.identification.result.estimate import Fit, Identification, Residuals
+from calibration_core.identification.standard.decoupled import identify_loaded
+from calibration_core.identification.statistics.sizes import rms
+from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.observations.kinds import at_rest, standing
+from calibration_core.timeseries import Bool1D, Float2D, Readings
+
+GEOMETRY = "geometry."
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Standing:
+    """What the positions at rest show.
+
+    Attributes:
+        rows: (m,) which readings of the recording they are.
+        case: Frames and geometry.
+        found: The same in values and figures.
+    """
+
+    rows: Bool1D
+    case: Evaluated
+    found: Identification
+
+
+def identify_mixture(readings: Readings, cell: Cell, options: Options, test: Readings | None = None) -> Identification:
+    """Identify stiffness from the loaded steps, on the geometry that the positions at rest show.
+
+    Args:
+        readings: Of one set-up, or of several that were merged.
+        cell: The cell file.
+        options: How to evaluate.
+        test: A second recording, predicted but not fitted.
+
+    Raises:
+        InputError: As `prepare_loaded` and `evaluate_absolute`.
+    """
+    start = nominal_parameters(cell) if options.start is None else options.start
+    loaded = identify_loaded(readings, cell, options)
+    if readings.recording is None:  # frames of merged set-ups were known before; a single one shows its own
+        start = loaded.model.replace(geometry=start.geometry, compliance=start.compliance)
+    rows = standing(readings)
+    some = readings.select(rows)
+    believed = start.replace(compliance=loaded.model.compliance)
+    case = evaluate_absolute(some, cell, robust=options.robust, readmit=options.readmit, believed=believed)
+    still = Standing(rows, case, identification_of(case, some, cell))
+    started = dataclasses.replace(options, start=start.replace(geometry=still.found.model.geometry))
+    return _with_geometry(identify_loaded(readings, cell, started, test), still)
+
+
+def _with_geometry(found: Identification, still: Standing) -> Identification:
+    """Return the answer of the loaded steps with geometry, residuals and exclusions of the positions at rest."""
+    known = still.found.estimate
+    rows = [k for k, name in enumerate(known.names) if name.startswith(GEOMETRY)]
+    seen = {(one.configuration, one.step, one.point) for one in found.exclusions}
+    exclusions = [one for one in still.found.exclusions if (one.configuration, one.step, one.point) not in seen]
+    kinds = {one.kind for one in found.anomalies}
+    residuals, fit = _figures(found, still)
+    return dataclasses.replace(
+        found,
+        method=f"{found.method}; geometry from all postures at rest ({still.found.method})",
+        parameters=(*found.parameters, *(one for one in still.found.parameters if one.group == "geometry")),
+        unidentified=(*found.unidentified, *still.found.unidentified),
+        exclusions=(*found.exclusions, *exclusions),
+        anomalies=(*found.anomalies, *(one for one in still.found.anomalies if one.kind not in kinds)),
+        residuals=residuals,
+        fit=fit,
+        estimate=GaussianEstimate.independent((found.estimate, known.chosen(rows))),
+    )
+
+
+def _figures(found: Identification, still: Standing) -> tuple[Residuals, Fit]:
+    """Return residuals and figures over all readings: loaded steps say nothing of postures at rest, positions do."""
+    posture = at_rest(found.readings) & still.rows
+    some = posture[still.rows]
+    loaded, own, figures = found.residuals, still.found.residuals, found.fit
+    residual, held_out = loaded.residual.copy(), loaded.held_out.copy()
+    sigma, excluded = loaded.sigma.copy(), loaded.excluded.copy()
+    residual[posture], held_out[posture], sigma[posture] = own.residual[some], own.held_out[some], own.sigma[some]
+    excluded[posture] = own.excluded[some]
+    before = still.case.staged.frames
+    lengths = np.linalg.norm(held_out, axis=1)
+    together = dataclasses.replace(
+        loaded,
+        measured=loaded.predicted + residual,
+        residual=residual,
+        held_out=held_out,
+        sigma=sigma,
+        excluded=excluded,
+    )
+    return together, dataclasses.replace(
+        figures,
+        rms_before=_beside(figures.rms_before, before.residual.T[some], len(residual)),
+        rms_after=rms(residual),
+        held_out_rms_before=_beside(figures.held_out_rms_before, before.held_out.T[some], len(residual)),
+        held_out_rms_after=rms(held_out),
+        held_out_mean_after=float(lengths.mean()),
+        held_out_max_after=float(lengths.max()),
+        rms_used=rms(residual[~excluded]),
+    )
+
+
+def _beside(figure: float, further: Float2D, count: int) -> float:
+    """Return the root mean square of `count` readings, m, in which further ones, (k, 3) m, counted as zero."""
+    return float(np.sqrt(figure**2 + np.sum(further**2) / (3 * count)))

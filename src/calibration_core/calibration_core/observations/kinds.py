@@ -1,0 +1,72 @@
+"""Which kinds of configurations a recording holds: loaded and unloaded steps, or a posture at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration_core.cell import Cell
+from calibration_core.timeseries import Bool1D, Readings
+
+SLACK = 0.02  # of the largest force: less is none
+FEWEST = 12  # unloaded postures from which on they alone fix frames and geometry
+
+
+def is_loaded(readings: Readings) -> bool:
+    """Say whether a recording carries loaded-minus-unloaded information (contract, section 4)."""
+    keys = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
+    return readings.wrench is not None and len(keys) > len(np.unique(readings.configuration))
+
+
+def single_steps(readings: Readings) -> Bool1D:
+    """Say which readings are of a configuration with one step alone, (m,)."""
+    pairs = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
+    numbers, steps = np.unique(pairs[:, 0], return_counts=True)
+    return np.isin(readings.configuration, numbers[steps == 1])
+
+
+def at_rest(readings: Readings) -> Bool1D:
+    """Say which readings are of postures at rest, (m,): of one step, or of a recording without load among several."""
+    found = single_steps(readings)
+    if readings.recording is not None and readings.wrench is not None:
+        for rows in readings.each():
+            found[rows] |= not np.any(readings.wrench[rows])
+    return found
+
+
+def holds_single_steps(readings: Readings) -> bool:
+    """Say whether any configuration has one step alone."""
+    return bool(np.any(single_steps(readings)))
+
+
+def holds_both(readings: Readings, cell: Cell) -> bool:
+    """Say whether a recording holds loaded configurations and, beside them, positions of postures at rest."""
+    return cell.measurements.points == "absolute" and is_loaded(readings) and bool(np.any(at_rest(readings)))
+
+
+def loaded_configurations(readings: Readings) -> list[int]:
+    """Return the numbers of the configurations with several steps."""
+    return [int(number) for number in np.unique(readings.configuration[~single_steps(readings)])]
+
+
+def standing(readings: Readings) -> Bool1D:
+    """Return the rows of first steps at which next to nothing pulls, (m,); where these are few, of all first steps.
+
+    Of several recordings, each is judged by itself: each has frames of its own that they have to fix.
+    """
+    found = np.zeros(len(readings), dtype=bool)
+    for rows in readings.each():
+        found[rows] = _standing(readings.select(rows))
+    return found
+
+
+def _standing(readings: Readings) -> Bool1D:
+    first = np.zeros(len(readings), dtype=bool)
+    for number in np.unique(readings.configuration):
+        inside = readings.configuration == number
+        first |= inside & (readings.step == readings.step[inside].min())
+    if readings.wrench is None:
+        return first
+    force = np.linalg.norm(readings.wrench[:, :3], axis=1)
+    unloaded = first & (force < SLACK * force.max())
+    enough = len(np.unique(readings.configuration[unloaded])) >= FEWEST
+    return unloaded if enough else first

@@ -1,0 +1,218 @@
+"""A recording of loaded configurations and postures at rest: the same answer in one file and in two, however few."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robots import STIFFNESS
+from several_cases import measured, setup, truth_in
+
+from calibration_core.cell import Cell
+from calibration_core.commands.evaluation.diagnose import evaluate_all as diagnose_all
+from calibration_core.commands.evaluation.identify import Identified, evaluate_all
+from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.errors import IdentificationError
+from calibration_core.identification.identify import identify
+from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.several.mixed import parts_of
+from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.model.parameters import AppliedEffect
+from calibration_core.observations.kinds import single_steps
+from calibration_core.timeseries import Readings
+
+TRUE = np.array(STIFFNESS)
+GEOMETRY = 4e-4 * np.random.default_rng(3).standard_normal((6, 6))
+SAME = 1e-9
+TILT = AppliedEffect(
+    "off_axis_compliance",
+    {"joint": "joint_2"},
+    "before",
+    {"compliance_x": 6e-8, "compliance_y": 5e-8, "compliance_xy": 1e-8},
+)
+
+
+def cell_in(folder: Path) -> Cell:
+    return setup(folder, 0, sigma=2e-5)
+
+
+def mixed(cell: Cell, loaded: int, rest: int, seed: int = 21, **changes: object) -> Readings:
+    return measured(cell, 0, seed, configurations=loaded, rest=rest, geometry=GEOMETRY, **changes)  # type: ignore[arg-type]
+
+
+def in_two_files(readings: Readings) -> list[Readings]:
+    """Return the loaded configurations and the postures at rest as two recordings."""
+    rest = single_steps(readings)
+
+    def named(rows: np.ndarray, name: str) -> Readings:
+        provenance = dataclasses.replace(readings.provenance, path=name, sha256={name: name})
+        return dataclasses.replace(readings.select(rows), provenance=provenance)
+
+    return [named(~rest, "loaded.csv"), named(rest, "rest.csv")]
+
+
+def answered(recordings: list[Readings], cell: Cell, options: Options | None = None) -> Identified:
+    answer = evaluate_all(recordings, [cell] * len(recordings), options or Options())
+    assert not isinstance(answer, Refusal)
+    return answer
+
+
+def values(found: Identification) -> np.ndarray:
+    return np.array([joint.value for joint in found.stiffness])
+
+
+def deviations(found: Identification) -> np.ndarray:
+    return np.array([joint.std for joint in found.stiffness])
+
+
+def interleaved(readings: Readings) -> Readings:
+    """Return the same configurations in a drawn order, numbered anew."""
+    numbers = np.unique(readings.configuration)
+    order = np.random.default_rng(5).permutation(numbers)
+    rows = np.concatenate([np.flatnonzero(readings.configuration == number) for number in order])
+    some = readings.select(rows)
+    return dataclasses.replace(some, configuration=np.argsort(order)[np.searchsorted(numbers, some.configuration)] + 1)
+
+
+@pytest.mark.parametrize(
+    ("loaded", "rest", "effects", "mix"),
+    [(14, 40, (), True), (14, 12, (), False), (2, 40, (), False), (12, 30, (TILT,), True)],
+)
+def test_one_file_and_two_files_give_the_same_answer(
+    loaded: int, rest: int, effects: tuple[AppliedEffect, ...], mix: bool, tmp_path: Path
+) -> None:
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, loaded, rest, effects=effects)
+    readings = interleaved(readings) if mix else readings
+    one = answered([readings], cell)
+    two = answered(in_two_files(readings), cell)
+    np.testing.assert_allclose(values(one.identification), values(two.identification), rtol=SAME)
+    for key in ("verdict", "usable", "reason"):
+        assert one.content[key] == two.content[key]
+    for first, second in zip(one.content["stiffness"], two.content["stiffness"], strict=True):
+        assert first["std"] == pytest.approx(second["std"], rel=SAME)
+        assert first["interval_95"] == pytest.approx(second["interval_95"], rel=SAME)
+        assert first["identifiable"] == second["identifiable"]
+    geometry = {one["name"]: one for one in one.content["parameters"] if one["group"] == "geometry"}
+    expected = {two["name"]: two for two in two.content["parameters"] if two["group"] == "geometry"}
+    assert geometry.keys() == expected.keys()
+    for name, parameter in geometry.items():
+        assert parameter["value"] == pytest.approx(expected[name]["value"], rel=SAME, abs=1e-15)
+        assert parameter["std"] == (None if expected[name]["std"] is None else pytest.approx(expected[name]["std"]))
+    figures = [{key: value for key, value in answer.content["fit"].items() if key != "unit"} for answer in (one, two)]
+    assert figures[0] == pytest.approx(figures[1], rel=SAME)
+    np.testing.assert_allclose(one.identification.model.tracker, two.identification.model.tracker, rtol=SAME)
+    found, other = ([(f["effect"], f["evidence"]["magnitude"]) for f in x.content["findings"]] for x in (one, two))
+    assert [effect for effect, _ in found] == [effect for effect, _ in other]
+    assert [size for _, size in found] == pytest.approx([size for _, size in other], rel=SAME)
+
+
+def test_the_answer_is_that_of_one_recording(tmp_path: Path) -> None:
+    cell = cell_in(tmp_path)
+    readings = interleaved(mixed(cell, 14, 40))
+    answer = answered([readings], cell)
+    found, content = answer.identification, answer.content
+    assert found.kind == "loaded"
+    assert found.together is None
+    assert np.abs((values(found) - TRUE) / deviations(found)).max() < 3.5
+    assert content["recording"]["configurations"] == 54
+    assert content["recording"]["points"] == ["mp1", "mp2", "mp3"]
+    assert "recordings" not in content
+    assert "@" not in str(content)
+    assert set(found.model.points) == {"mp1", "mp2", "mp3"}
+    assert found.model.setups is None
+    assert {"compliance.joint_2", "geometry.joint_3.rx", "tracker.x", "measurement_points.mp1.x"} <= set(
+        found.estimate.names
+    )
+    rest = single_steps(readings)
+    for rows in (rest, ~rest):  # each reading has a residual of the size of the noise
+        assert np.sqrt(np.mean(found.residuals.residual[rows] ** 2)) == pytest.approx(2e-5, rel=0.2)
+    assert found.fit.rms_after == pytest.approx(2e-5, rel=0.15)
+    assert found.fit.rms_before > 10 * found.fit.rms_after
+    assert set(answer.files(report=True)) >= {"result.json", "model.yaml", "table2.csv", "report.html", "report.pdf"}
+
+
+@pytest.mark.parametrize("rest", [1, 2, 3, 11])
+def test_few_postures_at_rest_share_the_set_up_of_the_loaded_configurations(rest: int, tmp_path: Path) -> None:
+    cell = cell_in(tmp_path)
+    answer = answered([mixed(cell, 14, rest)], cell)
+    found = answer.identification
+    assert np.abs((values(found) - TRUE) / deviations(found)).max() < 3.5
+    assert [one.name for one in found.parameters if one.group == "geometry" and one.fitted]
+    (note,) = [note for note in found.notes if note.kind == "one_set_up"]
+    assert f"need 12 postures at rest, and there are {rest}" in note.text
+    assert answer.content["verdict"] == "consistent"
+
+
+def test_postures_at_rest_that_say_nothing_leave_the_loaded_configurations(tmp_path: Path) -> None:
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, 2, 1)
+    readings = readings.select(readings.point == 0)
+    found = identify(readings, cell)
+    (note,) = [note for note in found.notes if note.kind == "loaded_alone"]
+    assert "the postures at rest are not used: A.csv: found 9 coordinates" in note.text
+    assert np.all(np.isfinite(values(found)))
+
+
+def test_one_loaded_configuration_leaves_the_postures_at_rest(tmp_path: Path) -> None:
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, 1, 40)
+    answer = answered([readings], cell)
+    found = answer.identification
+    assert found.kind == "absolute"
+    assert "few_loaded" in {note.kind for note in found.notes}
+    soft = {joint.joint: joint for joint in found.stiffness if joint.identifiable}
+    assert {"joint_2", "joint_3"} <= set(soft)
+    for name in ("joint_2", "joint_3"):
+        assert soft[name].value == pytest.approx(TRUE[int(name[-1]) - 1], abs=4 * soft[name].std)
+    with pytest.raises(IdentificationError, match=r"^A.csv: configuration: found 2 configurations, expected at least"):
+        identify(mixed(cell, 1, 1), cell)
+
+
+def test_a_point_that_was_measured_at_rest_alone_is_in_the_model(tmp_path: Path) -> None:
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, 14, 40)
+    some = readings.select(single_steps(readings) | (readings.point != 2))
+    found = identify(some, cell)
+    truth = truth_in(cell, 21, STIFFNESS, GEOMETRY)
+    assert np.abs((values(found) - TRUE) / deviations(found)).max() < 3.5
+    np.testing.assert_allclose(found.model.points["mp3"], truth.points["mp3"], atol=5e-4)
+
+
+def test_a_reading_is_named_and_taken_back_as_in_the_recording(tmp_path: Path) -> None:
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, 14, 40)
+    position = readings.position.copy()
+    rows = [7, len(readings) - 4]  # of a loaded configuration, and of a posture at rest
+    position[rows] += 3e-3
+    wrong = dataclasses.replace(readings, position=position)
+    keys = {(int(readings.configuration[k]), int(readings.step[k]), readings.points[readings.point[k]]) for k in rows}
+    found = identify(wrong, cell)
+    assert {(one.configuration, one.step, one.point) for one in found.exclusions} == keys
+    assert set(np.flatnonzero(found.residuals.excluded)) == set(rows)
+    taken = identify(wrong, cell, Options(readmit=frozenset(keys)))
+    assert not taken.exclusions
+
+
+def test_a_further_recording_is_predicted(tmp_path: Path) -> None:
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, 20, 40)
+    kept = readings.configuration > 6
+    found = identify(readings.select(kept), cell, test=readings.select(~kept))
+    assert found.test is not None
+    assert found.test.rms < 1.2 * 2e-5
+    names = parts_of(readings.select(kept), cell, Options()).merged.readings.points
+    assert names == ("mp1@1", "mp2@1", "mp3@1", "mp1@2", "mp2@2", "mp3@2")
+
+
+def test_diagnose_states_the_stiffness_that_identify_states(tmp_path: Path) -> None:
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, 14, 40)
+    diagnosed = diagnose_all([readings], [cell], Options())
+    assert not isinstance(diagnosed, Refusal)
+    identified = answered([readings], cell)
+    assert diagnosed.content["verdict"] == identified.content["verdict"] == "consistent"
+    pairs = zip(diagnosed.content["stiffness"], identified.content["stiffness"], strict=True)
+    assert all(one["value"] == pytest.approx(other["value"], rel=SAME) for one, other in pairs)
