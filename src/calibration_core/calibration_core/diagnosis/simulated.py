@@ -22,19 +22,18 @@ from calibration_core.estimation.rows import state_at
 from calibration_core.identification.absolute.evaluate import evaluate_absolute, identification_of
 from calibration_core.identification.checks.noise_audit import MODEL_FREE
 from calibration_core.identification.geometry.problem import absolute_problem, start_parameters
-from calibration_core.identification.identify import is_loaded
 from calibration_core.identification.result.estimate import Anomaly, Identification, NoiseAudit
 from calibration_core.identification.stiffness.loaded import (
     MIN_CONFIGURATIONS,
     Options,
     identify_prepared,
-    loaded_configurations,
     prepare_loaded,
 )
 from calibration_core.model.effects.state import State
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.observations.kinds import is_loaded, loaded_configurations
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Readings
 
 NOT_COMPARED = {

@@ -18,7 +18,7 @@ from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import InputError, quoted
 from calibration_core.identification.checks.exclusion_anomalies import with_own_outliers
-from calibration_core.identification.identify import identify, is_loaded
+from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.outlier_rejection import Key, keys_of
@@ -26,6 +26,7 @@ from calibration_core.model.identified.calibrated import ValidRange
 from calibration_core.model.identified.given import GivenModel, read_given
 from calibration_core.model.identified.model_file import model_text
 from calibration_core.model.identified.valid_range import range_of
+from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_unit_note
 from calibration_core.report.results.diagnosis import identified_dict
