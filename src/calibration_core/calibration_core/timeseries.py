@@ -108,6 +108,9 @@ class StepMarkers:
             object.__setattr__(self, name, array)
 
 
+NO_INTERVALS = "no_intervals"  # kind of the note that a model file states no covariance
+
+
 @dataclasses.dataclass(frozen=True)
 class Note:
     """Something a person must be told about the data: lost, repaired, set aside or suspicious.

@@ -43,7 +43,6 @@ from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.choose import NONE_ASKED, choose
 from calibration_core.diagnosis.proposals.loaded import LoadedKnowledge
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest, by_size
-from calibration_core.diagnosis.tested import tested_on
 from calibration_core.identification.result.estimate import Anomaly, Identification
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
 from calibration_core.identification.statistics.sizes import rms
@@ -54,6 +53,7 @@ from calibration_core.identification.stiffness.loaded import (
     prepare_loaded,
 )
 from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.identification.tested import tested_on
 from calibration_core.model.effects import candidates, effects_with
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.traits import Trait
@@ -153,7 +153,7 @@ def diagnose_loaded(
         shift=extended.shift,
         compliance=extended.compliance,
         compliance_covariance=scattered_covariance(extended) if rest.significant else extended.compliance_covariance,
-        test=None if test is None else tested_on(test, cell, prepared.problem.chain, prepared.fit.compliance, model),
+        test=None if test is None else tested_on(test, cell, model, prepared.parameters, with_frames=False),
         model=model,
         estimate=loaded_estimate(extended, identification, model, cell),
         aliases=ALIASES,

@@ -26,30 +26,28 @@ from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.choose import NONE_ASKED, Proposals
 from calibration_core.diagnosis.proposals.postures import Known, propose_postures
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, by_size
-from calibration_core.diagnosis.tested import tested_on
 from calibration_core.estimation.blocks import posture_blocks, time_blocks
 from calibration_core.estimation.equivalents import equivalents
 from calibration_core.estimation.estimate import Estimate, estimate
 from calibration_core.estimation.hypotheses import is_axial
 from calibration_core.estimation.refit import Extended
-from calibration_core.estimation.rows import state_at
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.absolute.evaluate import Evaluated, evaluate_absolute, identification_of
 from calibration_core.identification.checks.noise_audit import rigid_triangle
-from calibration_core.identification.geometry.problem import absolute_problem
 from calibration_core.identification.identify import fit_freed
-from calibration_core.identification.result.estimate import Anomaly, Identification, TestResult
+from calibration_core.identification.result.estimate import Anomaly, Identification
 from calibration_core.identification.statistics.sizes import rms, rms_length
 from calibration_core.identification.stiffness.loaded import (
     MIN_CONFIGURATIONS,
     Options,
     prepare_loaded,
 )
+from calibration_core.identification.tested import tested_on
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.observations.covariance import coordinate_std, position_covariance
-from calibration_core.observations.kinds import is_loaded, loaded_configurations, standing
+from calibration_core.observations.kinds import loaded_configurations, standing
 from calibration_core.timeseries import Readings
 
 DWARFS = 10.0  # times what remains unexplained, that a geometry error beside it must move the points
@@ -126,6 +124,7 @@ def diagnosis_of(
     effects = _effects(extended, physics)
     model = extended.parameters.replace(effects=_applied(extended, effects))
     compliance, covariance = positions_compliance(extended)
+    before = evaluated.nominal.replace(compliance=null.parameters.compliance)
     return Diagnosis(
         verdict=rest.verdict(found=bool(findings)),
         findings=findings,
@@ -148,7 +147,7 @@ def diagnosis_of(
         compliance=compliance,
         compliance_covariance=covariance,
         blocks={kind: (rms_length(before), rms_length(after)) for kind, (before, after) in left.items()},
-        test=None if test is None else _tested(test, cell, evaluated, found, model),
+        test=None if test is None else tested_on(test, cell, model, before, with_frames=True),
         model=model,
         estimate=positions_estimate(extended, model, effects, cell),
     )
@@ -201,19 +200,6 @@ def _proposals(found: Estimate, cell: Cell, offers: Offers) -> Proposals:
     return propose_postures(Known(found.field, sizes, accepted, equal, found.null.model, noise), cell, offers)
 
 
-def _tested(
-    readings: Readings, cell: Cell, evaluated: Evaluated, found: Estimate, model: ModelParameters
-) -> TestResult:
-    """Predict a recording that was not fitted with frames, geometry and findings; steps are not carried over."""
-    extended, before = found.extended, evaluated.nominal
-    if is_loaded(readings):
-        return tested_on(readings, cell, evaluated.problem.chain, found.null.parameters.compliance, model)
-    problem = absolute_problem(readings, cell, evaluated.problem.chain, before, position_covariance(readings, cell))
-    state = state_at(problem, extended.parameters, readings, cell)
-    after = problem.residual(extended.parameters).T - extended.shift(state, found.parts(anomalies=False))
-    return TestResult.of(readings, after, problem.residual(before).T)
-
-
 def _stiffness(extended: Extended) -> dict[str, tuple[float, float]]:
     """Return joint -> (stiffness, standard deviation) of compliances that were fitted, N*m/rad."""
     found = {}
@@ -250,8 +236,7 @@ def diagnose_mixed(
     """
     start = nominal_parameters(cell) if options.start is None else options.start
     still = standing(readings)
-    loaded_test = test if test is not None and is_loaded(test) else None
-    identification = fit_freed(readings, cell, options, loaded_test)
+    identification = fit_freed(readings, cell, options, test)
     if len(loaded_configurations(readings)) < MIN_CONFIGURATIONS:  # too few for a stiffness by themselves
         evaluated = evaluate_absolute(readings.select(still), cell, believed=start)
         used = np.ones(len(readings), dtype=bool)

@@ -7,15 +7,21 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from calibration_core.cell import Cell
-from calibration_core.errors import CellError, ModelFileError
+from calibration_core.errors import CellError, ModelFileError, RecordingError
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.check import check_inputs, unit_note
 from calibration_core.input_checks.lengths import check_lengths
+from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.robot import chain_of
 from calibration_core.recording.source import sha256_of
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import NO_INTERVALS, Note, Readings
+
+SAME = 0.5  # of the readings: more in common is the same recording
+DIGITS = 8  # of m, rad, N and N*m: readings that agree to so many are the same
 
 
 @contextlib.contextmanager
@@ -43,6 +49,32 @@ def look(readings: Readings, test: Readings | None, cell: Cell) -> tuple[InputAn
     return (*found, *(dataclasses.replace(one, text=f"in the test recording: {one.text}") for one in of_test))
 
 
+def refuse_fitted(test: Readings | None, recordings: Sequence[Readings]) -> None:
+    """Refuse a test recording whose readings are, for the most part, those of a recording that is fitted.
+
+    Readings are compared, not files: a copy, another format or another order of the same readings is no test.
+
+    Raises:
+        RecordingError: They are.
+    """
+    if test is None or not len(test):
+        return
+    own = _rows(test)
+    shared = {readings.provenance.path: own & _rows(readings) for readings in recordings}
+    same = len(set().union(*shared.values()))
+    if same > SAME * len(own):
+        paths = ", ".join(path for path, rows in shared.items() if rows)
+        found = f"{same} of {len(own)} readings that are those of {paths}, which is fitted"
+        raise RecordingError(test.provenance.path, "--test", found, "a recording that is not fitted")
+
+
+def _rows(readings: Readings) -> set[bytes]:
+    """Return every reading by its angles, wrench and position."""
+    wrench = np.zeros((len(readings), 6)) if readings.wrench is None else readings.wrench
+    values = np.round(np.column_stack([readings.q, wrench, readings.position]), DIGITS) + 0.0  # no negative zeros
+    return {row.tobytes() for row in values}
+
+
 def blocked(found: Sequence[InputAnomaly]) -> bool:
     """Say whether nothing may be claimed."""
     return any(one.blocks for one in found)
@@ -61,6 +93,14 @@ def with_unit_note(readings: Readings, cell: Cell) -> Readings:
     """Return the readings with a note where the unit of forces and positions cannot be checked, or only coarsely."""
     note = unit_note(readings, cell)
     return readings if note is None else readings.with_notes(note)
+
+
+def with_model_note(readings: Readings, given: GivenModel | None) -> Readings:
+    """Return the readings with a note where a given model file states no covariance, so that nothing has intervals."""
+    if given is None or given.estimate is not None:
+        return readings
+    text = "the model file is of schema 1: it has no covariance, and nothing that is taken from it has an interval"
+    return readings.with_notes(Note(NO_INTERVALS, given.file, text))
 
 
 def refuse_lengths(cell: Cell) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.report.rounding import counted
 from calibration_core.report.sections.together import together_lines
+from calibration_core.report.summary import test_lines
+from calibration_core.timeseries import NO_INTERVALS
 
 VERDICTS = {
     "consistent": "nothing is missing: the model explains the recording to its noise",
@@ -42,11 +44,15 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
         f"residual per coordinate {_um(diagnosis.rms_before)} -> {_um(diagnosis.rms_after)}, on configurations left "
         f"out {_um(diagnosis.held_out_before)} -> {_um(diagnosis.held_out_after)}, noise {_um(diagnosis.noise)}"
     )
+    if diagnosis.test is not None:
+        lines += test_lines(diagnosis.test)
     lines.append(diagnosis.rest.text)
     if diagnosis.next_measurements:
         lines.append(f"next: {counted(len(diagnosis.next_measurements), 'measurement')} proposed")
         lines += [f"   {proposal.why}" for proposal in diagnosis.next_measurements]
     lines.append(diagnosis.next_text)
+    notes = diagnosis.identification.notes
+    lines += [f"note: {note.place}: {note.text}" for note in notes if note.kind == NO_INTERVALS]
     return "\n".join(line for line in lines if line)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from calibration_core.identification.result.estimate import Identification, JointStiffness, Stage
+from calibration_core.identification.result.estimate import PARTS, Identification, JointStiffness, Stage, TestResult
 from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed
 from calibration_core.report.sections.together import together_lines
 
@@ -31,11 +31,7 @@ def summary(found: Identification) -> str:
         f"{1e3 * fit.held_out_max_after:.3f} mm"
     )
     if found.test is not None:
-        test = found.test
-        lines.append(
-            f"test recording {test.file}: mean error {1e3 * test.mean:.3f} mm, rms {_um(test.rms)} per coordinate "
-            f"(before: mean {1e3 * test.mean_before:.3f} mm)"
-        )
+        lines += test_lines(found.test)
     lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in found.anomalies]
     lines += [
         f"excluded: configuration {e.configuration}, step {e.step}, {e.point}: {e.reason}"
@@ -51,6 +47,21 @@ def summary(found: Identification) -> str:
         for p in unmet
     ]
     return "\n".join(lines)
+
+
+def test_lines(test: TestResult) -> list[str]:
+    """Return what a model does on a recording that was not fitted: the whole, its parts, and what says nothing."""
+    lines = [
+        (
+            f"test recording {test.file}: mean error {1e3 * test.mean:.3f} mm, rms {_um(test.rms)} per coordinate "
+            f"(before: mean {1e3 * test.mean_before:.3f} mm)"
+        )
+    ]
+    for part in test.parts:
+        known = f", rms {_um(part.rms_before)} -> {_um(part.rms)} per coordinate" if math.isfinite(part.rms) else ""
+        remark = f": {part.reason}" if part.reason else ""
+        lines.append(f"   {PARTS[part.kind]}: {counted(part.configurations, 'configuration')}{known}{remark}")
+    return lines
 
 
 def _stage(stage: Stage) -> str:

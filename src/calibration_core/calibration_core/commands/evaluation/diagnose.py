@@ -27,7 +27,7 @@ from calibration_core.model.identified.model_file import model_text
 from calibration_core.model.identified.valid_range import range_of
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.observe import observe
-from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_unit_note
+from calibration_core.outcomes.inputs import as_anomalies, blocked, look, refuse_fitted, with_model_note, with_unit_note
 from calibration_core.planning.plans.plan_file import plan_text
 from calibration_core.report.diagnosis_summary import diagnosis_summary
 from calibration_core.report.document import Items, Paragraph, Section, cleaned
@@ -169,6 +169,7 @@ def evaluate_all(
         InputError: The input cannot be used.
     """
     _at_most(len(recordings), len(simulations))
+    refuse_fitted(test, recordings)
     if len(recordings) == 1:
         simulation = next(iter(simulations), None)
         return evaluate(recordings[0], cells[0], options, test, simulation, given)
@@ -214,6 +215,6 @@ def evaluate(
     wrong = look(readings, test, cell)
     if blocked(wrong):
         return Refusal.of("diagnose", cell, readings, wrong, given)
-    readings = with_unit_note(readings, cell)
+    readings = with_model_note(with_unit_note(readings, cell), given)
     found = diagnose(readings, cell, options, test, simulation, offers_for(readings, cell), given)
     return Diagnosed(cell, readings, dataclasses.replace(found, anomalies=(*found.anomalies, *as_anomalies(wrong))))

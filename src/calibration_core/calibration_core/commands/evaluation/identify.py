@@ -28,7 +28,7 @@ from calibration_core.model.identified.model_file import model_text
 from calibration_core.model.identified.valid_range import range_of
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
-from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_unit_note
+from calibration_core.outcomes.inputs import as_anomalies, blocked, look, refuse_fitted, with_model_note, with_unit_note
 from calibration_core.report.results.diagnosis import identified_dict
 from calibration_core.report.results.traffic_light import light_of
 from calibration_core.report.summary import summary
@@ -152,6 +152,7 @@ def evaluate_all(
     Raises:
         InputError: The input cannot be used.
     """
+    refuse_fitted(test, recordings)
     if len(recordings) == 1:
         return evaluate(recordings[0], cells[0], options, test, given)
     # what evaluates several recordings is slow to load, and most commands are given one
@@ -200,7 +201,7 @@ def evaluate(
     wrong = look(readings, test, cell)
     if blocked(wrong):
         return Refusal.of("identify", cell, readings, wrong, given)
-    readings = with_unit_note(readings, cell)
+    readings = with_model_note(with_unit_note(readings, cell), given)
     found = identify(readings, cell, options, test, given)
     found, searched = _searched(found, readings, cell, options, given)
     noted = as_anomalies(wrong)

@@ -15,7 +15,7 @@ from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.model.identified.given import GivenModel, read_given
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
-from calibration_core.outcomes.inputs import blocked, look, refuse_lengths, with_unit_note
+from calibration_core.outcomes.inputs import blocked, look, refuse_lengths, with_model_note, with_unit_note
 from calibration_core.outcomes.prediction import Prediction, predict
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import recording_record, result_json
@@ -23,7 +23,7 @@ from calibration_core.report.results.traffic_light import light_of, with_light
 from calibration_core.report.rounding import counted
 from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.report.writing.tables import PREDICTIONS, predictions_csv
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import NO_INTERVALS, Readings
 
 WITHIN = "the error is within what noise and the model's intervals allow"
 
@@ -83,7 +83,8 @@ def evaluate(cell: Cell, given: GivenModel, readings: Readings) -> PredictedReco
     wrong = look(readings, None, cell)
     if blocked(wrong):
         return Refusal.of("predict", cell, readings, wrong, given)
-    return PredictedRecording(cell, predict(cell, given, with_unit_note(readings, cell), wrong))
+    readings = with_unit_note(readings, cell)
+    return PredictedRecording(cell, predict(cell, given, with_model_note(readings, given), wrong))
 
 
 def files_of(found: Prediction, content: dict[str, Any], cell: Cell, *, report: bool) -> dict[str, Content]:
@@ -155,6 +156,7 @@ def prediction_summary(found: Prediction) -> str:
             f"largest {1e3 * error.maximum:.3f} mm{cell_file}"
         )
     ]
+    lines += [f"note: {note.place}: {note.text}" for note in found.readings.notes if note.kind == NO_INTERVALS]
     if found.deflection is not None and found.kind == "absolute":
         after, nominal = found.deflection
         lines.append(

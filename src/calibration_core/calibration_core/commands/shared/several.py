@@ -13,7 +13,7 @@ from calibration_core.identification.several.members import cells_of, members_of
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.observations.observe import observe
-from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_unit_note
+from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_model_note, with_unit_note
 from calibration_core.timeseries import Readings
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ def prepared_from(
     from calibration_core.outcomes.together.prepare import prepare  # slow to load, and not needed for one recording
 
     noted = [with_unit_note(readings, cell) for readings, cell in zip(recordings, cells, strict=True)]
+    noted[0] = with_model_note(noted[0], given)
     members = members_of(noted, cells)
     place = {id(member.readings): k for k, member in enumerate(members)}
     return prepare(members, [place[id(readings)] for readings in noted], options, test, given)

@@ -37,7 +37,6 @@ from calibration_core.identification.result.estimate import (
     JointStiffness,
     NoiseAudit,
     Residuals,
-    TestResult,
     Unidentified,
 )
 from calibration_core.identification.result.observability import stiffness_table
@@ -45,7 +44,7 @@ from calibration_core.identification.statistics.normal_matrix import column_scal
 from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.statistics.solve import Solution
 from calibration_core.identification.stiffness.outlier_rejection import Key
-from calibration_core.model.chain import Chain
+from calibration_core.identification.tested import tested_on
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -148,26 +147,10 @@ def identification_of(
         residuals=_residuals(case, readings, covariance, noise.scale),
         space=space,
         model=parameters,
-        test=None if test is None else predict_absolute(test, cell, chain, parameters, case.nominal),
+        test=None if test is None else tested_on(test, cell, parameters, case.nominal, with_frames=True),
         notes=(*readings.notes, *_notes(case)),
         estimate=named_estimate(uncertainty.names, uncertainty.covariance, parameters, cell),
     )
-
-
-def predict_absolute(
-    readings: Readings, cell: Cell, chain: Chain, parameters: ModelParameters, before: ModelParameters
-) -> TestResult:
-    """Predict a recording that was not fitted; nothing is refitted.
-
-    Args:
-        readings: The other recording.
-        cell: The cell file.
-        chain: The nominal robot.
-        parameters: The identified model.
-        before: What the cell file predicts.
-    """
-    problem = absolute_problem(readings, cell, chain, before, position_covariance(readings, cell))
-    return TestResult.of(readings, problem.residual(parameters).T, problem.residual(before).T)
 
 
 def evaluate_absolute(

@@ -36,7 +36,7 @@ def absolute_problem(
         IdentificationError: The recording holds differences instead of positions, or too few to fix the frames.
         CellError: A wrench was recorded and the cell file does not say where the sensor is.
     """
-    _require_positions(readings, cell)
+    require_positions(readings, cell)
     return problem_of(readings, cell, chain, nominal, covariance)
 
 
@@ -90,7 +90,12 @@ def nominal_with_tracker(
     return fit(problem, nominal.replace(tracker=start.tracker), [TrackerTerm()]).parameters
 
 
-def _require_positions(readings: Readings, cell: Cell) -> None:
+def require_positions(readings: Readings, cell: Cell) -> None:
+    """Refuse readings that do not fix tracker pose and measurement points.
+
+    Raises:
+        IdentificationError: They are differences instead of positions, too few, or on one line.
+    """
     path = readings.provenance.path
     if cell.measurements.points == "displacement":
         raise IdentificationError(

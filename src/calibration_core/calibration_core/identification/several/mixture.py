@@ -12,6 +12,7 @@ from calibration_core.identification.result.estimate import Fit, Identification,
 from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.identification.tested import tested_on
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.observations.kinds import at_rest, standing
@@ -57,7 +58,11 @@ def identify_mixture(readings: Readings, cell: Cell, options: Options, test: Rea
     case = evaluate_absolute(some, cell, robust=options.robust, readmit=options.readmit, believed=believed)
     still = Standing(rows, case, identification_of(case, some, cell))
     started = dataclasses.replace(options, start=start.replace(geometry=still.found.model.geometry))
-    return _with_geometry(identify_loaded(readings, cell, started, test), still)
+    found = _with_geometry(identify_loaded(readings, cell, started), still)
+    if test is None:
+        return found
+    before = case.nominal.replace(compliance=start.compliance)
+    return dataclasses.replace(found, test=tested_on(test, cell, found.model, before, with_frames=True))
 
 
 def _with_geometry(found: Identification, still: Standing) -> Identification:

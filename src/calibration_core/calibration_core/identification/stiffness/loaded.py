@@ -21,7 +21,6 @@ from calibration_core.identification.result.estimate import (
     Identification,
     NoiseAudit,
     Residuals,
-    TestResult,
 )
 from calibration_core.identification.result.observability import stiffness_table, weak_directions
 from calibration_core.identification.statistics.sizes import rms
@@ -31,6 +30,7 @@ from calibration_core.identification.stiffness.outlier_rejection import Key, Out
 from calibration_core.identification.stiffness.predict import from_step_zero
 from calibration_core.identification.stiffness.problem import LoadedProblem, Method, Weights, build_problem
 from calibration_core.identification.stiffness.relative import counted, relative
+from calibration_core.identification.tested import tested_on
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
@@ -105,6 +105,7 @@ def identify_prepared(
     joints = tuple(f"C {joint}" for joint in chain.joints)
     residuals, figures = _figures(problem, rejection, fit, nominal.compliance, scale, cell)
     space = operating_space(chain, parameters, readings, load)
+    before = parameters.replace(compliance=nominal.compliance)
     return Identification(
         kind="loaded",
         method=options.in_words(),
@@ -132,7 +133,7 @@ def identify_prepared(
         residuals=residuals,
         space=space,
         model=parameters,
-        test=None if test is None else predict_loaded(test, cell, chain, parameters, nominal.compliance),
+        test=None if test is None else tested_on(test, cell, parameters, before, with_frames=False),
         notes=readings.notes,
         estimate=loaded_estimate(fit.solution.covariance * scale**2, frames, readings.points, parameters, cell),
     )
@@ -199,25 +200,6 @@ def prepare_loaded(readings: Readings, cell: Cell, options: Options) -> Prepared
         fit = fit_compliance(problem.select(np.flatnonzero(rejection.used)), fit.compliance, "pose")
     identified = parameters.replace(compliance=fit.compliance)
     return PreparedLoaded(problem, rejection, fit, nominal, identified, frames, stated_by)
-
-
-def predict_loaded(
-    readings: Readings, cell: Cell, chain: Chain, parameters: ModelParameters, before: Float1D
-) -> TestResult:
-    """Predict a recording that was not fitted; only the offsets of its configurations are free.
-
-    Args:
-        readings: The other recording.
-        cell: The cell file.
-        chain: The robot.
-        parameters: The identified model.
-        before: (n,) compliances of the cell file, for comparison.
-    """
-    require_load(readings)
-    problem = build_problem(readings, cell, chain, parameters)
-    after, nominal = (relative(problem, problem.linearise(c), cell) for c in (parameters.compliance, before))
-    shown = counted(problem.readings, cell)
-    return TestResult.of(readings, after[shown], nominal[shown])
 
 
 def require_load(readings: Readings) -> None:

@@ -9,12 +9,13 @@ import numpy as np
 from calibration_core.diagnosis.comparison.result import Comparison, StepByStep
 from calibration_core.diagnosis.result.evidence_words import evidence_words
 from calibration_core.diagnosis.result.finding import EMPIRICAL, Diagnosis, Finding, ProposedMeasurement
+from calibration_core.identification.result.estimate import PARTS
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.words import effect_sentence, people_unit
 from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table
 from calibration_core.report.figures.diagnosis import before_after_figure, comparison_figure, where_figure
 from calibration_core.report.results.diagnosis import extended_joints
-from calibration_core.report.rounding import fixed, padded, significant
+from calibration_core.report.rounding import counted, fixed, padded, significant
 from calibration_core.report.sections.procedure import joint_columns, joint_values
 from calibration_core.report.sections.stiffness import extended_table
 
@@ -140,10 +141,14 @@ def gain_blocks(found: Diagnosis) -> tuple[Block, ...]:
     rows += [(f"Blocks in {kind} left out (3-D)", b, a) for kind, (b, a) in found.blocks.items()]
     if found.test is not None:
         rows.append(("The second recording, not fitted", found.test.rms_before, found.test.rms))
+        rows += [
+            (f"Of it, {PARTS[part.kind]} in {counted(part.configurations, 'configuration')}", part.rms_before, part.rms)
+            for part in found.test.parts
+        ]
     body = tuple((name, significant(1e6 * b, 3), significant(1e6 * a, 3)) for name, b, a in rows)
-    blocks: list[Block] = [
-        Table("Gain", columns, padded(body), f"Noise as seen: {1e6 * found.noise:.1f} µm per coordinate.")
-    ]
+    reason = "" if found.test is None or not found.test.reason else f" The second recording: {found.test.reason}."
+    note = f"Noise as seen: {1e6 * found.noise:.1f} µm per coordinate.{reason}"
+    blocks: list[Block] = [Table("Gain", columns, padded(body), note)]
     readings = found.identification.readings
     before, after = found.residual_before, found.residual
     if found.physics and before is not None and before.shape == after.shape == (len(readings), 3):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.result.estimate import Identification, JointStiffness, TestResult
+from calibration_core.identification.result.estimate import PARTS, Identification, JointStiffness, TestResult
 from calibration_core.report.document import Block, Column, Figure, Items, Paragraph, Table
 from calibration_core.report.figures.identification import stiffness_figure
 from calibration_core.report.results.verdict import ResidualVerdict
@@ -218,10 +218,17 @@ def fit_section(result: Identification, cell: Cell, rest: ResidualVerdict) -> tu
 
 
 def _test_blocks(test: TestResult, unit: Unit, before: str) -> tuple[Block, ...]:
-    rows = (
+    rows: tuple[tuple[str, ...], ...] = (
         (f"before ({before})", _length(test.rms_before, unit), _length(test.mean_before, unit), DASH),
         ("after (identified)", _length(test.rms, unit), _length(test.mean, unit), _length(test.maximum, unit)),
     )
+    for part in test.parts:
+        kind = PARTS[part.kind]
+        sizes = (_length(size, unit) for size in (part.rms, part.mean, part.maximum))
+        rows += (
+            (f"{kind}, before", _length(part.rms_before, unit), _length(part.mean_before, unit), DASH),
+            (f"{kind}, after", *sizes),
+        )
     columns = (
         Column("Model", "left", wide=True),
         Column(f"rms per coordinate [{unit.name}]"),
@@ -229,6 +236,7 @@ def _test_blocks(test: TestResult, unit: Unit, before: str) -> tuple[Block, ...]
         Column(f"Largest, 3-D [{unit.name}]"),
     )
     note = f"{test.file}, {counted(test.readings, 'reading')}; it took no part in the fit."
+    note += f" {test.reason[0].upper()}{test.reason[1:]}." if test.reason else ""
     return (Table("Test of the identified model on a second recording", columns, padded(rows), note),)
 
 
