@@ -21,7 +21,7 @@ from calibration_core.recording.source import sha256_of
 from calibration_core.timeseries import NO_INTERVALS, Note, Readings
 
 SAME = 0.5  # of the readings: more in common is the same recording
-DIGITS = 8  # of m, rad, N and N*m: readings that agree to so many are the same
+DIGITS = 6  # of m and rad: readings that agree to so many are the same, for noise is larger
 
 
 @contextlib.contextmanager
@@ -69,9 +69,8 @@ def refuse_fitted(test: Readings | None, recordings: Sequence[Readings]) -> None
 
 
 def _rows(readings: Readings) -> set[bytes]:
-    """Return every reading by its angles, wrench and position."""
-    wrench = np.zeros((len(readings), 6)) if readings.wrench is None else readings.wrench
-    values = np.round(np.column_stack([readings.q, wrench, readings.position]), DIGITS) + 0.0  # no negative zeros
+    """Return every reading by its angles and position; formats differ in how a wrench is averaged."""
+    values = np.round(np.column_stack([readings.q, readings.position]), DIGITS) + 0.0  # no negative zeros
     return {row.tobytes() for row in values}
 
 
