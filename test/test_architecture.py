@@ -41,7 +41,7 @@ FAMILIES = {
         "several", "identify", "progress",
     ),
     "diagnosis": (
-        "location", "comparison", "result", "data_checks", "evidence", "empirical", "findings", "proposals", "tested",
+        "location", "comparison", "result", "data_checks", "evidence", "empirical", "findings", "proposals",
         "model_estimate", "bias", "loaded", "positions", "simulated", "diagnose", "parts",
     ),
 }  # fmt: skip

@@ -280,7 +280,7 @@ def test_displacements_judge_differences_alone(
     assert _run("diagnose", tmp_path / "out", fitted, "--test", tmp_path / "fitted_mixed.csv", cell=cell_path) == 0
     test = _result(tmp_path / "out")["test"]
     parts = _parts(test)
-    assert parts["loaded"]["readings"] == 12 * 8 * 3  # step 0 is zero by definition
+    assert parts["loaded"]["readings"] == 12 * 9 * 3
     assert parts["loaded"]["rms"] < LEFT * parts["loaded"]["rms_before"]
     assert parts["at_rest"]["rms"] is None
     assert "displacements from step 0" in test["reason"]

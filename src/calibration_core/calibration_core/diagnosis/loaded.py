@@ -53,7 +53,7 @@ from calibration_core.identification.stiffness.loaded import (
     prepare_loaded,
 )
 from calibration_core.identification.stiffness.problem import LoadedProblem
-from calibration_core.identification.tested import tested_on
+from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects import candidates, effects_with
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.traits import Trait

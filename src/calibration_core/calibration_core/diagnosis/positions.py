@@ -42,7 +42,7 @@ from calibration_core.identification.stiffness.loaded import (
     Options,
     prepare_loaded,
 )
-from calibration_core.identification.tested import tested_on
+from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from calibration_core.identification.result.estimate import PARTS, Identification, JointStiffness, Stage, TestResult
+from calibration_core.identification.result.estimate import Identification, JointStiffness, Stage
+from calibration_core.identification.result.tested import PARTS, TestResult
 from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed
 from calibration_core.report.sections.together import together_lines
 

@@ -22,9 +22,9 @@ from calibration_core.identification.result.estimate import (
     Precondition,
     Residuals,
     Stage,
-    TestResult,
     Unidentified,
 )
+from calibration_core.identification.result.tested import TestPart, TestResult
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Note, Provenance, Readings
 
@@ -238,7 +238,21 @@ def make_loaded(cell: Cell, configurations: int = 18, steps: int = 9, seed: int 
         ),
         space=space,
         model=ModelParameters(joints, compliance, np.zeros((n, 6)), np.eye(4), cell.frames.measurement_points),
-        test=TestResult("bags/demo_2", 162, 2.2e-5, 3.4e-5, 8.8e-5, 5.6e-5, 9.1e-5, {"demo_2_0.mcap": "f" * 64}),
+        test=TestResult(
+            "bags/demo_2",
+            162,
+            2.2e-5,
+            3.4e-5,
+            8.8e-5,
+            5.6e-5,
+            9.1e-5,
+            {"demo_2_0.mcap": "f" * 64},
+            (
+                TestPart("loaded", 6, 162, 2.2e-5, 3.4e-5, 8.8e-5, 5.6e-5, 9.1e-5),
+                TestPart.without_figures("at_rest", 2, 6, "too few to fit the tracker"),
+            ),
+            "postures at rest: too few to fit the tracker",
+        ),
         notes=(Note("gap", "/tracker/mp1", "one gap of 0.8 s between samples", 1),),
     )
 

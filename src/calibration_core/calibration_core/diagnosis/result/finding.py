@@ -8,7 +8,8 @@ from typing import Literal
 
 from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.location import Located
-from calibration_core.identification.result.estimate import Anomaly, Identification, TestResult
+from calibration_core.identification.result.estimate import Anomaly, Identification
+from calibration_core.identification.result.tested import TestResult
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D

@@ -44,7 +44,7 @@ from calibration_core.identification.statistics.normal_matrix import column_scal
 from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.statistics.solve import Solution
 from calibration_core.identification.stiffness.outlier_rejection import Key
-from calibration_core.identification.tested import tested_on
+from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters

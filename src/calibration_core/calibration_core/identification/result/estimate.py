@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Literal
-
-import numpy as np
 
 from calibration_core.identification.result.phase import Decoupled, PhaseEstimate
 from calibration_core.identification.result.standard_methods import StandardGeometry
+from calibration_core.identification.result.tested import TestResult
 from calibration_core.identification.result.together import Together
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Note, Readings
-
-PartKind = Literal["loaded", "at_rest"]
-PARTS: Mapping[PartKind, str] = {"loaded": "differences under load", "at_rest": "postures at rest"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -291,110 +287,6 @@ class OperatingSpace:
     tracker: Float1D | None = None
     boxes: Float3D | None = None
     joint_deflection: Float2D | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class TestPart:
-    """How two models do on the part of a second recording that shows one kind of thing.
-
-    Figures that the part does not allow are NaN.
-
-    Attributes:
-        kind: `loaded`: differences under load, in configurations with several steps; `at_rest`: positions of postures
-            with one step, after tracker pose and targets of this recording were fitted to them.
-        configurations: Number of configurations.
-        readings: Number of readings that count.
-        rms: Per coordinate, m.
-        mean, maximum: Of the 3-d error, m.
-        rms_before: Per coordinate with the model that it is compared with, m.
-        mean_before: Mean 3-d error with that model, m.
-        reason: Why the figures are missing or say nothing, or what else is to be known of them; empty otherwise.
-    """
-
-    __test__ = False
-
-    kind: PartKind
-    configurations: int
-    readings: int
-    rms: float
-    mean: float
-    maximum: float
-    rms_before: float
-    mean_before: float
-    reason: str = ""
-
-    @classmethod
-    def of(cls, kind: PartKind, configurations: int, after: Float2D, before: Float2D) -> TestPart:
-        """Sum up what two models leave of a part, (m, 3) m each."""
-        return cls(kind, configurations, len(after), *_sizes(after, before))
-
-    @classmethod
-    def without_figures(cls, kind: PartKind, configurations: int, readings: int, reason: str) -> TestPart:
-        """Return a part that says nothing, and why."""
-        nothing = float("nan")
-        return cls(kind, configurations, readings, nothing, nothing, nothing, nothing, nothing, reason)
-
-
-@dataclasses.dataclass(frozen=True)
-class TestResult:
-    """How the identified model does on a second recording that was not used in the fit (`--test`).
-
-    Attributes:
-        file: The second recording.
-        readings: Number of readings.
-        rms: Per coordinate, m, after the best offsets (loaded) or with the fitted frames (absolute); frames that only
-            loaded steps have shown are fitted to postures at rest again.
-        mean, maximum: Of the 3-d error, m.
-        rms_before: Per coordinate with the cell file's model, m; a diagnosis: with the null model's stiffness.
-        mean_before: Mean 3-d error with that model, m.
-        sha256: File name -> SHA-256 hex digest of every file of the second recording.
-        parts: Its loaded part and its postures at rest, each by itself.
-        reason: What of it says nothing, and why; empty where all of it does.
-    """
-
-    __test__ = False
-
-    file: str
-    readings: int
-    rms: float
-    mean: float
-    maximum: float
-    rms_before: float
-    mean_before: float
-    sha256: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    parts: tuple[TestPart, ...] = ()
-    reason: str = ""
-
-    @classmethod
-    def of(cls, readings: Readings, parts: Sequence[TestPart], after: Float2D, before: Float2D) -> TestResult:
-        """Sum up what two models leave of a recording.
-
-        Args:
-            readings: The recording.
-            parts: Its parts by themselves.
-            after: (m, 3) m, left by the identified model, of the readings that count.
-            before: (m, 3) m, left by the model that it is compared with.
-        """
-        return cls(
-            readings.provenance.path,
-            len(after),
-            *_sizes(after, before),
-            sha256=readings.provenance.sha256,
-            parts=tuple(parts),
-            reason="; ".join(f"{PARTS[part.kind]}: {part.reason}" for part in parts if part.reason),
-        )
-
-
-def _sizes(after: Float2D, before: Float2D) -> tuple[float, float, float, float, float]:
-    """Return rms, mean, maximum, and rms and mean before, of errors of two models, (m, 3) m each."""
-    lengths, nominal = np.linalg.norm(after, axis=1), np.linalg.norm(before, axis=1)
-    return (
-        float(np.sqrt(np.mean(after**2))),
-        float(lengths.mean()),
-        float(lengths.max()),
-        float(np.sqrt(np.mean(before**2))),
-        float(nominal.mean()),
-    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

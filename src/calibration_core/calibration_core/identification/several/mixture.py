@@ -12,7 +12,7 @@ from calibration_core.identification.result.estimate import Fit, Identification,
 from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.stiffness.loaded import Options
-from calibration_core.identification.tested import tested_on
+from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.observations.kinds import at_rest, standing

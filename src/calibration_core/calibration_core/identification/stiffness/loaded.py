@@ -30,7 +30,7 @@ from calibration_core.identification.stiffness.outlier_rejection import Key, Out
 from calibration_core.identification.stiffness.predict import from_step_zero
 from calibration_core.identification.stiffness.problem import LoadedProblem, Method, Weights, build_problem
 from calibration_core.identification.stiffness.relative import counted, relative
-from calibration_core.identification.tested import tested_on
+from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters

@@ -9,7 +9,7 @@ import numpy as np
 from calibration_core.diagnosis.comparison.result import Comparison, StepByStep
 from calibration_core.diagnosis.result.evidence_words import evidence_words
 from calibration_core.diagnosis.result.finding import EMPIRICAL, Diagnosis, Finding, ProposedMeasurement
-from calibration_core.identification.result.estimate import PARTS
+from calibration_core.identification.result.tested import PARTS
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.words import effect_sentence, people_unit
 from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table

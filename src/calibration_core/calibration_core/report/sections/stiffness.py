@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.result.estimate import PARTS, Identification, JointStiffness, TestResult
+from calibration_core.identification.result.estimate import Identification, JointStiffness
+from calibration_core.identification.result.tested import PARTS, TestResult
 from calibration_core.report.document import Block, Column, Figure, Items, Paragraph, Table
 from calibration_core.report.figures.identification import stiffness_figure
 from calibration_core.report.results.verdict import ResidualVerdict

@@ -17,11 +17,11 @@ from calibration_core.errors import IdentificationError
 from calibration_core.identification.geometry.fit import AbsoluteProblem, fit
 from calibration_core.identification.geometry.identifiability import select_frames
 from calibration_core.identification.geometry.problem import problem_of, require_positions, start_parameters
-from calibration_core.identification.result.estimate import PartKind, TestPart, TestResult
+from calibration_core.identification.result.tested import PartKind, TestPart, TestResult
+from calibration_core.identification.statistics.offsets import without_offsets
 from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.stiffness.predict import require_points, shift_by_effects
 from calibration_core.identification.stiffness.problem import build_problem
-from calibration_core.identification.stiffness.relative import counted, relative
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import coordinate_std, position_covariance
@@ -84,13 +84,12 @@ def _differences(
 ) -> tuple[TestPart, Float2D, Float2D]:
     """Judge differences under load; what both models leave of them, (m, 3) m each, is in the frames of the first."""
     part = readings.select(rows)
-    shown = counted(part, cell)
 
     def left(parameters: ModelParameters) -> Float2D:
         problem = build_problem(part, cell, chain_of(cell).corrected(parameters.geometry), parameters)
         linear = problem.linearise(parameters.compliance)
         shift = shift_by_effects(readings, cell, parameters)[rows]  # laws with a memory need the whole recording
-        return relative(problem, dataclasses.replace(linear, residual=linear.residual - shift), cell)[shown]
+        return without_offsets(linear.rows, linear.residual - shift)
 
     model, before = models
     frames = {name: getattr(model, name) for name in ("tracker", "points", "setups", "wrench_point", "force_torque")}
