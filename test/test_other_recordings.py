@@ -24,8 +24,14 @@ from scipy.spatial.transform import Rotation
 from calibration_core.cell import Cell, load_cell
 from calibration_core.cli import main
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.identification.stiffness.predict import predict_readings
+from calibration_core.identification.stiffness.predict import predict_readings, shift_by_effects
+from calibration_core.model.effects import candidates
+from calibration_core.model.effects.applied import applied
+from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.identified.model_file import read_model
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.recorded_load import load_of
+from calibration_core.model.robot import chain_of
 from calibration_core.recording.tables.table import read_table, write_table
 from calibration_core.timeseries import Float2D, Readings
 from calibration_sim.cell.truth import Spread, draw_truth
@@ -289,6 +295,20 @@ def test_displacements_judge_differences_alone(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "other_at_rest.csv: step: found single steps" in line
     assert not (tmp_path / "no").exists()
+
+
+def test_every_effect_that_loads_show_can_be_evaluated_at_rest(tables: Mapping[str, Path]) -> None:
+    cell = load_cell(CELL)
+    nominal, loaded = nominal_parameters(cell), read_table(tables["other_loaded"], cell)
+    state = recorded_state(loaded, cell, chain_of(cell), nominal, load_of(loaded, cell, nominal))
+    still = read_table(tables["other_at_rest"], cell)
+    assert still.wrench is None
+    offered = {(one.effect, one.variant, *map(str, one.location.values())): one for one in candidates(state)}
+    assert len(offered) > 100
+    for one in offered.values():
+        value = np.full(len(one.parameters), 1e-9)
+        model = nominal.replace(effects=(applied(one, value, state),))
+        assert np.isfinite(shift_by_effects(still, cell, model)).all()
 
 
 def _shuffled(readings: Readings) -> Readings:

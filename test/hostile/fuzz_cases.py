@@ -79,7 +79,7 @@ READS: dict[str, tuple[Line, ...]] = {  # command -> lines of arguments, `{role}
     "identify": (
         ("{table}", "--cell", "{cell}"), ("{bag}", "--cell", "{cell}"), ("{mcap}", "--cell", "{cell}"),
         ("{db3}", "--cell", "{cell}"), ("{session}", "--cell", "{cell}"), ("{table}", *FITTED),
-        ("{table}", "--cell", "{cell}", "--test", "{mcap}"), ("{rest}", "--cell", "{cell}"),
+        ("{other}", "--cell", "{cell}", "--test", "{mcap}"), ("{rest}", "--cell", "{cell}"),
         ("{table}", "--cell", "{cell}", "--readmit", "1:1:mp1", "--method", "linear", "--deflections", "pose"),
         ("{table}", "{other}", "--cell", "{cell}"), ("{rest}", "{other}", "--cell", "{cell}", "--cell", "{cell}"),
     ),

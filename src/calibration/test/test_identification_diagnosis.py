@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
@@ -21,6 +23,9 @@ from rclpy.parameter import Parameter
 from test_identification import BAG, CELL, ask, finish
 
 from calibration.evaluation.identification import IdentificationNode
+from calibration_core.cell import load_cell
+from calibration_core.observations.observe import observe
+from calibration_core.recording.tables.table import write_table
 
 SAME = ("result.json", "model.yaml", "table2.csv")
 
@@ -33,19 +38,29 @@ def node(spinning: Any) -> IdentificationNode:
 
 
 @pytest.fixture(scope="module")
-def offline(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A second recording: the same angles and loads, other noise."""
+    path = tmp_path_factory.mktemp("other") / "other.csv"
+    readings = observe(BAG, load_cell(CELL))
+    noise = np.random.default_rng(5).normal(0.0, 2e-5, readings.position.shape)
+    write_table(path, dataclasses.replace(readings, position=readings.position + noise))
+    return path
+
+
+@pytest.fixture(scope="module")
+def offline(other: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command line makes of the recording, a second one predicted, and compared with a simulation."""
     out = tmp_path_factory.mktemp("offline")
     program = Path(sys.prefix) / "bin" / "calibration"
-    command = [program, "diagnose", BAG, "--cell", CELL, "--test", BAG, "--simulation", BAG, "--out", out]
+    command = [program, "diagnose", BAG, "--cell", CELL, "--test", other, "--simulation", BAG, "--out", out]
     subprocess.run(command, check=True, capture_output=True, timeout=300)
     return out
 
 
 def test_the_service_answers_as_the_command_line(
-    spinning: Any, node: Any, offline: Path, until: Callable[..., None], tmp_path: Path
+    spinning: Any, node: Any, other: Path, offline: Path, until: Callable[..., None], tmp_path: Path
 ) -> None:
-    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", test=str(BAG), simulation=str(BAG), out=str(tmp_path))
+    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", test=str(other), simulation=str(BAG), out=str(tmp_path))
     assert answer.outcome.code == Outcome.OK, answer.outcome.text
     assert answer.result_json.encode() == (offline / "result.json").read_bytes()
     for name in SAME:
@@ -61,12 +76,12 @@ def test_the_service_answers_as_the_command_line(
 
 
 def test_the_action_tells_its_progress_and_can_be_cancelled(
-    spinning: Any, node: Any, offline: Path, until: Callable[..., None], tmp_path: Path
+    spinning: Any, node: Any, other: Path, offline: Path, until: Callable[..., None], tmp_path: Path
 ) -> None:
     client = GoalClient(spinning.plain(), Identify, "/identification/identify")
     assert client.wait_for_server(20.0)
     told: list[Any] = []
-    goal = Identify.Goal(what=Identify.Goal.DIAGNOSIS, test=str(BAG), simulation=str(BAG), out=str(tmp_path / "out"))
+    goal = Identify.Goal(what=Identify.Goal.DIAGNOSIS, test=str(other), simulation=str(BAG), out=str(tmp_path / "out"))
     handle = finish(client.send_goal_async(goal, feedback_callback=told.append))
     until(lambda: any("looking for missing physics" in one.feedback.text for one in told), timeout=120.0)
     assert finish(handle.cancel_goal_async()).goals_canceling

@@ -55,6 +55,18 @@ def test_a_cause_at_the_robot_is_shared_by_displacements_and_positions(tmp_path:
     assert len(found.next_measurements) == 3
 
 
+def test_a_test_recording_of_both_kinds_is_judged_part_by_part(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    recordings = [measured(cell, k, 40 + k, effects=(TILT,)) for k, cell in enumerate(cells)]
+    other = measured(cells[0], 0, 77, configurations=5, rest=9, effects=(TILT,))  # its tracker stands elsewhere
+    test = diagnose_together(together(recordings, cells, test=other)).test
+    assert test is not None
+    assert [(part.kind, part.configurations) for part in test.parts] == [("loaded", 5), ("at_rest", 9)]
+    for part in test.parts:
+        assert part.rms < 2 * 2e-5
+        assert part.rms < 0.5 * part.rms_before
+
+
 def test_a_cause_in_a_set_up_names_its_recording(tmp_path: Path) -> None:
     cells = [setup(tmp_path, k, sigma=2e-5) for k in range(3)]
     gain = AppliedEffect("wrench_gain", {"sensor": "force_torque"}, "fx", {"gain_fx": 0.05})

@@ -38,6 +38,7 @@ from calibration_core.report.sections.procedure import counts_text, load_text, s
 from calibration_core.report.sections.records import exclusion_section, given_model, traceability_section
 from calibration_core.report.sections.together import together_blocks
 from calibration_core.report.writing.rendering import document_number
+from calibration_core.timeseries import NO_INTERVALS
 
 STATEMENT = (
     "A finding says that the recording is explained better with the effect than without, on data that the fit did not "
@@ -73,6 +74,7 @@ def diagnosis_document(
         Section(f"Finding {number}: {_title(finding)}", "", finding_blocks(finding))
         for number, finding in enumerate(found.findings, start=1)
     ]
+    sources = traceability_section(cell, null.readings.provenance, further_files(found))
     sections += [
         Section("How much better", "", gain_blocks(found)),
         Section("What remains", "", (Paragraph(found.rest.text),)),
@@ -81,7 +83,7 @@ def diagnosis_document(
         Section("Joint stiffness in the extended model", "", stiffness_blocks(found)),
         *([Section("What this kind of recording cannot show", "", (Items(found.aliases),))] if found.aliases else []),
         Section("Readings not used", "", exclusion_section(null, by)),
-        Section("Input and software", "", traceability_section(cell, null.readings.provenance, further_files(found))),
+        Section("Input and software", "", (*_without_intervals(found), *sources)),
     ]
     document = Document(
         number=document_number(result),
@@ -157,6 +159,11 @@ def _anomalies(found: Diagnosis) -> tuple[Block, ...]:
     if not found.anomalies:
         return (Paragraph("None was found."),)
     return (Items(tuple(f"{a.kind.replace('_', ' ')}: {a.text}" for a in found.anomalies)),)
+
+
+def _without_intervals(found: Diagnosis) -> tuple[Block, ...]:
+    notes = [note for note in found.identification.notes if note.kind == NO_INTERVALS]
+    return tuple(Paragraph(f"{note.place}: {note.text}.") for note in notes)
 
 
 def _title(finding: Finding) -> str:

@@ -39,8 +39,6 @@ def _forms(state: State) -> Iterator[Candidate]:
     size = typical("pose_dependent_stiffness", state.rated_load)
     for joint in state.chain.revolute:
         place = {"joint": state.chain.joints[joint]}
-        if not (state.compliance[joint] > 0 and (state.bears_weight(joint) or state.bears_load(joint))):
-            continue
         for variant, orders in FORMS.items():
             names = [f"{name}{f' {n}' if n > 1 else ''}" for n in orders for name in ("cosine", "sine")]
             parameters = tuple(Parameter(name, "1", size) for name in names)
@@ -49,9 +47,11 @@ def _forms(state: State) -> Iterator[Candidate]:
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
-    """Offer several waves to postures at rest alone: few loaded configurations tell that many from one."""
+    """Offer joints that a torque deflects, and several waves to postures at rest alone: few loads tell them apart."""
     for candidate in _forms(state):
-        if candidate.variant == ONE_TURN or not state.loaded:
+        joint = state.chain.joints.index(str(candidate.location["joint"]))
+        deflected = state.compliance[joint] > 0 and (state.bears_weight(joint) or state.bears_load(joint))
+        if deflected and (candidate.variant == ONE_TURN or not state.loaded):
             yield candidate
 
 
