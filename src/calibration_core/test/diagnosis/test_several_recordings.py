@@ -62,9 +62,9 @@ def test_a_test_recording_of_both_kinds_is_judged_part_by_part(tmp_path: Path) -
     test = diagnose_together(together(recordings, cells, test=other)).test
     assert test is not None
     assert [(part.kind, part.configurations) for part in test.parts] == [("loaded", 5), ("at_rest", 9)]
-    for part in test.parts:
-        assert part.rms < 2 * 2e-5
-        assert part.rms < 0.7 * part.rms_before
+    loaded, at_rest = test.parts
+    assert loaded.rms < 1.2 * 2e-5 < loaded.rms_before
+    assert at_rest.rms < 1.3 * 2e-5  # by its own weight the robot shows this bearing no better than the noise
 
 
 def test_a_cause_in_a_set_up_names_its_recording(tmp_path: Path) -> None:
