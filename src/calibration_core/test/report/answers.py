@@ -333,7 +333,7 @@ def make_absolute(cell: Cell, configurations: int = 216, seed: int = 2) -> Ident
 
 def make_hostile() -> tuple[Identification, Cell]:
     joints = tuple(f"{HOSTILE} {i}" for i in range(6))
-    cell = make_cell(HOSTILE, joints, (HOSTILE + " 1", "= 2 \u202e", "x" * 300), True, HOSTILE)
+    cell = make_cell(HOSTILE, joints, (HOSTILE + " 1", "= 2 <&>", "x" * 300), True, HOSTILE)
     answer = make_loaded(cell, configurations=12, steps=3, seed=3)
     readings = dataclasses.replace(
         answer.readings,
