@@ -15,7 +15,7 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.cli import main
 from calibration_core.errors import CellError
 from calibration_core.model.kinematics import posture
-from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import gravity_torque
 from calibration_core.motion.speed import Monitored, hermite_bound
@@ -97,7 +97,7 @@ def test_kinematics_and_weight_are_those_of_the_simulator(cell: Cell) -> None:
 
 def test_speeds_and_their_bounds_hold_with_sliding_joints(cell: Cell) -> None:
     chain, rng = chain_of(cell), np.random.default_rng(2)
-    monitored = Monitored.of(chain, nominal_parameters(cell))
+    monitored = Monitored.of(chain, nominal_parameters(cell), tool_point(cell))
     q, rate = rng.uniform(*chain.limits.T, (30, chain.n)), rng.normal(size=(30, chain.n))
 
     def places(angles: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored
 from calibration_core.motion.trajectory import MotionLimits, plan_motion
@@ -30,7 +30,7 @@ CONFIGURATIONS = 12
 def speeds(cell: Cell, seed: int, log: Path) -> np.ndarray:
     """Drive through a plan with its start-up cycle; return the fastest point's speed at every millisecond, m/s."""
     plan = make_plan(cell, configurations=CONFIGURATIONS, spares=0.0, seed=seed)
-    monitored = Monitored.of(chain_of(cell), nominal_parameters(cell))
+    monitored = Monitored.of(chain_of(cell), nominal_parameters(cell), tool_point(cell))
     way = [*plan.startup_cycle, *(configuration.q for configuration in plan.configurations)]
     live = LiveCell(cell, nominal_truth(cell), way[0])
     with MotionLog(log) as motion_log:

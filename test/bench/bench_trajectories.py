@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
-from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored
 from calibration_core.motion.trajectory import MotionLimits, plan_motion
@@ -22,7 +22,7 @@ LIMITS = MotionLimits()
 @pytest.mark.parametrize("name", ["demo", "small"])
 def test_speed(name: str) -> None:
     cell = load_cell(CELLS / f"{name}.cell.yaml")
-    monitored = Monitored.of(chain_of(cell), nominal_parameters(cell))
+    monitored = Monitored.of(chain_of(cell), nominal_parameters(cell), tool_point(cell))
     rng = np.random.default_rng(0)
     fastest, planning, used = 0.0, 0.0, []
     for _ in range(MOTIONS):

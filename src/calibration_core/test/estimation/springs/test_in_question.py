@@ -39,7 +39,7 @@ def _search(share: float, control: Callable[[Trial], str] = lambda _: "") -> Sea
     truth = 2.0 * both + 0.8 * columns[:, ELSEWHERE] + rng.standard_normal(3 * READINGS)
     columns[:, SPRING] = share * both + np.sqrt(1 - share**2) * columns[:, SPRING]
     candidates = [
-        Candidate(effect, family, {"joint": joint}, variant, (Parameter("size", "1", 0.5),), _nothing)
+        Candidate(effect, family, {"joint": joint}, variant, (Parameter("size", "1", 0.5),), _nothing, shape=1)
         for effect, family, joint, variant in OFFERED
     ]
     partitions = tuple(Blocks(kind, np.arange(READINGS) * BLOCKS // READINGS) for kind in ("time", "posture"))
