@@ -35,9 +35,14 @@ from calibration_core.timeseries import Float1D, Float2D
 ROUNDS = 3
 SETTLING = 3  # rounds
 STEP = 2.0  # factor by which a compliance may move in one round
-APART = 4.0  # factor between a compliance and what was believed of it
+APART = 20.0  # factor between a compliance and what was believed of it
 CONVERGED = 1e-6  # m and rad
 STILL = 0.01  # of a compliance
+FAR, SURE, MOST_ROUNDS = (
+    0.1,
+    5.0,
+    8,
+)  # of a compliance and of its standard deviation: so far it moves no more, if it can
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -212,7 +217,9 @@ def refit(
         step = change / length
         softer = step[n:f] / np.maximum(_fitted(model), 1e-300)
         still = np.abs(step[:n]).max(initial=0.0) < CONVERGED and np.abs(softer).max(initial=0.0) < STILL
-        if turn == rounds or still:
+        sure = np.abs(change[n:f]) > SURE * np.sqrt(variance * np.diag(inverse)[n:f])
+        far = bool(np.any(sure & (np.abs(softer) > FAR) & (_fitted(model) > 0)))
+        if still or (turn >= rounds and not far) or turn == MOST_ROUNDS:
             break
         value = value + step[f:]
         parameters = moved(model.parameters, model.terms, step[:n])

@@ -181,15 +181,21 @@ def beside_small_effects(
     frames: FrameFit | None,
     selection: LoadedSelection,
 ) -> ExtendedLoadedModel:
-    """Return the same model, estimated with the small effects that were found to be there in the rows' covariance."""
+    """Return the same model, estimated with the small effects that were found to be there in the rows' covariance.
+
+    The law of what was accepted is known to a share only, and what is confounded with it may hold the rest: the
+    covariance says so.  The values are those that explain the recording: no confounded effect stands in the model.
+    """
     share, compliance, n = selection.share, extended.base_compliance, len(extended.compliance)
     if not np.any(share):
         return extended
     problem, rows, used = extended.problem, extended.rows, extended.used
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, frames, selection.with_size)
     chosen = tuple(hypotheses[index] for index in extended.accepted)
-    value, covariance = estimates(design, extended.accepted, share)
-    value = _allowed(compliance, chosen, value, covariance)
+    _, covariance = estimates(design, extended.accepted, share)
+    if not selection.level:
+        return dataclasses.replace(extended, covariance=covariance)
+    value = _allowed(compliance, chosen, *estimates(design, extended.accepted, selection.level))
     return dataclasses.replace(extended, compliance=compliance + value[:n], value=value[n:], covariance=covariance)
 
 
