@@ -159,11 +159,11 @@ class Cell:
         with tqdm(total=100, desc="measuring", bar_format="{l_bar}{bar}| [{elapsed}{postfix}]") as bar:
 
             def on_feedback(message: Any) -> None:
-                told = message.feedback
-                if RunState.READY.value not in told.text:
+                feedback = message.feedback
+                if RunState.READY.value not in feedback.text:
                     self._went_on = time.monotonic()
-                bar.n = round(100 * told.share_done)
-                bar.set_postfix_str(f"configuration {told.configuration}, step {told.step}")
+                bar.n = round(100 * feedback.share_done)
+                bar.set_postfix_str(f"configuration {feedback.configuration}, step {feedback.step}")
 
             goal = RunPlan.Goal(plan=str(plan), session=str(self.session))
             self._went_on = time.monotonic()

@@ -34,11 +34,11 @@ class Demonstration:
     def wait_for(self, path: Path, seconds: float) -> None:
         end = time.monotonic() + seconds
         while not path.exists():
-            assert self.process.poll() is None, self.told()
+            assert self.process.poll() is None, self.output()
             assert time.monotonic() < end, f"no {path}"
             time.sleep(0.05)
 
-    def told(self) -> str:
+    def output(self) -> str:
         """What it said, once it is over."""
         assert self.process.stdout is not None
         return self.process.stdout.read()
@@ -68,7 +68,7 @@ def test_interrupted(demonstration: Demonstration, still_running: Any, number: s
     time.sleep(0.3)
     assert len(still_running(demonstration.mark)) > 1
     demonstration.process.send_signal(number)
-    assert demonstration.process.wait(30.0) == 128 + number, demonstration.told()
+    assert demonstration.process.wait(30.0) == 128 + number, demonstration.output()
     assert still_running(demonstration.mark) == []
 
 
@@ -84,24 +84,24 @@ def test_a_measurement_that_waits_for_an_operator_ends(demonstration: Demonstrat
     began = time.monotonic()
     assert demonstration.process.wait(90.0) == 1
     assert time.monotonic() - began < 60.0
-    told = demonstration.told()
-    assert "the measurement waits for an operator: " in told
-    assert "too busy" in told, told
+    output = demonstration.output()
+    assert "the measurement waits for an operator: " in output
+    assert "too busy" in output, output
     assert marked_processes(demonstration.mark) == {}
 
 
 @pytest.mark.slow
 def test_to_the_end(demonstration: Demonstration, still_running: Any) -> None:
     began = time.monotonic()
-    told = demonstration.told()
+    output = demonstration.output()
     took = time.monotonic() - began
-    print(f"\ntook {took:.0f} s\n{told}")
+    print(f"\ntook {took:.0f} s\n{output}")
     assert demonstration.process.wait(10.0) == 0
-    assert "live and replayed results are the same to the bit" in told
-    assert "the diagnosis names it" in told
-    for line in told.splitlines():
+    assert "live and replayed results are the same to the bit" in output
+    assert "the diagnosis names it" in output
+    for line in output.splitlines():
         if line.startswith("report, "):
             assert Path(line.partition(": ")[2]).is_file(), line
-    assert told.count("\nreport, ") == 4  # of the plan, the stiffness and both diagnoses
+    assert output.count("\nreport, ") == 4  # of the plan, the stiffness and both diagnoses
     assert still_running(demonstration.mark) == []
     assert took < LONGEST

@@ -46,7 +46,7 @@ def test_an_identification_names_its_own_outliers_where_the_search_has_some() ->
     assert with_own_outliers(searched[:1], own) == searched[:1]
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="no real recordings beside the project")
+@pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
 @pytest.mark.parametrize(("name", "count"), [("fanuc", 2), ("motoman", 1)])
 def test_all_that_identify_says_counts_the_same(
     name: str, count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
