@@ -13,7 +13,7 @@ from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.commands.shared.several import look_at_all, prepared_from, read_recordings
 from calibration_core.diagnosis.bias import with_bias
-from calibration_core.diagnosis.parts import search_missing
+from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import InputError, quoted
@@ -218,8 +218,9 @@ def _searched(
 
     Where the search cannot work on a recording of which the standard's model says something, a note tells why.
     """
+    usual = Options(robust=options.robust, readmit=options.readmit)
     try:
-        searched = search_missing(readings, cell, options, given)
+        searched = diagnose(readings, cell, usual, given=given)
     except InputError as error:
         note = Note("search", "missing physics", f"could not be looked for: {error}")
         return dataclasses.replace(found, notes=(*found.notes, note)), None
