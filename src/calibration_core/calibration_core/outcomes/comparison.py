@@ -224,7 +224,7 @@ def described(one: QuantityChange) -> str:
     if not math.isfinite(one.low):
         return f"{one.quantity} of {one.location}: cannot tell, not known in one of the two"
     if one.quantity == "stiffness":
-        size = f"{100 * one.change:+.2f} % ({100 * one.low:+.2f} to {100 * one.high:+.2f} %)"
+        size = f"{100 * one.change:+z.2f} % ({100 * one.low:+z.2f} to {100 * one.high:+z.2f} %)"
     else:
         ends = f"{significant(one.low)} to {significant(one.high)}"
         size = f"{significant(one.change)} {one.unit.replace('*', '·')} ({ends})"
@@ -240,7 +240,7 @@ def described(one: QuantityChange) -> str:
 def described_trend(one: Trend) -> str:
     """Return a trend in words."""
     if one.quantity == "stiffness":
-        size = f"{100 * one.slope:+.2f} % per year ({100 * one.low:+.2f} to {100 * one.high:+.2f} %)"
+        size = f"{100 * one.slope:+z.2f} % per year ({100 * one.low:+z.2f} to {100 * one.high:+z.2f} %)"
     else:
         size = f"{significant(one.slope)} {one.unit} ({significant(one.low)} to {significant(one.high)})"
     return f"trend of the {one.quantity} of {one.location}: {size}, {WORDS[one.verdict]}"

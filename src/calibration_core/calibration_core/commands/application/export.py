@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
 import re
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from calibration_core.cell import Cell, load_cell
 from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import CalibrationError, InputError, quoted
+from calibration_core.files.written import json_bytes
 from calibration_core.formats.calibrated import Exported, ExportedRobot, calibrated_robot, named
 from calibration_core.formats.dh import dh_files
 from calibration_core.formats.mjcf import mjcf_files
@@ -80,8 +80,7 @@ def files_of(robot: ExportedRobot, exported: Exported, form: str, inputs: Inputs
         form: The format.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
     """
-    text = json.dumps(export_result(robot, exported, form, inputs), indent=2, ensure_ascii=False) + "\n"
-    return {RESULT: text.encode(), **exported.files}
+    return {RESULT: json_bytes(export_result(robot, exported, form, inputs)), **exported.files}
 
 
 def _exported(robot: ExportedRobot, arguments: argparse.Namespace) -> Exported:

@@ -38,7 +38,7 @@ def _anomaly(found: Estimate, index: int, readings: Readings) -> Anomaly:
     rows = inside & (order >= k if last + 1 - k <= k - first else order < k)
     span = (int(numbers[rows][0]), int(numbers[rows][-1]))
     frame = "the flange" if one.effect == "target_moved" else "the base"
-    vector = ", ".join(f"{1e3 * v:+.2f}" for v in value[:3])
+    vector = ", ".join(f"{1e3 * v:+z.2f}" for v in value[:3])
     beside = _beside(found, index)
     alternative = f" A step of {' or '.join(beside)} fits nearly as well." if beside else ""
     before, after = int(numbers[order == k - 1][-1]), int(numbers[order == k][0])

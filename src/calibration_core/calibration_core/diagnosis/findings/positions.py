@@ -147,7 +147,7 @@ def _explanation(
     shared = ", with one size that they share" if everywhere else ""
     text = (
         f"{opening(first.effect, first.location, shared)}. This moves the measured points by "
-        f"{1e6 * magnitude:.0f} µm rms beyond what frames and geometry take up, and saves {100 * gain:.0f} % of the "
+        f"{1e6 * magnitude:.0f} µm rms beyond what frames and geometry take up, and saves {100 * gain:z.0f} % of the "
         f"squared error on blocks of configurations left out; {evidence_words(score)}."
     )
     if first.effect == WAVE and len(parts) <= SEVERAL:
