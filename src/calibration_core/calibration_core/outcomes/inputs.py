@@ -18,7 +18,7 @@ from calibration_core.input_checks.lengths import check_lengths
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.robot import chain_of
 from calibration_core.recording.source import sha256_of
-from calibration_core.timeseries import NO_INTERVALS, Note, Readings
+from calibration_core.timeseries import Readings
 
 SAME = 0.5  # of the readings: more in common is the same recording
 DIGITS = 6  # of m and rad: readings that agree to so many are the same, for noise is larger
@@ -96,10 +96,7 @@ def with_unit_note(readings: Readings, cell: Cell) -> Readings:
 
 def with_model_note(readings: Readings, given: GivenModel | None) -> Readings:
     """Return the readings with a note where a given model file states no covariance, so that nothing has intervals."""
-    if given is None or given.estimate is not None:
-        return readings
-    text = "the model file is of schema 1: it has no covariance, and nothing that is taken from it has an interval"
-    return readings.with_notes(Note(NO_INTERVALS, given.file, text))
+    return readings if given is None else readings.with_notes(*given.notes)
 
 
 def refuse_lengths(cell: Cell) -> None:

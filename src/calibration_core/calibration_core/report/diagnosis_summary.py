@@ -52,7 +52,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
         lines += [f"   {proposal.why}" for proposal in diagnosis.next_measurements]
     lines.append(diagnosis.next_text)
     notes = diagnosis.identification.notes
-    lines += [f"note: {note.place}: {note.text}" for note in notes if note.kind == NO_INTERVALS]
+    lines += [note.line for note in notes if note.kind == NO_INTERVALS]
     return "\n".join(line for line in lines if line)
 
 

@@ -40,7 +40,7 @@ def summary(found: Identification) -> str:
     ]
     if len(found.exclusions) > 10:
         lines.append(f"excluded: {len(found.exclusions) - 10} more, all in the report")
-    lines += [f"note: {note.place}: {note.text}" for note in found.notes[:10]]
+    lines += [note.line for note in found.notes[:10]]
     unmet = [p for p in found.preconditions if p.met is False]
     lines += [
         f"not as the standard {'demands' if p.shall else 'recommends'} ({p.clause}): {p.requirement}: {p.found}"

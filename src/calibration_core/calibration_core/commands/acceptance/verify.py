@@ -160,6 +160,7 @@ def verification_result(found: Verification, cell: Cell, readings: Readings, inp
         rms_with_tracker_fitted=found.elsewhere,
         intervals_of_the_model=found.with_intervals,
         places=places(found),
+        remarks=remarks(found),
         notes=[vars(note) for note in readings.notes],
         input=input_record(cell, readings.provenance, inputs),
     )

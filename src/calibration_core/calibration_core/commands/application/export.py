@@ -18,8 +18,8 @@ from calibration_core.formats.mjcf import mjcf_files
 from calibration_core.formats.table import DeflectionGrid, table_files
 from calibration_core.formats.ur import ur_files
 from calibration_core.formats.urdf import urdf_files
-from calibration_core.model.identified.model_file import read_model
-from calibration_core.outcomes.inputs import Inputs, digest_of, naming_model
+from calibration_core.model.identified.given import read_given
+from calibration_core.outcomes.inputs import Inputs, naming_model
 from calibration_core.report.results.command import input_record
 from calibration_core.report.results.result import SCHEMA
 from calibration_core.report.writing.output import RESULT, Content, write_files
@@ -48,9 +48,10 @@ def run(arguments: argparse.Namespace) -> str:
     cell = load_cell(arguments.cell)
     refuse_inputs(arguments.out, "export", () if cell.urdf_path is None else (cell.urdf_path,))
     with naming_model(arguments.model):
-        robot = calibrated_robot(cell, read_model(arguments.model, cell))
+        given = read_given(arguments.model, cell)
+        robot = calibrated_robot(cell, given.parameters, given.notes)
         exported = exported_as(robot, arguments)
-    write_files(arguments.out, files_of(robot, exported, arguments.format, {"model": digest_of(arguments.model)}))
+    write_files(arguments.out, files_of(robot, exported, arguments.format, given.digest))
     where = f"{', '.join(sorted(exported.files))} in {arguments.out}"
     return f"{robot.cell.robot.name} as {arguments.format}: {where}\n{export_summary(robot, exported)}"
 
@@ -119,7 +120,7 @@ def export_result(robot: ExportedRobot, exported: Exported, form: str, inputs: I
         "effects_folded": named(robot.folded),
         "effects_held": named(exported.held),
         "effects_left_out": named(_left(robot, exported)),
-        "notes": list(exported.notes),
+        "notes": [*(f"{note.place}: {note.text}" for note in robot.notes), *exported.notes],
         "input": input_record(cell, None, inputs),
     }
 
@@ -137,6 +138,7 @@ def export_summary(robot: ExportedRobot, exported: Exported) -> str:
     left = _left(robot, exported)
     if left:
         lines.append(f"not in this format: {'; '.join(named(left))}")
+    lines += [note.line for note in robot.notes]
     return "\n".join([*lines, *exported.notes, WITHOUT_FORMAT])
 
 
