@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> str:
     result = json_bytes(_result(imported, arguments))
     write_files(
         arguments.out,
-        {TABLE: lambda path: write_table(path, imported.readings), RESULT: result.encode()},
+        {TABLE: lambda path: write_table(path, imported.readings), RESULT: result},
     )
     return "\n".join([*summary(imported), f"table: {arguments.out / TABLE}"])
 
