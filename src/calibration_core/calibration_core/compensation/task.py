@@ -140,6 +140,9 @@ def read_task(path: Path, cell: Cell) -> Task:
 
 
 def _check_header(path: Path, header: tuple[str, ...], cell: Cell) -> None:
+    if len(header) == 1 and ";" in header[0]:
+        expected = "columns separated by commas, and numbers with a decimal point"
+        raise TaskError(path, "line 1", "columns separated by semicolons", expected)
     angles = tuple(f"q{i + 1}" for i in range(len(cell.robot.joints)))
     known = {*POSE, *angles, *WRENCH, *SINGLE, "path"}
     for name in header:

@@ -135,7 +135,7 @@ def locate(readings: Readings, residual: Float2D, cell: Cell, model: ModelParame
             peak = table.whole[np.arange(len(table.whole)), np.argmax((table.whole**2).sum(axis=(2, 3)), axis=1)]
     shares, turn, shift = _shares(at, place, peak, chain.joints)
     torque = None
-    if table.loaded and readings.wrench is not None:
+    if table.loaded:
         torque = load_torque(
             posture(chain, readings.q[table.peaks]), load_of(readings.select(table.peaks), cell, model)
         )
@@ -205,7 +205,7 @@ def _table(readings: Readings, residual: Float2D) -> _Table | None:
         time=time if np.isfinite(time).all() else np.arange(len(place), dtype=np.float64),
         temperature=readings.temperature[place[:, 0, 0]],
         peaks=peaks,
-        loaded=int(common.sum()) > 1,
+        loaded=readings.wrench is not None and int(common.sum()) > 1,
     )
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-import re
 from typing import Any
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.engine.command_line import refuse_without_effect
+from calibration_core.engine.command_line import refuse_without_effect, separate
 from calibration_core.errors import CalibrationError, InputError, quoted
 from calibration_core.files.written import json_bytes
 from calibration_core.formats.calibrated import Exported, ExportedRobot, calibrated_robot, named
@@ -102,9 +101,10 @@ def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
     if text is None:
         return None
     try:
-        return tuple(float(part) for part in re.split(r"[\s,]+", text.strip()))
-    except ValueError:
-        raise InputError("export --format table", option, quoted(text), "numbers with blanks between, rad") from None
+        return separate(text)
+    except ValueError as fault:
+        expected = f"numbers with blanks between, rad{fault}"
+        raise InputError("export --format table", option, quoted(text), expected) from None
 
 
 def export_result(robot: ExportedRobot, exported: Exported, form: str, inputs: Inputs) -> dict[str, Any]:

@@ -44,6 +44,8 @@ def read_result(path: Path) -> dict[str, Any]:
     expected = f"result.json of schema {SCHEMA}"
     try:
         content = json.loads(read_regular(path, MOST, "result.json"))
+    except json.JSONDecodeError as error:
+        raise InputError(path, "", "no JSON", expected).at(error.lineno, error.colno) from None
     except (ValueError, RecursionError) as error:
         raise InputError(path, "", str(error).splitlines()[0], expected) from None
     if not isinstance(content, dict) or content.get("schema") != SCHEMA or not isinstance(content.get("command"), str):
