@@ -94,11 +94,15 @@ def _recording(result: Mapping[str, Any]) -> list[str]:
     return [f"{title} {recording.get('file')}: {', '.join([*counts, *names, kind])}."]
 
 
+def _raised(by: object) -> str:
+    return f" (numbers raised by {by})" if by else ""
+
+
 def _recordings(result: Mapping[str, Any]) -> list[str]:
     """Return a line for each of several recordings, and one that says whether they agree."""
     lines = [
-        f"Recording {one.get('number')}: {one.get('file')}: {one.get('configurations')} configurations, numbered from "
-        f"{one.get('numbered_from')}, {one.get('readings')} readings, measured in {one.get('cell')}."
+        f"Recording {one.get('number')}: {one.get('file')}: {one.get('configurations')} configurations"
+        f"{_raised(one.get('numbered_from'))}, {one.get('readings')} readings, measured in {one.get('cell')}."
         for one in records(result, "recordings")
     ]
     agreement = result.get("agreement")

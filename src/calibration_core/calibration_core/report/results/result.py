@@ -12,6 +12,7 @@ from calibration_core.cell import Cell
 from calibration_core.files.written import json_bytes
 from calibration_core.identification.result.estimate import Anomaly, Identification, JointStiffness
 from calibration_core.model.identified.given import GivenModel
+from calibration_core.observations.kinds import postures_at_rest
 from calibration_core.report.results.phases import decoupled_dict, phases_dict
 from calibration_core.report.results.provenance import digests, software
 from calibration_core.report.results.scene import space_dict
@@ -79,6 +80,7 @@ def recording_record(readings: Readings, *, loaded: bool) -> dict[str, Any]:
         "points": list(readings.points),
         "loaded": loaded,
         "readings": len(readings),
+        **({"postures_at_rest": rest} if (rest := postures_at_rest(readings)) else {}),
     }
 
 
