@@ -66,5 +66,5 @@ def deflected(robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axe
     conditions = Conditions(task.time, task.temperature, task.path)
     found = deflect(robot, q, task.wrench, conditions, model.estimate, axes)
     chart = None if plane is None else plane_map(robot, q[0], task.wrench[0], plane, axes)
-    said = [*task.remarks, *remarks(model, robot)]
-    return Deflected(task, robot, q, found, chart, outside(task, q, robot, model), said)
+    sentences = [*task.remarks, *remarks(model, robot)]
+    return Deflected(task, robot, q, found, chart, outside(task, q, robot, model), sentences)

@@ -50,7 +50,11 @@ def outliers_of(exclusions: Sequence[Exclusion]) -> tuple[Anomaly, ...]:
         return ()
     largest = max(exclusions, key=lambda exclusion: exclusion.size)
     numbers = [exclusion.configuration for exclusion in exclusions]
-    where = {"point": largest.point, "configuration": largest.configuration, "step": largest.step}
+    where: dict[str, str | int] = {
+        "point": largest.point,
+        "configuration": largest.configuration,
+        "step": largest.step,
+    }
     keys = [(one.configuration, one.step, one.point) for one in exclusions]
     text = outlier_text(keys, largest.size, "the others")
     return (Anomaly(OUTLIERS, where, (min(numbers), max(numbers)), largest.size, "m", text),)
