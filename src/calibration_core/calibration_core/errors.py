@@ -142,6 +142,8 @@ def storage_fault(path: str | Path, error: OSError | sqlite3.Error, expected: st
 
 def quoted(value: object, limit: int = 60) -> str:
     """Quote an offending value for a message, cut to `limit` characters; nested values cost no more than that."""
+    if value is None:
+        return "nothing"
     shortened = reprlib.Repr()
     shortened.maxlevel = 3  # a few hundred bytes of YAML can nest into 10^9 elements
     shortened.maxstring = shortened.maxother = shortened.maxlong = 2 * limit

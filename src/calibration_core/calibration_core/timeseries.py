@@ -127,6 +127,11 @@ class Note:
     text: str
     count: int = 1
 
+    @property
+    def line(self) -> str:
+        """The note as a terminal shows it."""
+        return f"note: {self.place}: {self.text}"
+
 
 @dataclasses.dataclass(frozen=True)
 class Override:

@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 from pathlib import Path
 
-from calibration_core.errors import CellError, quoted
+from calibration_core.errors import CellError
 from calibration_core.files.yaml_file import read_yaml
 
 FOLDER = Path(__file__).with_name("robots")
@@ -64,6 +64,6 @@ def library_robot(key: str) -> LibraryRobot:
     raise CellError(
         key,
         "",
-        quoted(key),
+        "no URDF" if Path(key).exists() else "neither a file nor a robot of the library",
         f"a URDF, a bag with /robot_description, or a robot of the library; {hint}known: {', '.join(robots)}",
     )

@@ -49,13 +49,14 @@ def command(name: str) -> Callable[[argparse.Namespace], str]:
 
 
 def require_place(options: argparse.Namespace, name: str) -> None:
-    """Refuse an output folder in which a command would replace an input, or what it did not write.
+    """Refuse an output folder that is none, or in which a command would replace an input or what it did not write.
 
     Raises:
         OutputError: It would.
     """
-    from calibration_core.report.writing.ownership import refuse_inputs, require_own
+    from calibration_core.report.writing.ownership import refuse_inputs, require_directory, require_own
 
+    require_directory(options.out)
     refuse_inputs(options.out, name, inputs_of(options))
     require_own(options.out, name)
 

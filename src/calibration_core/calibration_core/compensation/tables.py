@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +9,7 @@ import numpy as np
 from calibration_core.compensation.compensate import Compensation
 from calibration_core.compensation.inverse import rpy_of_axes
 from calibration_core.compensation.task import Task
-from calibration_core.files.csv_cells import inert
+from calibration_core.files.written import csv_bytes
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -27,28 +25,21 @@ def compensated_csv(task: Task, found: Compensation) -> bytes:
     header = [*(task.header[k] for k in own), *(f"q{i + 1}" for i in range(n)), *PLACE, *RESULT]
     before, after = (np.linalg.norm(error, axis=1) for error in (found.error_before, found.error_after))
     place = np.hstack([found.sent.T, rpy_of_axes(found.sent_axes)])
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
+    rows = []
     for k, ok in enumerate(found.ok):
-        kept = [inert(task.rows[k][column]) for column in own]
-        corrected = [repr(float(x)) for x in (*found.q[k], *place[k])] if ok else [""] * (n + 6)
-        figures = [_number(before[k]), _number(after[k]), _number(found.u95[k])]
-        writer.writerow([*kept, *corrected, *figures, found.status[k]])
-    return text.getvalue().encode()
+        corrected = [*found.q[k], *place[k]] if ok else [""] * (n + 6)
+        kept = (task.rows[k][column] for column in own)
+        rows.append([*kept, *corrected, before[k], after[k], found.u95[k], found.status[k]])
+    return csv_bytes(header, rows)
 
 
 def poses_csv(found: Compensation) -> bytes:
     """Return the corrected places for controllers that are sent places: row of the task, m, degrees, rotation."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     axes = [f"{column}{row}" for row in "xyz" for column in ("ux", "uy", "uz")]
-    writer.writerow(["row", "x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg", *axes])
     angles = np.degrees(rpy_of_axes(found.sent_axes))
-    for k in np.flatnonzero(found.ok):
-        matrix = found.sent_axes[:, :, k].T.reshape(-1)
-        writer.writerow([int(k) + 1, *(repr(float(x)) for x in (*found.sent[:, k], *angles[k], *matrix))])
-    return text.getvalue().encode()
+    matrices = found.sent_axes.transpose(2, 1, 0).reshape(-1, 9)
+    rows = ([int(k) + 1, *found.sent[:, k], *angles[k], *matrices[k]] for k in np.flatnonzero(found.ok))
+    return csv_bytes(["row", "x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg", *axes], rows)
 
 
 def trajectory_yaml(joints: Sequence[str], found: Compensation, times: Float1D) -> bytes:
@@ -84,7 +75,3 @@ def times_of(q: Float2D, lever: Float2D, speed: float) -> Float1D:
     """
     travel = (np.abs(np.diff(q, axis=0)) @ lever.T).max(axis=1, initial=0.0)
     return np.concatenate([np.zeros(min(len(q), 1)), np.cumsum(np.maximum(travel / speed, 1e-3))])
-
-
-def _number(value: float) -> str:
-    return "" if np.isnan(value) else repr(float(value))

@@ -42,6 +42,7 @@ class Task:
         rate: (m, n) rad/s, m/s where a joint slides: rates of the nominal joints; None where the task has none.
         source: What the task is called in messages: the file, or who asks.
         labels: Where each row stands there; empty: by its number.
+        remarks: What of the file was not used, in sentences.
     """
 
     header: tuple[str, ...]
@@ -55,6 +56,7 @@ class Task:
     rate: Float2D | None = None
     source: str | Path = "task"
     labels: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays."""
@@ -68,8 +70,15 @@ class Task:
         return len(self.wrench)
 
     def with_wrench(self, wrench: Sequence[float]) -> Task:
-        """Return the task under one wrench for all rows, (6,) N and N*m."""
-        return dataclasses.replace(self, wrench=np.tile(np.asarray(wrench, dtype=float), (len(self), 1)))
+        """Return the task under one wrench for all rows, (6,) N and N*m, with a remark where its own were others."""
+        load = np.tile(np.asarray(wrench, dtype=float), (len(self), 1))
+        others = int(np.any(load != self.wrench, axis=1).sum()) if WRENCH[0] in self.header else 0
+        numbers = " ".join(f"{value:zg}" for value in load[0])
+        remark = (
+            f"The wrenches of {self.source} (columns fx ... tz) were not used in {others} of {len(self)} rows: the one "
+            f"that was given for all rows, {numbers}, holds."
+        )
+        return dataclasses.replace(self, wrench=load, remarks=(*self.remarks, *([remark] if others else [])))
 
     def fault(self, row: int, found: str, expected: str) -> TaskError:
         """Return the error for a row, counted from 0, that cannot be used."""
@@ -131,6 +140,9 @@ def read_task(path: Path, cell: Cell) -> Task:
 
 
 def _check_header(path: Path, header: tuple[str, ...], cell: Cell) -> None:
+    if len(header) == 1 and ";" in header[0]:
+        expected = "columns separated by commas, and numbers with a decimal point"
+        raise TaskError(path, "line 1", "columns separated by semicolons", expected)
     angles = tuple(f"q{i + 1}" for i in range(len(cell.robot.joints)))
     known = {*POSE, *angles, *WRENCH, *SINGLE, "path"}
     for name in header:

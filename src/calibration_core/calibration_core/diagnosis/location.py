@@ -135,7 +135,7 @@ def locate(readings: Readings, residual: Float2D, cell: Cell, model: ModelParame
             peak = table.whole[np.arange(len(table.whole)), np.argmax((table.whole**2).sum(axis=(2, 3)), axis=1)]
     shares, turn, shift = _shares(at, place, peak, chain.joints)
     torque = None
-    if table.loaded and readings.wrench is not None:
+    if table.loaded:
         torque = load_torque(
             posture(chain, readings.q[table.peaks]), load_of(readings.select(table.peaks), cell, model)
         )
@@ -205,7 +205,7 @@ def _table(readings: Readings, residual: Float2D) -> _Table | None:
         time=time if np.isfinite(time).all() else np.arange(len(place), dtype=np.float64),
         temperature=readings.temperature[place[:, 0, 0]],
         peaks=peaks,
-        loaded=int(common.sum()) > 1,
+        loaded=readings.wrench is not None and int(common.sum()) > 1,
     )
 
 
@@ -341,17 +341,17 @@ def _about_joints(shares: tuple[JointShare, ...], points: int) -> str:
     best, chance = shares[0], 1.0 / points
     if best.any_axis < 0.5 * (1.0 + chance):
         return (
-            f"It meets the lines of no joint: turns about {best.joint} explain {100 * best.any_axis:.0f} % of it, and "
+            f"It meets the lines of no joint: turns about {best.joint} explain {100 * best.any_axis:z.0f} % of it, and "
             f"would explain {100 * chance:.0f} % of noise."
         )
     as_well = [share for share in shares if share.any_axis >= best.any_axis - AS_WELL]
-    named = " or ".join(f"{share.joint} ({100 * share.any_axis:.0f} %)" for share in as_well)
+    named = " or ".join(f"{share.joint} ({100 * share.any_axis:z.0f} %)" for share in as_well)
     others = [share for share in shares if share not in as_well][:3]
     text = f"Turns about lines through {named} explain most of it"
     if others:
-        text += f"; through {', '.join(f'{share.joint} {100 * share.any_axis:.0f} %' for share in others)}"
+        text += f"; through {', '.join(f'{share.joint} {100 * share.any_axis:z.0f} %' for share in others)}"
     own = max(shares, key=lambda share: share.own_axis)
-    return f"{text}. About a joint's own axis alone {own.joint} explains most, {100 * own.own_axis:.0f} %."
+    return f"{text}. About a joint's own axis alone {own.joint} explains most, {100 * own.own_axis:z.0f} %."
 
 
 def _proportional(levels: tuple[Level, ...]) -> str:

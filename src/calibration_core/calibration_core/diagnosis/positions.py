@@ -24,6 +24,7 @@ from calibration_core.diagnosis.loaded import ALIASES
 from calibration_core.diagnosis.model_estimate import positions_compliance, positions_estimate
 from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.choose import NONE_ASKED, Proposals
+from calibration_core.diagnosis.proposals.loaded import propose_loads
 from calibration_core.diagnosis.proposals.postures import Known, propose_postures
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, by_size
 from calibration_core.estimation.blocks import posture_blocks, time_blocks
@@ -256,7 +257,16 @@ def diagnose_mixed(
     anomalies = (*checked.anomalies, *_of_readings(found, checked, claimed), *unsettled)
     silent = dataclasses.replace(identification, anomalies=())
     result = diagnosis_of(found, evaluated, silent, cell, test=test, offers=offers, anomalies=anomalies)
-    return dataclasses.replace(result, aliases=ALIASES)
+    result = dataclasses.replace(result, aliases=ALIASES)
+    open_joints = any(not joint.identifiable for joint in identification.stiffness)
+    if offers is None or result.next_measurements or not open_joints:
+        return result
+    loads = propose_loads(
+        prepared, start.compliance, np.flatnonzero(used), cell, offers
+    )  # no posture shows what no load has shown
+    if not loads.measurements:
+        return result
+    return dataclasses.replace(result, next_measurements=loads.measurements, next_text=loads.text)
 
 
 def _of_readings(found: Estimate, checked: Checked, claimed: float) -> tuple[Anomaly, ...]:

@@ -16,17 +16,66 @@ from calibration_core.errors import InputError
 class OneLineParser(argparse.ArgumentParser):
     """Says in one line what is wrong with the arguments; a command's own parser answers for its arguments."""
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Take the arguments of `argparse.ArgumentParser`; an option that holds one value may stand once."""
+        super().__init__(*args, **kwargs)
+        self.register("action", None, _StoreOnce)
+        self.register("action", "store", _StoreOnce)
+
     def error(self, message: str) -> NoReturn:
         """End the process with exit code 2 and one line on stderr."""
-        message = _with_suggestion(message)
-        self.exit(2, f"{InputError(self.prog, '', message, f'arguments as in {self.prog} --help')}\n")
+        self.exit(2, f"{_fault(self.prog, message)}\n")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse as usual, but refuse what is not known here, where `--help` lists what is."""
+        for action in self._actions:
+            if isinstance(action, _StoreOnce):
+                action.stored = False
         options, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return options, unknown
+
+
+class _StoreOnce(argparse._StoreAction):
+    """Keeps the value of an option, and refuses a second one, of which nobody knows whether it is meant."""
+
+    stored = False
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        """Keep the value.
+
+        Raises:
+            argparse.ArgumentError: The option has one already.
+        """
+        if self.stored and self.option_strings:
+            raise argparse.ArgumentError(self, f"the option twice, expected one {max(self.option_strings, key=len)}")
+        self.stored = True
+        super().__call__(parser, namespace, values, option_string)
+
+
+KINDS = {"int": "a whole number", "float": "a number, with a decimal point"}
+
+
+def _fault(program: str, message: str) -> InputError:
+    """Return what argparse says of wrong arguments as place, what was found and what was expected."""
+    named = re.fullmatch(r"argument (\S+?)(?:/\S+)?: (.*)", message, re.DOTALL)
+    place, text = (named.group(1), named.group(2)) if named else ("", message)
+    found, expected = text, "arguments"
+    if kind := re.fullmatch(r"invalid (int|float) value: (.*)", text, re.DOTALL):
+        found, expected = kind.group(2), KINDS[kind.group(1)]
+    elif count := re.fullmatch(r"expected (one|\d+|at least one) arguments?", text):
+        values = "value" if count.group(1).endswith("one") else "values"
+        found, expected = "another number of values", f"{count.group(1)} {values}"
+    elif lacking := re.fullmatch(r"the following arguments are required: (.*)", text):
+        place, found, expected = lacking.group(1), "nothing", "a value"
+    elif unknown := re.fullmatch(r"unrecognized arguments: (.*)", text, re.DOTALL):
+        found = f"'{unknown.group(1)}'"
+    elif ", expected " in text:  # by a type or an action of this module
+        found, _, expected = text.partition(", expected ")
+    else:
+        found = _with_suggestion(text)
+    return InputError(program, place, found, f"{expected} as in {program} --help")
 
 
 def _with_suggestion(message: str) -> str:
@@ -79,6 +128,21 @@ def refuse_without_effect(stated: Collection[str], who: str, names: Iterable[str
     for name in names:
         if name in stated:
             raise InputError(who, name, f"an option that has no effect {where}", f"{needed}, or no {name}")
+
+
+def separate(text: str) -> tuple[float, ...]:
+    """Return numbers that blanks or commas separate.
+
+    Raises:
+        ValueError: One is none, or blanks separate and commas stand within: they may be decimal marks.  The text goes
+            on where the caller says what it expected.
+    """
+    if re.search(r"\S,\S", text) and re.search(r"[^\s,]\s+[^\s,]", text):
+        raise ValueError(", with a decimal point, separated by blanks or by commas")
+    try:
+        return tuple(float(part) for part in re.split(r"[\s,]+", text.strip(" ,")))
+    except ValueError:
+        raise ValueError("") from None
 
 
 def path(text: str) -> Path:

@@ -62,7 +62,7 @@ class Controls:
             for before, true, false in zip(*trial.left_out, other, strict=True):
                 kept = (before - false).sum() / max((before - true).sum(), 1e-12)
                 if kept > COLLAPSED:
-                    return f"{100 * kept:.0f} % of its gain remains with gravity turned by 90 degrees"
+                    return f"{100 * kept:z.0f} % of its gain remains with gravity turned by 90 degrees"
         return ""
 
 

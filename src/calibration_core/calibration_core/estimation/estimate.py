@@ -19,7 +19,7 @@ from calibration_core.estimation.outliers import settled
 from calibration_core.estimation.refit import Extended, Part, refit
 from calibration_core.estimation.rows import NullModel, sample, state_at, weighted
 from calibration_core.estimation.search import Search, Selection
-from calibration_core.estimation.shifts import FAMILY, position_of, shifts, spacing
+from calibration_core.estimation.shifts import FAMILY, shifts, spacing
 from calibration_core.estimation.springs.compensator_geometry import SPRING, fit_compensator_geometry
 from calibration_core.estimation.springs.in_question import spring_in_question
 from calibration_core.identification.absolute.evaluate import Evaluated
@@ -27,7 +27,7 @@ from calibration_core.identification.absolute.prediction_error import compare
 from calibration_core.identification.geometry.problem import absolute_problem
 from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
-from calibration_core.model.effects.candidate import Candidate, Parameter
+from calibration_core.model.effects.candidate import Candidate, Parameter, number_of
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
@@ -233,7 +233,7 @@ def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
     steps = [i for i in selection.accepted if field.offered.hypotheses[i].family == FAMILY]
     if steps or more:  # where exactly, between the change points tried first; which shape exactly
         reach = spacing(readings)
-        near = {position_of(field.offered.hypotheses[i]) for i in steps}
+        near = {number_of(field.offered.hypotheses[i]) for i in steps}
         fine = np.unique(
             np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(k - reach, k + reach + 1) for k in near)])
         )

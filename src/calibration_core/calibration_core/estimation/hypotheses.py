@@ -12,8 +12,7 @@ from calibration_core.estimation.rows import NullModel
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.absolute import joint_elasticity, transmission_error
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
-from calibration_core.model.effects.absolute.transmission_error import order_of
-from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.candidate import Candidate, number_of
 from calibration_core.model.effects.recordings import in_each_recording
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.traits import Trait
@@ -142,7 +141,7 @@ def physics(state: State, *, sag: bool) -> tuple[Candidate, ...]:
         for candidate in offered:
             if candidate.location.get("robot") == "all joints":
                 continue  # a family
-            if effect.name == WAVE and order_of(candidate) > SINGLE_ORDERS:
+            if effect.name == WAVE and number_of(candidate) > SINGLE_ORDERS:
                 continue
             found.setdefault(candidate.key, candidate)
     return in_each_recording(tuple(found.values()), state)
@@ -163,7 +162,7 @@ def _families(candidates: Sequence[Candidate], blocks: Sequence[slice]) -> Itera
             yield _hypothesis(candidates, blocks, members, {"joints": ALL}, variant)
     for low, high in BANDS:
         within = {
-            joint: [i for i in several if low <= order_of(candidates[i]) <= high] for joint, several in waves.items()
+            joint: [i for i in several if low <= number_of(candidates[i]) <= high] for joint, several in waves.items()
         }
         variant = f"orders {low} to {high}"
         if not any(len(members) > 1 for members in within.values()):

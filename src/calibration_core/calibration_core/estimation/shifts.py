@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from calibration_core.estimation.hypotheses import Hypothesis
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
@@ -62,17 +61,6 @@ def around(readings: Readings, order: Int1D, position: int) -> Bool1D:
 def spacing(readings: Readings) -> int:
     """Return how many configurations lie between two of the change points that are tried first."""
     return max(len(np.unique(readings.configuration)) // POSITIONS, 1)
-
-
-def position_of(one: Hypothesis) -> int:
-    """Return the index, in the order of time, of the first configuration after the change.
-
-    Raises:
-        TypeError: It is no step.
-    """
-    if isinstance(one.shape, int):
-        return one.shape
-    raise TypeError(f"{one.effect} has no position")
 
 
 def in_time(configuration: Int1D) -> Int1D:

@@ -22,19 +22,22 @@ def read_regular(path: Path, most: int, what: str, error: type[InputError] = Inp
         InputError: It cannot be read, is no regular file (directory, device, pipe), or is larger.
     """
     try:
-        # without O_NONBLOCK, opening a pipe that nobody writes to would wait for ever
-        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-        with os.fdopen(handle, "rb") as stream:
+        with open(path, "rb", opener=_without_waiting) as stream:
             status = os.fstat(stream.fileno())
-            if stat.S_ISDIR(status.st_mode):
-                raise error(path, "", "a directory", f"a readable {what}")
             if not stat.S_ISREG(status.st_mode):
                 raise error(path, "", "no regular file", f"a readable {what}")
             if status.st_size > most:
                 raise error(path, "", f"{status.st_size} bytes", f"a {what} of at most {most} bytes")
             content = stream.read(most + 1)
+    except IsADirectoryError:
+        raise error(path, "", "a directory", f"a readable {what}") from None
     except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
         raise error(path, "", getattr(fault, "strerror", None) or str(fault), f"a readable {what}") from None
     if len(content) > most:
         raise error(path, "", f"more than {most} bytes", f"a {what} of at most {most} bytes")
     return content
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open a file; without O_NONBLOCK, opening a pipe that nobody writes to would wait for ever."""
+    return os.open(path, flags | os.O_CLOEXEC | os.O_NONBLOCK)

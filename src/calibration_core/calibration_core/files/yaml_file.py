@@ -112,7 +112,7 @@ def read_yaml(path: str | Path, most: int, what: str, error: type[InputError] = 
 
 
 def yaml_text(data: object, *, width: int = 120, flow: bool | None = False) -> str:
-    """Return plain data as YAML that `read_yaml` reads back equal; keys keep their order.
+    """Return plain data as YAML that `read_yaml` reads back equal; keys keep their order, zeros have no sign.
 
     Args:
         data: Dictionaries, lists and plain values.
@@ -131,7 +131,11 @@ class _Quoting(_Dumper):  # type: ignore[misc]  # yaml has no types
     def ignore_aliases(self, _: object) -> bool:
         return True
 
+    def represent_unsigned(self, value: float) -> Any:
+        return self.represent_float(value + 0.0)  # see `written`
 
+
+_Quoting.add_representer(float, _Quoting.represent_unsigned)
 _Quoting.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))
 
 

@@ -63,7 +63,7 @@ def _over_time(
     history, found = state.history, []
 
     def sized(size: float) -> str:
-        return f"{100 * math.expm1(size):+.1f} %" if relative else f"{1e3 * size:+.3f} mrad"
+        return f"{100 * math.expm1(size):+z.1f} %" if relative else f"{1e3 * size:+z.3f} mrad"
 
     if history.cause == "trend" and abs(history.slope) >= least:
         text = f"{name} changes by {sized(history.slope)} a year"

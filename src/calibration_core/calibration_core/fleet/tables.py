@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import functools
-import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from calibration_core.files.csv_cells import inert
+from calibration_core.files.written import csv_bytes, unsigned_zeros
 from calibration_core.fleet.plant import JointState, Plant
 from calibration_core.fleet.series import STIFFNESS
 from calibration_core.report.writing.output import Content
@@ -87,22 +85,12 @@ def table_files(plant: Plant) -> dict[str, Content]:
 
 
 def _csv(records: Sequence[Record]) -> bytes:
-    text = io.StringIO()
-    if records:
-        writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({name: _cell(value) for name, value in record.items()} for record in records)
-    return text.getvalue().encode()
-
-
-def _cell(value: object) -> object:
-    if isinstance(value, float):
-        return "" if math.isnan(value) else repr(value)
-    return inert(value) if isinstance(value, str) else value
+    names = list(records[0]) if records else []
+    return csv_bytes(names, ([record[name] for name in names] for record in records)) if records else b""
 
 
 def _write_parquet(records: Sequence[Record], path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.Table.from_pylist(list(records)), path)
+    pq.write_table(pa.Table.from_pylist(unsigned_zeros(records)), path)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -17,7 +17,7 @@ from calibration_core.model.effects.words import listed_location
 from calibration_core.model.kinematics import Posture, posture
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.timeseries import Float2D, Float3D
+from calibration_core.timeseries import Float2D, Float3D, Note
 
 POSTURES = 1000  # at which what is written is compared with the model
 SEED = 1
@@ -36,6 +36,7 @@ class ExportedRobot:
         parameters: The model.
         folded: Effects of the model that became part of the chain.
         further: Its other effects.
+        notes: What must be told of the model.
     """
 
     cell: Cell
@@ -44,6 +45,7 @@ class ExportedRobot:
     parameters: ModelParameters
     folded: tuple[AppliedEffect, ...]
     further: tuple[AppliedEffect, ...]
+    notes: tuple[Note, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +86,7 @@ class Exported:
         object.__setattr__(self, "files", MappingProxyType(dict(self.files)))
 
 
-def calibrated_robot(cell: Cell, parameters: ModelParameters) -> ExportedRobot:
+def calibrated_robot(cell: Cell, parameters: ModelParameters, notes: Sequence[Note] = ()) -> ExportedRobot:
     """Return the robot with the model's geometry, and with its zero offsets and frame errors folded into the chain.
 
     Raises:
@@ -101,7 +103,7 @@ def calibrated_robot(cell: Cell, parameters: ModelParameters) -> ExportedRobot:
         else:
             chain = after
             folded.append(effect)
-    return ExportedRobot(cell, nominal, chain, parameters, tuple(folded), tuple(further))
+    return ExportedRobot(cell, nominal, chain, parameters, tuple(folded), tuple(further), tuple(notes))
 
 
 def _possible(parameters: ModelParameters) -> Float2D:

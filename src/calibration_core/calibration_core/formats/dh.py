@@ -9,14 +9,13 @@ Sources: Denavit and Hartenberg (1955); Craig, Introduction to Robotics; Hayati 
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import math
 from typing import Any
 
 import numpy as np
 
+from calibration_core.files.written import csv_bytes
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.formats.calibrated import Exported, ExportedRobot, deviation, joint_frames, random_postures
 from calibration_core.model.chain import Chain, rotation_x, rotation_y, rotation_z, rpy_of
@@ -177,16 +176,8 @@ def _moved(values: Float1D, row: ExportedDhRow, *, slides: bool) -> Float3D:
 
 
 def _csv(chain: Chain, rows: tuple[ExportedDhRow, ...]) -> bytes:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for name, row in zip(chain.joints, rows, strict=True):
-        writer.writerow([name, *(_written(getattr(row, column)) for column in COLUMNS[1:])])
-    return text.getvalue().encode()
-
-
-def _written(value: str | float) -> str:
-    return value if isinstance(value, str) else repr(float(value))
+    named = zip(chain.joints, rows, strict=True)
+    return csv_bytes(COLUMNS, ([name, *(getattr(row, column) for column in COLUMNS[1:])] for name, row in named))
 
 
 def _document(chain: Chain, table: DhTable) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from calibration_core.files.written import numbers
 from calibration_core.formats.calibrated import Exported, ExportedRobot, joint_frames, named
 from calibration_core.formats.springs import LinkSprings, Spring, Springs, springs_of
 from calibration_core.model.chain import Chain
@@ -40,7 +41,7 @@ def mjcf_files(robot: ExportedRobot) -> Exported:
     root = ET.Element("mujoco", model=robot.cell.robot.name)
     root.append(ET.Comment(_comment(robot, springs)))
     ET.SubElement(root, "compiler", angle="radian", autolimits="false")
-    ET.SubElement(root, "option", gravity=_numbers(chain.gravity), integrator="implicitfast", timestep="0.001")
+    ET.SubElement(root, "option", gravity=numbers(chain.gravity), integrator="implicitfast", timestep="0.001")
     world = ET.SubElement(root, "worldbody")
     _bodies(world, robot, springs, stiffness)
     if tendons:
@@ -54,7 +55,7 @@ def mjcf_files(robot: ExportedRobot) -> Exported:
         gain = _drive(stiffness[i])
         ET.SubElement(
             actuators, "position", name=name, joint=name, kp=repr(gain), kv=repr(2 * gain / OWN_FREQUENCY),
-            ctrllimited="true", ctrlrange=_numbers(chain.limits[i]),
+            ctrllimited="true", ctrlrange=numbers(chain.limits[i]),
         )  # fmt: skip
     ET.indent(root)
     notes = ["Set the control of each joint to its encoder's position; the deflections answer to loads and weight."]
@@ -124,9 +125,9 @@ def _bodies(world: ET.Element, robot: ExportedRobot, springs: Springs, stiffness
     elif here.find("inertial") is None:
         _inertial(here, 0.0, np.zeros(3))
     if robot.parameters.wrench_point is not None:
-        ET.SubElement(here, "site", name="wrench_point", pos=_numbers(robot.parameters.wrench_point))
+        ET.SubElement(here, "site", name="wrench_point", pos=numbers(robot.parameters.wrench_point))
     for point, place in robot.parameters.points.items():
-        ET.SubElement(here, "site", name=point, pos=_numbers(place))
+        ET.SubElement(here, "site", name=point, pos=numbers(place))
 
 
 def _carriers(first: ET.Element, name: str, springs: Sequence[Spring]) -> ET.Element:
@@ -145,13 +146,13 @@ def _carriers(first: ET.Element, name: str, springs: Sequence[Spring]) -> ET.Ele
 def _spring(body: ET.Element, name: str, kind: str, axis: Float1D, place: Float1D, stiffness: float) -> None:
     armature = stiffness / OWN_FREQUENCY**2
     ET.SubElement(
-        body, "joint", name=name, type=kind, axis=_numbers(axis), pos=_numbers(place), stiffness=repr(float(stiffness)),
+        body, "joint", name=name, type=kind, axis=numbers(axis), pos=numbers(place), stiffness=repr(float(stiffness)),
         armature=repr(float(armature)), damping=repr(float(2 * DAMPING * stiffness / OWN_FREQUENCY)),
     )  # fmt: skip
 
 
 def _body(parent: ET.Element, name: str, pose: Float2D) -> ET.Element:
-    return ET.SubElement(parent, "body", name=name, pos=_numbers(pose[:3, 3]), quat=_numbers(_quaternion(pose)))
+    return ET.SubElement(parent, "body", name=name, pos=numbers(pose[:3, 3]), quat=numbers(_quaternion(pose)))
 
 
 def _quaternion(pose: Float2D) -> Float1D:
@@ -165,11 +166,7 @@ def _quaternion(pose: Float2D) -> Float1D:
 def _inertial(body: ET.Element, mass: float, com: Float1D) -> None:
     mass = max(mass, LEAST_MASS)
     ball = 0.4 * mass * BALL**2
-    ET.SubElement(body, "inertial", pos=_numbers(com), mass=repr(mass), diaginertia=_numbers([ball] * 3))
-
-
-def _numbers(values: Sequence[float] | Float1D) -> str:
-    return " ".join(repr(float(value)) for value in values)
+    ET.SubElement(body, "inertial", pos=numbers(com), mass=repr(mass), diaginertia=numbers([ball] * 3))
 
 
 def _comment(robot: ExportedRobot, springs: Springs) -> str:

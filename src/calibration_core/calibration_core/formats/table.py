@@ -6,14 +6,13 @@ would stand with the commanded ones.  Between nodes the table is interpolated li
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import math
 
 import numpy as np
 
 from calibration_core.errors import InputError
+from calibration_core.files.written import csv_bytes
 from calibration_core.formats.calibrated import SEED, Deviation, Exported, ExportedRobot, flange_poses
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
@@ -66,13 +65,10 @@ def table_files(robot: ExportedRobot, grid: DeflectionGrid) -> Exported:
     correction = corrections(robot, q)
     between, error, uncorrected = _between(robot, index, held, axes, correction)
     names = [f"q{i + 1}" for i in index]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*names, *(f"dq{i + 1}" for i in range(chain.n))])
-    writer.writerows([[repr(float(x)) for x in row] for row in np.hstack([nodes, correction])])
+    head = [*names, *(f"dq{i + 1}" for i in range(chain.n))]
     others = ", ".join(f"q{i + 1} {held[i]:.6g}" for i in range(chain.n) if i not in index)
     return Exported(
-        {FILE: text.getvalue().encode()},
+        {FILE: csv_bytes(head, np.hstack([nodes, correction]).tolist())},
         deviations=(
             _size("the flange between nodes, beside the exact correction", between),
             _size("the flange between nodes, beside where the nominal robot would stand", error),

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from calibration_core.cell.urdf import urdf_bytes
+from calibration_core.files.written import number, numbers
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.formats.calibrated import (
     Deviation,
@@ -142,7 +142,7 @@ def _of_dh(robot: ExportedRobot) -> tuple[ET.Element, dict[str, Float2D]]:
     for i, name in enumerate(chain.joints):
         joint = _joint(root, name, "prismatic" if chain.prismatic[i] else "revolute", parent, links[i], poses[i])
         ET.SubElement(joint, "axis", xyz="0 0 1")
-        low, high = (repr(float(x)) for x in chain.limits[i])
+        low, high = map(number, chain.limits[i])
         ET.SubElement(joint, "limit", {"lower": low, "upper": high, **NOT_KNOWN})
         parent = links[i]
     _joint(root, "flange_joint", "fixed", parent, "flange", poses[-1])
@@ -151,9 +151,9 @@ def _of_dh(robot: ExportedRobot) -> tuple[ET.Element, dict[str, Float2D]]:
 
 def _inertial(link: ET.Element, mass: float, com: Float1D) -> None:
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_numbers(com), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=repr(mass))
-    ball = repr(0.4 * mass * BALL**2)
+    ET.SubElement(inertial, "origin", xyz=numbers(com), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=number(mass))
+    ball = number(0.4 * mass * BALL**2)
     ET.SubElement(inertial, "inertia", ixx=ball, ixy="0", ixz="0", iyy=ball, iyz="0", izz=ball)
 
 
@@ -169,17 +169,13 @@ def _set_origin(joint: ET.Element, pose: Float2D) -> None:
     origin = joint.find("origin")
     if origin is None:
         origin = ET.SubElement(joint, "origin")
-    origin.set("xyz", _numbers(pose[:3, 3]))
-    origin.set("rpy", _numbers(rpy_of(pose[:3, :3])))
+    origin.set("xyz", numbers(pose[:3, 3]))
+    origin.set("rpy", numbers(rpy_of(pose[:3, :3])))
 
 
 def _values(pose: Float2D) -> dict[str, float]:
     numbers = [*pose[:3, 3], *rpy_of(pose[:3, :3])]
     return dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), map(float, numbers), strict=True))
-
-
-def _numbers(values: Sequence[float] | Float1D) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 def _comment(robot: ExportedRobot) -> str:
@@ -204,5 +200,7 @@ def _changes(robot: ExportedRobot) -> list[str]:
         pose = np.linalg.solve(before, after)
         x, y, z = 1e3 * pose[:3, 3]
         rx, ry, offset = 1e3 * rpy_of(pose[:3, :3])
-        texts.append(f"x {x:.4f} y {y:.4f} z {z:.4f} mm, rx {rx:.4f} ry {ry:.4f} mrad, joint offset {offset:.4f} mrad")
+        texts.append(
+            f"x {x:z.4f} y {y:z.4f} z {z:z.4f} mm, rx {rx:z.4f} ry {ry:z.4f} mrad, joint offset {offset:z.4f} mrad"
+        )
     return texts

@@ -128,6 +128,6 @@ def export(
         range=None if ends is None else " ".join(repr(float(x)) for x in ends),
     )
     with naming_model(Path(given.file)):
-        robot = calibrated_robot(cell, given.parameters)
+        robot = calibrated_robot(cell, given.parameters, given.notes)
         exported = exporting.exported_as(robot, options)
     return ExportResult(cell, robot, exported, options, given.digest)

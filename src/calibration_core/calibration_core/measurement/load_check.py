@@ -122,7 +122,7 @@ class LoadCheck:
 
 
 def _vector(values: Float1D) -> str:
-    return f"({', '.join(f'{value:.0f}' for value in values)})"
+    return f"({', '.join(f'{value:z.0f}' for value in values)})"
 
 
 def _advice(wanted: Float1D) -> str:

@@ -54,7 +54,7 @@ def posture_fault(
         row, joint = np.unravel_index(int(np.argmax(off)), off.shape)
         if not off[row, joint] <= tolerance:  # what is not finite is elsewhere
             found, wanted = stood.q[row, joint], expected[joint]
-            return f"{joints[joint]}: found {found:.5f} rad, expected {wanted:.5f} ± {tolerance:.5f} rad {what}"
+            return f"{joints[joint]}: found {found:z.5f} rad, expected {wanted:z.5f} ± {tolerance:.5f} rad {what}"
     return ""
 
 

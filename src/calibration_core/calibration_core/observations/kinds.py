@@ -38,6 +38,11 @@ def holds_single_steps(readings: Readings) -> bool:
     return bool(np.any(single_steps(readings)))
 
 
+def postures_at_rest(readings: Readings) -> int:
+    """Return how many configurations of a recording of loads are postures at rest; none where it holds no loads."""
+    return len(np.unique(readings.configuration[at_rest(readings)])) if is_loaded(readings) else 0
+
+
 def holds_both(readings: Readings, cell: Cell) -> bool:
     """Say whether a recording holds loaded configurations and, beside them, positions of postures at rest."""
     return cell.measurements.points == "absolute" and is_loaded(readings) and bool(np.any(at_rest(readings)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calibration_core.observations.kinds import is_loaded, single_steps
 from calibration_core.timeseries import Readings
 
 LEAST = 0.02  # of the largest load: levels closer than this are the same
@@ -13,8 +14,11 @@ def levels_of(readings: Readings) -> tuple[float, ...]:
     """Return the load levels of a recording's steps, as shares of the full load, the first being none.
 
     Of the configurations with as many readings as most have, the one of the largest load stands for all (a reference
-    that is measured again and again is not loaded); a load against the first full one is negative.
+    that is measured again and again is not loaded, nor are postures at rest beside loaded configurations); a load
+    against the first full one is negative.
     """
+    if is_loaded(readings):
+        readings = readings.select(~single_steps(readings))
     assert readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
     numbers, counts = np.unique(readings.configuration, return_counts=True)
     usual, often = np.unique(counts, return_counts=True)

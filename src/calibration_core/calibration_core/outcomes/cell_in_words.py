@@ -59,7 +59,7 @@ def _flange(chain: Chain) -> str:
     axis = at.flange[2][:, 0]
     towards = "xyz"[int(np.argmax(np.abs(axis)))]
     sign = "+" if axis[int(np.argmax(np.abs(axis)))] > 0 else "-"
-    return f"x {x:.3f} m, y {y:.3f} m, z {z:.3f} m in the base frame; its z axis points along {sign}{towards}"
+    return f"x {x:z.3f} m, y {y:z.3f} m, z {z:z.3f} m in the base frame; its z axis points along {sign}{towards}"
 
 
 def _masses(cell: Cell, chain: Chain) -> str:

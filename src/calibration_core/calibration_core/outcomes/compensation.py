@@ -13,7 +13,7 @@ from calibration_core.compensation.requests import corrected_rates
 from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.compensation.tables import times_of
 from calibration_core.compensation.task import Task
-from calibration_core.model.identified.calibrated import CalibratedModel
+from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS, CalibratedModel
 from calibration_core.motion.speed import SAFETY_RATED_SPEED, Monitored, first_beyond
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -63,7 +63,8 @@ def apply(
         EquilibriumError: A load is beyond what the joints can carry.
     """
     found = compensate(robot, task, model.estimate, axes=axes, seed_q=seed_q)
-    sentences = [*remarks(model, robot), *_nominal_geometry(model), *_left_aside(found), *_untimed(task, found)]
+    sentences = [*task.remarks, *remarks(model, robot), *_nominal_geometry(model)]
+    sentences += [*_left_aside(found), *_untimed(task, found)]
     rate = None if task.rate is None else corrected_rates(found.nominal, found.q, task.time, task.rate)
     time = _timed(robot, task, found, rate)
     return Applied(task, robot, found, model, outside(task, found.q, robot, model), sentences, time, rate)
@@ -100,7 +101,7 @@ def _timed(robot: CalibratedRobot, task: Task, found: Compensation, rate: Float2
 def remarks(model: CalibratedModel, robot: CalibratedRobot) -> list[str]:
     """Return what the intervals of a model do not hold, in sentences."""
     if model.estimate is None:
-        return ["The model file is of schema 1: it has no covariance, and nothing here has an interval."]
+        return [WITHOUT_INTERVALS]
     known = set(model.estimate.names)
     believed = [
         joint

@@ -29,7 +29,7 @@ class Deflected:
         chart: Over a plane through the first place; None without a load there.
         outside: Rows, counted from 1, beyond the model's valid range, by what is beyond: `joints`, `load`,
             `temperature`.
-        remarks: What the intervals do not hold.
+        remarks: What of the task was not used, and what the intervals do not hold, in sentences.
     """
 
     task: Task
@@ -66,4 +66,5 @@ def deflected(robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axe
     conditions = Conditions(task.time, task.temperature, task.path)
     found = deflect(robot, q, task.wrench, conditions, model.estimate, axes)
     chart = None if plane is None else plane_map(robot, q[0], task.wrench[0], plane, axes)
-    return Deflected(task, robot, q, found, chart, outside(task, q, robot, model), remarks(model, robot))
+    sentences = [*task.remarks, *remarks(model, robot)]
+    return Deflected(task, robot, q, found, chart, outside(task, q, robot, model), sentences)

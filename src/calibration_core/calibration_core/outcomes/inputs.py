@@ -7,8 +7,6 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError, ModelFileError, RecordingError
 from calibration_core.identification.result.estimate import Anomaly
@@ -17,11 +15,9 @@ from calibration_core.input_checks.check import check_inputs, unit_note
 from calibration_core.input_checks.lengths import check_lengths
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.robot import chain_of
+from calibration_core.observations.same import SAME, reading_keys
 from calibration_core.recording.source import sha256_of
-from calibration_core.timeseries import NO_INTERVALS, Note, Readings
-
-SAME = 0.5  # of the readings: more in common is the same recording
-DIGITS = 6  # of m and rad: readings that agree to so many are the same, for noise is larger
+from calibration_core.timeseries import Readings
 
 
 @contextlib.contextmanager
@@ -59,19 +55,13 @@ def refuse_fitted(test: Readings | None, recordings: Sequence[Readings]) -> None
     """
     if test is None or not len(test):
         return
-    own = _rows(test)
-    shared = {readings.provenance.path: own & _rows(readings) for readings in recordings}
+    own = reading_keys(test)
+    shared = {readings.provenance.path: own & reading_keys(readings) for readings in recordings}
     same = len(set().union(*shared.values()))
     if same > SAME * len(own):
         paths = ", ".join(path for path, rows in shared.items() if rows)
         found = f"{same} of {len(own)} readings that are those of {paths}, which is fitted"
         raise RecordingError(test.provenance.path, "--test", found, "a recording that is not fitted")
-
-
-def _rows(readings: Readings) -> set[bytes]:
-    """Return every reading by its angles and position; formats differ in how a wrench is averaged."""
-    values = np.round(np.column_stack([readings.q, readings.position]), DIGITS) + 0.0  # no negative zeros
-    return {row.tobytes() for row in values}
 
 
 def blocked(found: Sequence[InputAnomaly]) -> bool:
@@ -96,10 +86,7 @@ def with_unit_note(readings: Readings, cell: Cell) -> Readings:
 
 def with_model_note(readings: Readings, given: GivenModel | None) -> Readings:
     """Return the readings with a note where a given model file states no covariance, so that nothing has intervals."""
-    if given is None or given.estimate is not None:
-        return readings
-    text = "the model file is of schema 1: it has no covariance, and nothing that is taken from it has an interval"
-    return readings.with_notes(Note(NO_INTERVALS, given.file, text))
+    return readings if given is None else readings.with_notes(*given.notes)
 
 
 def refuse_lengths(cell: Cell) -> None:

@@ -19,7 +19,7 @@ from calibration_core.outcomes.inputs import naming_model, refuse_lengths
 from calibration_core.outcomes.spaces import scheduled_space
 from calibration_core.planning.loaded import make_plan
 from calibration_core.planning.plans.plan import Plan
-from calibration_core.timeseries import Readings, Streams
+from calibration_core.timeseries import Note, Readings, Streams
 
 BAG, TABLE = "recording", "measurements.csv"
 
@@ -37,6 +37,7 @@ class Simulated:
         recording: The streams of the bag.
         space: The operating space, with the deflections under the largest load.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
+        notes: What must be told of the given model.
     """
 
     plan: Plan
@@ -47,6 +48,7 @@ class Simulated:
     recording: Streams
     space: OperatingSpace
     inputs: dict[str, dict[str, str]]
+    notes: tuple[Note, ...] = ()
 
     @property
     def loaded(self) -> bool:
@@ -100,6 +102,7 @@ def simulate(
         recording=as_recording(measured, for_streams(cell), parameters, seed),
         space=scheduled_space(schedule, cell, parameters),
         inputs={**(inputs or {}), **({} if given is None else given.digest)},
+        notes=() if given is None else given.notes,
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration_core.acceptance.decision import guard_factor
 from calibration_core.acceptance.verification import Verification
+from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS
 from calibration_core.report.rounding import counted
 from calibration_core.timeseries import Float2D
 
@@ -49,7 +50,7 @@ def remarks(found: Verification) -> list[str]:
     """Return what a reader must know besides, a sentence each."""
     texts = []
     if not found.with_intervals:
-        texts.append("The model file states no covariance: the uncertainty is that of the instruments alone.")
+        texts += [WITHOUT_INTERVALS, "The uncertainty is that of the instruments alone."]
     rms = float(np.sqrt(np.mean(found.error**2)))
     if found.elsewhere is not None and rms > ELSEWHERE * found.elsewhere:
         texts.append(

@@ -38,7 +38,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
     lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in diagnosis.anomalies]
     for number, finding in enumerate(diagnosis.findings, start=1):
         lines.append(f"{number}. {finding.explanation}")
-        lines.append(f"   held-out squared error falls by {100 * finding.held_out_gain:.0f} %")
+        lines.append(f"   held-out squared error falls by {100 * finding.held_out_gain:z.0f} %")
     lines += [f"where: {sentence}" for sentence in diagnosis.located]
     lines.append(
         f"residual per coordinate {_um(diagnosis.rms_before)} -> {_um(diagnosis.rms_after)}, on configurations left "
@@ -52,7 +52,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
         lines += [f"   {proposal.why}" for proposal in diagnosis.next_measurements]
     lines.append(diagnosis.next_text)
     notes = diagnosis.identification.notes
-    lines += [f"note: {note.place}: {note.text}" for note in notes if note.kind == NO_INTERVALS]
+    lines += [note.line for note in notes if note.kind == NO_INTERVALS]
     return "\n".join(line for line in lines if line)
 
 

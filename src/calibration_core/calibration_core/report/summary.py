@@ -6,6 +6,7 @@ import math
 
 from calibration_core.identification.result.estimate import Identification, JointStiffness, Stage
 from calibration_core.identification.result.tested import PARTS, TestResult
+from calibration_core.report.extent import configurations_text
 from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed
 from calibration_core.report.sections.together import together_lines
 
@@ -13,7 +14,7 @@ from calibration_core.report.sections.together import together_lines
 def summary(found: Identification) -> str:
     """Return what came out, at most a screen long: stiffness table, fit, warnings."""
     readings = found.readings
-    configurations = counted(len(found.space.configuration), "configuration")
+    configurations = configurations_text(readings, len(found.space.configuration))
     counts = f"{configurations}, {counted(len(readings), 'reading')}, {counted(len(readings.points), 'point')}"
     lines = [f"{found.kind} recording{'' if found.together is None else 's'}: {counts}"]
     if found.together is not None:
@@ -40,7 +41,7 @@ def summary(found: Identification) -> str:
     ]
     if len(found.exclusions) > 10:
         lines.append(f"excluded: {len(found.exclusions) - 10} more, all in the report")
-    lines += [f"note: {note.place}: {note.text}" for note in found.notes[:10]]
+    lines += [note.line for note in found.notes[:10]]
     unmet = [p for p in found.preconditions if p.met is False]
     lines += [
         f"not as the standard {'demands' if p.shall else 'recommends'} ({p.clause}): {p.requirement}: {p.found}"

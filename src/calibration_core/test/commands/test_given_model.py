@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -209,3 +210,65 @@ def test_a_model_that_cannot_be_used_ends_with_one_line(
     assert words in said
     assert ("model.yaml" in said) or name == "other points"
     assert not out.exists()
+
+
+SCHEMA_1 = "the model file is of schema 1: it has no covariance, and nothing that is taken from it has an interval"
+
+
+@pytest.fixture(scope="module")
+def old_model(identified: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The identified model as a file of schema 1."""
+    content = yaml.safe_load((identified / "model.yaml").read_text())
+    for key in ("covariance", "valid_range", "robot_sha256", "parameters"):
+        content.pop(key)
+    path = tmp_path_factory.mktemp("old") / "old.yaml"
+    path.write_text(yaml_text({**content, "schema": 1}))
+    return path
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("plan", "--configurations", 12),
+        ("simulate",),
+        ("predict", "RECORDING"),
+        ("identify", "RECORDING"),
+        ("diagnose", "RECORDING"),
+        ("verify", "RECORDING", "--tolerance", 1e-3),
+        ("deflect", "--q", "0.1 0.5 0.2 0.3 0.7 0.1", "--wrench", "50 0 -60 0 0 1"),
+        ("compensate", "TASK"),
+        ("export", "--format", "urdf"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_every_command_says_once_and_alike_that_a_model_has_no_intervals(
+    command: tuple[object, ...],
+    old_model: Path,
+    identified: Path,
+    planned: Path,
+    simulated: Path,
+    cell_path: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    task = tmp_path / "task.csv"
+    task.write_text("q1,q2,q3,q4,q5,q6,fx,fy,fz,tx,ty,tz\n0.1,0.5,0.2,0.3,0.7,0.1,50,0,-60,0,0,1\n")
+    # a recording that the model was not identified from: the same without its last configuration
+    rows = (simulated / "measurements.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "recording.csv").write_text("".join(row for row in rows if not row.startswith("12,")))
+    words = {"RECORDING": tmp_path / "recording.csv", "TASK": task}
+    asked = [words.get(word, word) if isinstance(word, str) else word for word in command]
+    asked += [] if command[0] == "export" else ["--no-report"]
+    asked += ["--plan", planned / "plan.yaml"] if command[0] == "simulate" else []
+    for model, times in ((old_model, 1), (identified / "model.yaml", 0)):
+        out = tmp_path / model.stem
+        capsys.readouterr()
+        assert run(*asked, "--cell", cell_path, "--model", model, "--out", out) == 0, capsys.readouterr().err
+        said, result = capsys.readouterr().out, json.loads((out / "result.json").read_text())
+        assert said.lower().count(SCHEMA_1) == times, said
+        told = [
+            note["text"] if isinstance(note, dict) else note
+            for key in ("notes", "remarks")
+            for note in result.get(key, ())
+        ]
+        assert sum(SCHEMA_1 in text.lower() for text in told) == times

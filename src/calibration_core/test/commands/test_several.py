@@ -207,7 +207,7 @@ def test_more_simulations_than_recordings_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("cells", "text"), [(3, "3 cell files, expected one for all, or 2"), (0, "the following arguments are required")]
+    ("cells", "text"), [(3, "3 cell files, expected one for all, or 2"), (0, "--cell: found nothing, expected a value")]
 )
 def test_as_many_cell_files_as_recordings_or_one(
     cells: int, text: str, simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

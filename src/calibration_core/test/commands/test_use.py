@@ -116,3 +116,21 @@ def test_what_cannot_be_used_is_named(
     assert words in error
     assert len(error.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["deflect", "compensate"])
+def test_a_wrench_for_all_rows_beside_wrenches_in_the_file_is_said(
+    command: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--wrench` holds for all rows (contract, section 7); that the file's own are not used is a remark."""
+    (tmp_path / "task.csv").write_text("".join(TASK.splitlines(keepends=True)[:3]))
+    file = ("--poses", tmp_path / "task.csv") if command == "deflect" else (tmp_path / "task.csv",)
+    options = ("--cell", CELL, "--model", model, "--no-report", "--out", tmp_path / "out")
+    remark = (
+        f"The wrenches of {tmp_path / 'task.csv'} (columns fx ... tz) were not used in 2 of 2 rows: the one that was "
+        "given for all rows, 10 0 -30 0 0 0, holds."
+    )
+    for wrench, said in (("10 0 -30 0 0 0", True), ("50 0 -60 0 0 1", False)):
+        assert run(command, *file, *options, "--wrench", wrench) == 0
+        assert (remark in result_of(tmp_path / "out")["remarks"]) is said
+        assert capsys.readouterr().out.count(remark) == said

@@ -121,5 +121,5 @@ def test_a_model_without_intervals_says_so(
     (tmp_path / "old.yaml").write_text(yaml_text({**old, "schema": 1}))
     arguments = ("--cell", CELL, "--model", tmp_path / "old.yaml", "--tolerance", 1e-4, "--out", tmp_path / "out")
     assert run("verify", other, *arguments, "--no-report") == 0
-    assert "states no covariance" in capsys.readouterr().out
+    assert "The uncertainty is that of the instruments alone." in capsys.readouterr().out
     assert json.loads((tmp_path / "out" / "result.json").read_text())["intervals_of_the_model"] is False

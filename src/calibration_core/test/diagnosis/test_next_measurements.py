@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from robots import loaded_readings, write_cell
+from several_cases import setup
 
 from calibration_core.cell import Cell
 from calibration_core.commands.evaluation.candidate_measurements import offers_for, proposed_plan
+from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
@@ -21,8 +23,10 @@ from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.observations.load_levels import levels_of
 from calibration_core.planning.feasible.loads import wrench_steps
+from calibration_core.planning.plans.plan import PlannedConfiguration
 from calibration_core.planning.plans.plan_file import plan_text, read_plan
 from calibration_core.report.document import Items
 from calibration_core.report.sections.diagnosis import next_blocks
@@ -183,3 +187,36 @@ def test_without_a_finding_the_worst_stiffness_is_made_more_certain(cell: Cell) 
     assert len(found.next_measurements) == 3
     assert worst in found.next_measurements[0].why
     assert found.next_measurements[0].gain >= found.next_measurements[0].gain_at_random > 0
+
+
+def hung(cell: Cell, loaded: int, rest: int) -> Readings:
+    """Return a recording of weights that hang, which turn no vertical axis, beside postures at rest."""
+    rng = np.random.default_rng(3)
+    weight = np.array([0.0, 0.0, -2000.0, 0.0, 0.0, 0.0])
+    planned = [
+        PlannedConfiguration(
+            number,
+            rng.uniform([-1.5, -0.6, -0.6, -2, -1.5, -2], [1.5, 0.6, 0.9, 2, 1.5, 2]),
+            wrench_steps(weight[:3], (0.0, 0.5, 1.0, 0.5, 0.0) if number <= loaded else (0.0,)),
+        )
+        for number in range(1, loaded + rest + 1)
+    ]
+    return simulate_plan(planned, cell, nominal_parameters(cell), 3)
+
+
+@pytest.mark.parametrize("rest", [5, 30])
+def test_a_joint_that_no_load_turned_is_offered_one_beside_postures_at_rest(rest: int, tmp_path: Path) -> None:
+    """More postures at rest than loaded configurations: the load steps are those of the loaded ones all the same."""
+    cell = setup(tmp_path, 0, sigma=2e-5)
+    readings = hung(cell, 14, rest)
+    assert levels_of(readings) == (0.0, 0.5, 1.0, 0.5, 0.0)
+    found = diagnose(readings, cell, offers=offers_for(readings, cell))
+    assert [joint.joint for joint in found.identification.stiffness if not joint.identifiable] == ["joint_1"]
+    first = found.next_measurements[0]
+    assert first.why.startswith("makes the stiffness of joint_1 more certain")
+    assert first.gain > first.gain_at_random > 50
+    assert len(first.steps) == 5
+    assert np.abs(first.wrench[:2]).max() > 100
+    without = diagnose(readings, cell)
+    assert not without.next_measurements
+    assert (without.verdict, without.findings) == (found.verdict, found.findings)

@@ -102,7 +102,7 @@ def test_a_plan_and_a_diagnosis_take_a_population(tmp_path: Path) -> None:
     [
         ({"spread": -1.0}, "spread: found -1.0, expected a finite number"),
         ({"robots": "many"}, "robots: found 'many'"),
-        ({"log_mean": None}, "log_mean: found None"),
+        ({"log_mean": None}, "log_mean: found nothing"),
     ],
 )
 def test_a_wrong_population_is_named(tmp_path: Path, change: dict[str, object], says: str) -> None:

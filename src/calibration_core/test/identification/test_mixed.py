@@ -152,6 +152,7 @@ def test_few_postures_at_rest_share_the_set_up_of_the_loaded_configurations(rest
     assert [one.name for one in found.parameters if one.group == "geometry" and one.fitted]
     (note,) = [note for note in found.notes if note.kind == "one_set_up"]
     assert f"need 12 postures at rest, and there are {rest}" in note.text
+    assert ("two files would have frames of their own each" in note.text) is (rest >= 3)  # fewer fix no frames
     assert answer.content["verdict"] == "consistent"
 
 
@@ -200,6 +201,10 @@ def test_a_reading_is_named_and_taken_back_as_in_the_recording(tmp_path: Path) -
     keys = {(int(readings.configuration[k]), int(readings.step[k]), readings.points[readings.point[k]]) for k in rows}
     found = identify(wrong, cell)
     assert {(one.configuration, one.step, one.point) for one in found.exclusions} == keys
+    (told,) = [one for one in found.anomalies if one.kind == "outlier_readings"]
+    assert all("/".join(map(str, key)) in told.text for key in keys)
+    assert told.text.startswith("2 readings do not fit the others (")
+    assert told.magnitude == max(one.size for one in found.exclusions)
     assert set(np.flatnonzero(found.residuals.excluded)) == set(rows)
     taken = identify(wrong, cell, Options(readmit=frozenset(keys)))
     assert not taken.exclusions
@@ -232,3 +237,35 @@ def test_identify_and_diagnose_say_the_same_of_one_file(effects: tuple[AppliedEf
             assert stated["extended"] == {key: searched[key] for key in ("value", "std", "interval_95")}
     assert diagnosed.content["verdict"] == ("missing_physics" if effects else "consistent")
     assert [one["effect"] for one in diagnosed.content["findings"]] == [one.effect for one in effects]
+
+
+def test_what_is_not_used_is_counted_alike_everywhere(tmp_path: Path) -> None:
+    """In one file and in two: the list, the anomaly, the terminal, what each recording contributes, and the numbers."""
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, 14, 30)
+    position = readings.position.copy()
+    rows = [7, len(readings) - 4]  # of a loaded configuration, and of a posture at rest
+    position[rows] += 3e-3
+    wrong = dataclasses.replace(readings, position=position)
+    for recordings in ([wrong], in_two_files(wrong)):
+        answer = answered(recordings, cell)
+        content = answer.content
+        count = len(content["exclusions"])
+        assert count >= len(rows)
+        (outliers,) = [one for one in content["anomalies"] if one["kind"] == "outlier_readings"]
+        assert outliers["text"].startswith(f"{count} readings do not fit the others (")
+        assert outliers["magnitude"] == max(one["size"] for one in content["exclusions"])
+        for one in content["exclusions"]:
+            assert f"{one['configuration']}/{one['step']}/{one['point']}" in outliers["text"]
+        kind = "loaded recording" + "s" * (len(recordings) > 1)
+        assert f"{kind}: 44 configurations (30 of them postures at rest), 300 readings" in answer.summary
+        if len(recordings) == 1:
+            counts = {"configurations": 44, "postures_at_rest": 30, "steps": 100, "readings": 300}
+            assert {key: content["recording"][key] for key in counts} == counts
+        else:
+            assert [one["configurations"] for one in content["recordings"]] == [14, 30]
+            assert [one["steps"] for one in content["recordings"]] == [70, 30]
+            assert [one["readings"] for one in content["recordings"]] == [210, 90]
+            excluded = [one["excluded"] for one in content["recordings"]]
+            assert min(excluded) >= 1
+            assert sum(excluded) == count

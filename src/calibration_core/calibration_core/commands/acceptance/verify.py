@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,7 @@ from calibration_core.report.writing.output import MAX_RESULT, RESULT, Content, 
 from calibration_core.timeseries import Readings
 
 CERTIFICATE = "certificate.pdf"
+LARGEST_TOLERANCE = 0.1  # m: more is millimetres, or no tolerance of a robot
 
 
 def run(arguments: argparse.Namespace) -> str:
@@ -101,10 +101,11 @@ def refuse_tolerance(tolerance: float) -> None:
     """Refuse a tolerance that is none.
 
     Raises:
-        InputError: It is not finite, or not above zero.
+        InputError: It is not finite, not above zero, or so large that it is meant in mm.
     """
-    if not math.isfinite(tolerance) or tolerance <= 0:
-        raise InputError("verify", "--tolerance", f"{tolerance:g}", "a length above zero, m")
+    if not 0 < tolerance <= LARGEST_TOLERANCE:
+        expected = f"a length in m above zero and at most {LARGEST_TOLERANCE:g}"
+        raise InputError("verify", "--tolerance", f"{tolerance:g} m", expected)
 
 
 def refuse_own(readings: Readings, model: Path) -> None:
@@ -160,6 +161,7 @@ def verification_result(found: Verification, cell: Cell, readings: Readings, inp
         rms_with_tracker_fitted=found.elsewhere,
         intervals_of_the_model=found.with_intervals,
         places=places(found),
+        remarks=remarks(found),
         notes=[vars(note) for note in readings.notes],
         input=input_record(cell, readings.provenance, inputs),
     )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.compensation.deflection import TOOL, Deflection
 from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import InputError
+from calibration_core.files.written import csv_bytes
 from calibration_core.outcomes.deflection import Deflected, deflected
 from calibration_core.outcomes.inputs import Inputs, digest_of
 from calibration_core.report.results.command import command_result, input_record
@@ -73,14 +72,9 @@ def files_of(done: Deflected, cell: Cell, inputs: Inputs, *, report: bool) -> di
 
 def deflections_csv(found: Deflection) -> bytes:
     """Return one line per row and point: m and rad, base axes; intervals empty without a covariance."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["row", "point", *MOVED, *(f"u95_{name}" for name in MOVED)])
-    for k in range(len(found.moved)):
-        for p, name in enumerate(found.names):
-            bounds = ["" if np.isnan(x) else repr(float(x)) for x in found.u95[k, p]]
-            writer.writerow([k + 1, name, *(repr(float(x)) for x in found.moved[k, p]), *bounds])
-    return text.getvalue().encode()
+    head = ["row", "point", *MOVED, *(f"u95_{name}" for name in MOVED)]
+    places = ((k, p, name) for k in range(len(found.moved)) for p, name in enumerate(found.names))
+    return csv_bytes(head, ([k + 1, name, *found.moved[k, p], *found.u95[k, p]] for k, p, name in places))
 
 
 def deflection_result(done: Deflected, cell: Cell, inputs: Inputs) -> dict[str, Any]:
@@ -128,7 +122,7 @@ def summary(done: Deflected) -> str:
         moved, bound = 1e3 * found.moved[k, tool], 1e3 * found.u95[k, tool]
         shift = ", ".join(_with_bound(x, u) for x, u in zip(moved[:3], bound[:3], strict=True))
         turn = ", ".join(_with_bound(x, u) for x, u in zip(moved[3:], bound[3:], strict=True))
-        softest = ", ".join(f"{x:.2f}" for x in axes[k, 0])
+        softest = ", ".join(f"{x:z.2f}" for x in axes[k, 0])
         lines.append(f"row {k + 1}: tool moves ({shift}) mm and turns ({turn}) mrad (95 %)")
         lines.append(
             f"  softest {1e-6 * stiff[k, 0]:.3f} N/µm along ({softest}), stiffest {1e-6 * stiff[k, 2]:.3f} N/µm"
@@ -139,4 +133,4 @@ def summary(done: Deflected) -> str:
 
 
 def _with_bound(value: float, bound: float) -> str:
-    return f"{value:.4f}" if np.isnan(bound) else f"{value:.4f} ± {bound:.4f}"
+    return f"{value:z.4f}" if np.isnan(bound) else f"{value:z.4f} ± {bound:.4f}"

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
-import re
 from typing import Any
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.engine.command_line import refuse_without_effect
+from calibration_core.engine.command_line import refuse_without_effect, separate
 from calibration_core.errors import CalibrationError, InputError, quoted
+from calibration_core.files.written import json_bytes
 from calibration_core.formats.calibrated import Exported, ExportedRobot, calibrated_robot, named
 from calibration_core.formats.dh import dh_files
 from calibration_core.formats.mjcf import mjcf_files
 from calibration_core.formats.table import DeflectionGrid, table_files
 from calibration_core.formats.ur import ur_files
 from calibration_core.formats.urdf import urdf_files
-from calibration_core.model.identified.model_file import read_model
-from calibration_core.outcomes.inputs import Inputs, digest_of, naming_model
+from calibration_core.model.identified.given import read_given
+from calibration_core.outcomes.inputs import Inputs, naming_model
 from calibration_core.report.results.command import input_record
 from calibration_core.report.results.result import SCHEMA
 from calibration_core.report.writing.output import RESULT, Content, write_files
@@ -48,9 +47,10 @@ def run(arguments: argparse.Namespace) -> str:
     cell = load_cell(arguments.cell)
     refuse_inputs(arguments.out, "export", () if cell.urdf_path is None else (cell.urdf_path,))
     with naming_model(arguments.model):
-        robot = calibrated_robot(cell, read_model(arguments.model, cell))
+        given = read_given(arguments.model, cell)
+        robot = calibrated_robot(cell, given.parameters, given.notes)
         exported = exported_as(robot, arguments)
-    write_files(arguments.out, files_of(robot, exported, arguments.format, {"model": digest_of(arguments.model)}))
+    write_files(arguments.out, files_of(robot, exported, arguments.format, given.digest))
     where = f"{', '.join(sorted(exported.files))} in {arguments.out}"
     return f"{robot.cell.robot.name} as {arguments.format}: {where}\n{export_summary(robot, exported)}"
 
@@ -80,8 +80,7 @@ def files_of(robot: ExportedRobot, exported: Exported, form: str, inputs: Inputs
         form: The format.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
     """
-    text = json.dumps(export_result(robot, exported, form, inputs), indent=2, ensure_ascii=False) + "\n"
-    return {RESULT: text.encode(), **exported.files}
+    return {RESULT: json_bytes(export_result(robot, exported, form, inputs)), **exported.files}
 
 
 def _exported(robot: ExportedRobot, arguments: argparse.Namespace) -> Exported:
@@ -102,9 +101,10 @@ def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
     if text is None:
         return None
     try:
-        return tuple(float(part) for part in re.split(r"[\s,]+", text.strip()))
-    except ValueError:
-        raise InputError("export --format table", option, quoted(text), "numbers with blanks between, rad") from None
+        return separate(text)
+    except ValueError as fault:
+        expected = f"numbers with blanks between, rad{fault}"
+        raise InputError("export --format table", option, quoted(text), expected) from None
 
 
 def export_result(robot: ExportedRobot, exported: Exported, form: str, inputs: Inputs) -> dict[str, Any]:
@@ -120,7 +120,7 @@ def export_result(robot: ExportedRobot, exported: Exported, form: str, inputs: I
         "effects_folded": named(robot.folded),
         "effects_held": named(exported.held),
         "effects_left_out": named(_left(robot, exported)),
-        "notes": list(exported.notes),
+        "notes": [*(f"{note.place}: {note.text}" for note in robot.notes), *exported.notes],
         "input": input_record(cell, None, inputs),
     }
 
@@ -138,6 +138,7 @@ def export_summary(robot: ExportedRobot, exported: Exported) -> str:
     left = _left(robot, exported)
     if left:
         lines.append(f"not in this format: {'; '.join(named(left))}")
+    lines += [note.line for note in robot.notes]
     return "\n".join([*lines, *exported.notes, WITHOUT_FORMAT])
 
 

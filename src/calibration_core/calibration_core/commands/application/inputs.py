@@ -13,6 +13,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.compensation.task import Task, places, read_task
+from calibration_core.engine.command_line import separate
 from calibration_core.errors import InputError, quoted
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.identified.model_file import read_calibrated
@@ -20,7 +21,8 @@ from calibration_core.report.rounding import counted
 from calibration_core.timeseries import Float1D
 
 WRENCH = "six numbers fx fy fz tx ty tz, N and N·m"
-PAYLOAD = "four numbers: mass (kg, not negative) and centre of gravity (m, flange frame)"
+FARTHEST = 10.0  # m: no robot carries a centre of gravity so far from its flange
+PAYLOAD = f"four numbers: mass (kg, not negative) and centre of gravity (m, flange frame), at most {FARTHEST:g} m away"
 LARGEST = 1e6
 
 
@@ -31,9 +33,9 @@ def numbers(option: str, text: str, count: int, expected: str) -> Float1D:
         InputError: There are more or fewer, or one is none.
     """
     try:
-        values = np.array([float(part) for part in text.replace(",", " ").split()])
-    except ValueError:
-        raise InputError(option, "", quoted(text), expected) from None
+        values = np.array(separate(text))
+    except ValueError as fault:
+        raise InputError(option, "", quoted(text), f"{expected}{fault}") from None
     if len(values) != count or not np.all(np.isfinite(values)) or np.abs(values).max(initial=0.0) > LARGEST:
         raise InputError(option, "", quoted(text), expected)
     return values
@@ -50,7 +52,7 @@ def calibrated(arguments: argparse.Namespace) -> tuple[Cell, CalibratedModel, Ca
     payload = None
     if arguments.payload is not None:
         mass, *centre = (float(x) for x in numbers("--payload", arguments.payload, 4, PAYLOAD))
-        if mass < 0:
+        if mass < 0 or math.hypot(*centre) > FARTHEST:
             raise InputError("--payload", "", quoted(arguments.payload), PAYLOAD)
         payload = (mass, *centre)
     return cell, model, CalibratedRobot.of(cell, model.parameters, payload)

@@ -182,8 +182,9 @@ def _searched_together(found: Identification, prepared: Prepared) -> tuple[Ident
         note = Note("search", "missing physics", f"could not be looked for: {error}")
         return dataclasses.replace(found, notes=(*found.notes, note)), None
     together = searched.identification.together  # recordings are compared less what was found in all of them
-    found = dataclasses.replace(with_bias(found, searched), anomalies=searched.anomalies, together=together)
-    return found, searched
+    anomalies = with_own_outliers(searched.anomalies, found.anomalies)
+    found = dataclasses.replace(with_bias(found, searched), anomalies=anomalies, together=together)
+    return found, dataclasses.replace(searched, anomalies=anomalies)
 
 
 def evaluate(

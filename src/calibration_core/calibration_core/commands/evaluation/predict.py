@@ -156,7 +156,7 @@ def prediction_summary(found: Prediction) -> str:
             f"largest {1e3 * error.maximum:.3f} mm{cell_file}"
         )
     ]
-    lines += [f"note: {note.place}: {note.text}" for note in found.readings.notes if note.kind == NO_INTERVALS]
+    lines += [note.line for note in found.readings.notes if note.kind == NO_INTERVALS]
     if found.deflection is not None and found.kind == "absolute":
         after, nominal = found.deflection
         lines.append(

@@ -89,6 +89,7 @@ def simulation_result(simulated: Simulated, cell: Cell) -> dict[str, Any]:
         plan=PLAN if simulated.made else None,
         deflection={"largest": float(np.max(simulated.deflections)), "point": readings.points[0], "unit": "m"},
         messages=dict(simulated.recording.provenance.messages),
+        notes=[vars(note) for note in simulated.notes],
         input=input_record(cell, None, simulated.inputs),
     )
 
@@ -105,4 +106,5 @@ def simulation_summary(simulated: Simulated) -> str:
         f"{counted(len(simulated.plan.primary), 'configuration')}, {counted(steps, 'step')}, "
         f"{counted(len(simulated.readings), 'reading')} simulated by {model}, {noise}\n"
         f"largest deflection of {simulated.readings.points[0]}: {largest} mm"
+        + "".join(f"\n{note.line}" for note in simulated.notes)
     )

@@ -145,7 +145,7 @@ def _pose(values: Sequence[float]) -> str:
 
 
 def _row(values: Sequence[float]) -> str:
-    return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
+    return "[" + ", ".join(f"{value:z.6g}" for value in values) + "]"
 
 
 def _text(text: str) -> str:

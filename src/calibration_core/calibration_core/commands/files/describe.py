@@ -44,6 +44,8 @@ def read_result(path: Path) -> dict[str, Any]:
     expected = f"result.json of schema {SCHEMA}"
     try:
         content = json.loads(read_regular(path, MOST, "result.json"))
+    except json.JSONDecodeError as error:
+        raise InputError(path, "", "no JSON", expected).at(error.lineno, error.colno) from None
     except (ValueError, RecursionError) as error:
         raise InputError(path, "", str(error).splitlines()[0], expected) from None
     if not isinstance(content, dict) or content.get("schema") != SCHEMA or not isinstance(content.get("command"), str):
@@ -92,11 +94,15 @@ def _recording(result: Mapping[str, Any]) -> list[str]:
     return [f"{title} {recording.get('file')}: {', '.join([*counts, *names, kind])}."]
 
 
+def _raised(by: object) -> str:
+    return f" (numbers raised by {by})" if by else ""
+
+
 def _recordings(result: Mapping[str, Any]) -> list[str]:
     """Return a line for each of several recordings, and one that says whether they agree."""
     lines = [
-        f"Recording {one.get('number')}: {one.get('file')}: {one.get('configurations')} configurations, numbered from "
-        f"{one.get('numbered_from')}, {one.get('readings')} readings, measured in {one.get('cell')}."
+        f"Recording {one.get('number')}: {one.get('file')}: {one.get('configurations')} configurations"
+        f"{_raised(one.get('numbered_from'))}, {one.get('readings')} readings, measured in {one.get('cell')}."
         for one in records(result, "recordings")
     ]
     agreement = result.get("agreement")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.files.written import json_bytes
 from calibration_core.files.yaml_file import read_yaml
 from calibration_core.outcomes.inputs import digest_of
 from calibration_core.recording.foreign.join import Imported, import_files
@@ -32,10 +32,10 @@ def run(arguments: argparse.Namespace) -> str:
         OutputError: The results cannot be written.
     """
     imported = import_files(arguments.files, _map(arguments.map, arguments.files))
-    result = json.dumps(_result(imported, arguments), indent=2, ensure_ascii=False) + "\n"
+    result = json_bytes(_result(imported, arguments))
     write_files(
         arguments.out,
-        {TABLE: lambda path: write_table(path, imported.readings), RESULT: result.encode()},
+        {TABLE: lambda path: write_table(path, imported.readings), RESULT: result},
     )
     return "\n".join([*summary(imported), f"table: {arguments.out / TABLE}"])
 

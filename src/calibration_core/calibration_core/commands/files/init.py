@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from calibration_core.cell.serial_chain import SerialChain, serial_chain
 from calibration_core.commands.files.cell_text import SCHEMA_NAME, URDF_NAME, Answers, cell_text, guessed
 from calibration_core.commands.files.init_arguments import numbers, point, points
 from calibration_core.errors import InputError, OutputError, RecordingError, shown_path
+from calibration_core.files.written import json_bytes
 from calibration_core.model.robot import chain_of
 from calibration_core.outcomes.inputs import digest_of
 from calibration_core.recording.bags.bag import read_contents
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> str:
             "sha256": [{"role": "urdf", "file": n, "sha256": d} for n, d in digest_of(urdf).items()],
             "software": software(),
         }
-    content = (json.dumps(result, indent=2, ensure_ascii=False) + "\n").encode()
+    content = json_bytes(result)
     write_files(arguments.out, {**files, RESULT: content})
     lines = [f"Robot: {asked.robot}, {len(joints)} joints, {asked.rated_load:g} kg", f"Source: {asked.source}"]
     if guessed(asked):

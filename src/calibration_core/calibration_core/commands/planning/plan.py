@@ -65,7 +65,7 @@ from calibration_core.report.results.result import result_json
 from calibration_core.report.rounding import counted, spread
 from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.report.writing.tables import TABLE_1, TABLE_1_YAML, table1_csv, table1_yaml
-from calibration_core.timeseries import Float2D
+from calibration_core.timeseries import Float2D, Note
 
 PLAN = "plan.yaml"
 
@@ -84,6 +84,7 @@ class Planned:
         geometry: What is promised of frames and geometry; None for a plan for stiffness.
         again: What is promised of a re-check; None for a plan to calibrate by.
         sisters: What robots of the same type are worth; None where none are known.
+        notes: What must be told of the given model.
     """
 
     plan: Plan
@@ -95,11 +96,13 @@ class Planned:
     geometry: GeometryExpectation | None
     again: Recheck | None = None
     sisters: Sisters | None = None
+    notes: tuple[Note, ...] = ()
 
     @functools.cached_property
     def content(self) -> dict[str, Any]:
         """The content of result.json."""
         content = plan_result(self.plan, self.cell, self.space, self.inputs, seed=self.seed, protocols=self.protocols)
+        content["notes"] = [vars(note) for note in self.notes]
         if self.sisters is not None:
             content = {**content, "population": sisters_result(self.sisters)}
         if self.again is not None:
@@ -112,6 +115,7 @@ class Planned:
         expected = [] if self.geometry is None else [geometry_summary(self.geometry)]
         expected = expected if self.again is None else recheck_summary(self.again)
         expected += [] if self.sisters is None else sisters_summary(self.sisters)
+        expected += [note.line for note in self.notes]
         return "\n".join([plan_summary(self.plan), *describe_arcs(self.plan, self.cell), *expected])
 
     def files(self, *, report: bool) -> dict[str, Content]:
@@ -129,7 +133,7 @@ class Planned:
         sections = sections if self.again is None else (recheck_section(self.again),)
         sections = sections if self.sisters is None else (sisters_section(self.sisters), *sections)
         document = plan_document(
-            self.plan, self.cell, self.space, result, self.inputs, seed=self.seed, further=sections
+            self.plan, self.cell, self.space, result, self.inputs, seed=self.seed, further=sections, notes=self.notes
         )
         return {**files, **rendered(document, space_view(self.space, self.cell))}
 
@@ -199,7 +203,8 @@ def make(arguments: argparse.Namespace, cell: Cell, given: GivenModel | None) ->
     protocols = judged_protocols(plan, cell, parameters)
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
     sisters = None if population is None else sisters_of(plan, population, arguments.accuracy)
-    return Planned(plan, cell, space, arguments.seed, inputs, protocols, geometry, again, sisters)
+    notes = () if given is None else given.notes
+    return Planned(plan, cell, space, arguments.seed, inputs, protocols, geometry, again, sisters, notes)
 
 
 def rules_of(arguments: argparse.Namespace) -> PlanningRules:

@@ -65,7 +65,7 @@ def protocols_section(judged: Sequence[Worth]) -> tuple[Section, ...]:
                 one.protocol.name,
                 one.protocol.text,
                 f"{one.minutes:.0f}",
-                DASH if one is base else f"{one.minutes - base.minutes:+.0f}",
+                DASH if one is base else f"{one.minutes - base.minutes:+z.0f}",
                 spread(100 * float(one.stiffness_std.max())),
                 f"{len(one.shown)} / {len(one.distinguished)}",
                 ", ".join(effect.replace("_", " ") for effect in new) or DASH,

@@ -98,8 +98,8 @@ def joint_differences(links: Sequence[Link], joints: Sequence[str], side: Side) 
         found.append(dataclasses.replace(one, magnitude=180 / math.pi, further={**one.further, "factor": factor}))
     for i, link in enumerate(links):
         if link.zero:
-            text = f"{joints[i]} has another zero: recorded minus simulated is {link.zero:+.4f} rad."
-            remedy = f"master {{}} again, or subtract {link.zero:+.4f} rad from its angles"
+            text = f"{joints[i]} has another zero: recorded minus simulated is {link.zero:+z.4f} rad."
+            remedy = f"master {{}} again, or subtract {link.zero:+z.4f} rad from its angles"
             one = _difference("wrong_robot_file", [joints[i]], side, text, remedy)
             found.append(dataclasses.replace(one, magnitude=abs(link.zero), unit="rad"))
     return tuple(found)

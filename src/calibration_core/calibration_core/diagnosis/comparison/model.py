@@ -103,7 +103,7 @@ def _reproduction(readings: Readings, cell: Cell, model: ModelParameters) -> Rep
         f"with {ratio:.1f} times the claimed noise"
     )
     if again <= NOISE:
-        listed = ", ".join(f"{joint} {100 * change:+.0f} %" for joint, change in changes.items())
+        listed = ", ".join(f"{joint} {100 * change:+z.0f} %" for joint, change in changes.items())
         text += f"; with other stiffnesses it does ({listed or 'all within 2 %'} against the cell file)."
     else:
         text += f", with refitted stiffnesses {again:.1f} times: the simulation holds physics that the model does not."

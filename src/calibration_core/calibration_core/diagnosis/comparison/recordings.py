@@ -274,7 +274,7 @@ def _sentences(
     which = "common configurations" if postures is None else "common configurations with several steps"
     lines.append(_size(which, what, steps))
     if bends:
-        lines.append(f"The recording bends {100 * (steps.slope - 1):+.1f} % against the simulation.")
+        lines.append(f"The recording bends {100 * (steps.slope - 1):+z.1f} % against the simulation.")
     lines.append(f"The difference is largest in configurations {_worst(steps)}.")
     if postures is not None:
         where = "common configurations with one step"

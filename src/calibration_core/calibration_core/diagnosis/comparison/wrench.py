@@ -123,7 +123,7 @@ def _reference(recorded: Float2D, simulated: Float2D, way: _Way, side: Side) -> 
     arm = _arm(force, rest)
     left = float(np.sqrt(np.mean((rest - np.cross(arm, force)) ** 2)))
     if left < TORQUE * scale and np.linalg.norm(arm) > REMOTE:
-        vector = ", ".join(f"{1e3 * x:.0f}" for x in arm)
+        vector = ", ".join(f"{1e3 * x:z.0f}" for x in arm)
         text = (
             f"The wrench is reduced to another point, {1e3 * np.linalg.norm(arm):.0f} mm away ({vector} mm in the axes "
             "of the wrench)."

@@ -170,7 +170,7 @@ def outlier_readings(excluded: Bool1D, size: float, readings: Readings) -> tuple
 def _target_moved(step: Step, shape: Shape, readings: Readings) -> Anomaly:
     name = readings.points[shape.which[step.point]]
     first, last = int(shape.numbers[step.first]), int(shape.numbers[-1])
-    vector = ", ".join(f"{1e3 * x:+.2f}" for x in step.shift)
+    vector = ", ".join(f"{1e3 * x:+z.2f}" for x in step.shift)
     text = (
         f"from configuration {first} on, {name} stands {1e3 * step.size:.2f} mm from where it stood before against the "
         f"other points ({vector} mm, flange axes)."

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.estimation.estimate import Estimate
-from calibration_core.estimation.shifts import FAMILY, around, in_time, position_of
+from calibration_core.estimation.shifts import FAMILY, around, in_time
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.statistics.sizes import rms_length
+from calibration_core.model.effects.candidate import number_of
 from calibration_core.model.effects.words import listed_location
 from calibration_core.timeseries import Readings
 
@@ -32,13 +33,13 @@ def _anomaly(found: Estimate, index: int, readings: Readings) -> Anomaly:
     concerned = np.any(shift != 0, axis=1)
     size = rms_length(shift[concerned])
     order, numbers = in_time(readings.configuration), readings.configuration
-    k = position_of(one)
+    k = number_of(one)
     inside = around(readings, order, k)
     first, last = int(order[inside].min()), int(order[inside].max())
     rows = inside & (order >= k if last + 1 - k <= k - first else order < k)
     span = (int(numbers[rows][0]), int(numbers[rows][-1]))
     frame = "the flange" if one.effect == "target_moved" else "the base"
-    vector = ", ".join(f"{1e3 * v:+.2f}" for v in value[:3])
+    vector = ", ".join(f"{1e3 * v:+z.2f}" for v in value[:3])
     beside = _beside(found, index)
     alternative = f" A step of {' or '.join(beside)} fits nearly as well." if beside else ""
     before, after = int(numbers[order == k - 1][-1]), int(numbers[order == k][0])
@@ -61,6 +62,6 @@ def _beside(found: Estimate, index: int) -> Sequence[str]:
         other = hypotheses[i]
         if other.family != FAMILY or other.place == one.place or own - gain[k] > EQUIVALENT:
             continue
-        if abs(position_of(other) - position_of(one)) <= NEAR:
+        if abs(number_of(other) - number_of(one)) <= NEAR:
             others[f"{other.effect} ({listed_location(other.location)})"] = None
     return tuple(others)

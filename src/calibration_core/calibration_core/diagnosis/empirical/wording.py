@@ -32,7 +32,7 @@ def law_findings(law: Law, joints: Sequence[str], readings: Readings) -> tuple[F
 def law_sentence(law: Law) -> str:
     """Return what the law does to the rest, in one sentence."""
     return (
-        f"An empirical law, which is no physics and not in the extended model, describes {100 * law.explained:.0f} % "
+        f"An empirical law, which is no physics and not in the extended model, describes {100 * law.explained:z.0f} % "
         "of it: see the findings."
     )
 
@@ -52,14 +52,14 @@ def _finding(law: Law, joints: Sequence[str], number: int, terms: list[LawTerm],
         for other, score in sorted(rivals.values(), key=lambda rival: -rival[1])
     )
     words = " and ".join(term.term.words for term in terms)
-    parts = " + ".join(f"{p.value:.3f} {p.name}" for p in parameters)
+    parts = " + ".join(f"{p.value:z.3f} {p.name}" for p in parameters)
     listed = ", ".join(map(str, _largest(shift, readings.configuration)))
     text = (
         f"Empirical, not physics: how far {joints[number]} gives way follows {words}; beside the model it turns by "
         f"{parts}, in parts of its deflection at its largest torque (functions of angles: times torque over largest "
         f"torque). It moves the measured points by {1e6 * magnitude:.0f} µm rms, most in configurations {listed}. The "
-        f"law describes {100 * law.explained:.0f} % of what remains beyond the noise; on configurations left out, the "
-        f"search repeated without them, it saves {100 * law.held_out_gain:.0f} % of the squared error. It says where "
+        f"law describes {100 * law.explained:z.0f} % of what remains beyond the noise; on configurations left out, the "
+        f"search repeated without them, it saves {100 * law.held_out_gain:z.0f} % of the squared error. It says where "
         "to look, not why, and stands in no model file."
     )
     return Finding(

@@ -292,7 +292,7 @@ def _finding(
             f"{candidate.effect.replace('_', ' ').capitalize()} at {place} ({kind.equation}): the absolute positions "
             f"put it elsewhere than stated, far beyond the frames of the other joints; stated as it is, it moves the "
             f"measured points by {1e6 * magnitude:.0f} µm rms that neither tracker nor points take up. It was refitted "
-            f"before anything else; refitting the geometry saves {100 * gain:.0f} % of the squared error on "
+            f"before anything else; refitting the geometry saves {100 * gain:z.0f} % of the squared error on "
             f"configurations left out.{confounded}"
         ),
         separate_by=kind.reveal,

@@ -130,6 +130,6 @@ def _bias(changes: dict[str, float], findings: int) -> str:
     moved = {joint: change for joint, change in changes.items() if abs(change) > SEEN}
     if not moved:
         return ""
-    listed = ", ".join(f"{joint} {100 * change:+.0f} %" for joint, change in moved.items())
+    listed = ", ".join(f"{joint} {100 * change:+z.0f} %" for joint, change in moved.items())
     which = "it" if findings == 1 else "all findings"
     return f" Leaving {which} out biases the stiffness of {listed}."

@@ -17,7 +17,7 @@ from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects import sizes_are_relative
-from calibration_core.model.effects.absolute.transmission_error import order_of
+from calibration_core.model.effects.candidate import number_of
 from calibration_core.timeseries import Float1D, Float2D
 
 SEVERAL = 6  # terms that are listed one by one
@@ -98,7 +98,7 @@ def _parameters(extended: Extended, parts: Sequence[int], *, everywhere: bool) -
         value, covariance = extended.values_of(k)
         suffix = f" {candidate.location['joint']}" if everywhere else f"_{number}" if several else ""
         if candidate.effect == WAVE:
-            found += _wave(order_of(candidate), value, covariance, suffix)
+            found += _wave(number_of(candidate), value, covariance, suffix)
             continue
         found += found_parameters(candidate, value, covariance, suffix)
     if everywhere:
@@ -147,11 +147,11 @@ def _explanation(
     shared = ", with one size that they share" if everywhere else ""
     text = (
         f"{opening(first.effect, first.location, shared)}. This moves the measured points by "
-        f"{1e6 * magnitude:.0f} µm rms beyond what frames and geometry take up, and saves {100 * gain:.0f} % of the "
+        f"{1e6 * magnitude:.0f} µm rms beyond what frames and geometry take up, and saves {100 * gain:z.0f} % of the "
         f"squared error on blocks of configurations left out; {evidence_words(score)}."
     )
     if first.effect == WAVE and len(parts) <= SEVERAL:
-        terms = [(order_of(extended.parts[k].candidate), extended.values_of(k)[0]) for k in parts]
+        terms = [(number_of(extended.parts[k].candidate), extended.values_of(k)[0]) for k in parts]
         listed = ", ".join(f"{k} per revolution: {1e3 * np.hypot(*value):.2f} mrad" for k, value in terms)
         text += f" Terms: {listed}.{_resolution(found, first)}"
     if sizes_are_relative(found.offered.candidates[first.members[0]], extended.model.state):

@@ -8,17 +8,43 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.data_checks.noise import Scatter
+from calibration_core.diagnosis.data_checks.noise import Scatter, claimed
 from calibration_core.diagnosis.evidence.design import build_design
 from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
-from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel, loaded_state
+from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel, extend, loaded_state
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
 from calibration_core.diagnosis.proposals.candidates import Offer, Offers
-from calibration_core.diagnosis.proposals.choose import Knowledge, OfferTable, Uncertain
+from calibration_core.diagnosis.proposals.choose import Knowledge, OfferTable, Proposals, Uncertain, choose
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior
 from calibration_core.identification.geometry.frames import FrameFit
+from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects.words import effect_sentence
+from calibration_core.timeseries import Float1D, Int1D
+
+
+def propose_loads(prepared: PreparedLoaded, believed: Float1D, used: Int1D, cell: Cell, offers: Offers) -> Proposals:
+    """Choose among configurations with loads for the stiffnesses alone, as the loaded steps of a recording show them.
+
+    A joint that gave way in no step is taken for as stiff as it is believed to be.
+
+    Args:
+        prepared: The loaded steps of the recording.
+        believed: (n,) rad/(N*m), compliances by the cell file, or by the model to start from.
+        used: Indices of the readings used.
+        cell: The cell file.
+        offers: What could be measured; configurations without loads tell nothing of it.
+    """
+    pulled = tuple(offer for offer in offers.each if np.any(offer.steps))
+    if not pulled:
+        return Proposals((), "")
+    problem, fitted = prepared.problem, prepared.fit.compliance
+    start = np.where(fitted > 0, fitted, believed)
+    rows = problem.linearise(start).rows.select(used)
+    nothing = LoadedSelection((), (), 0.0, ())
+    extended = extend(problem, cell, start, rows, used, (), prepared.frames, nothing)
+    extended = dataclasses.replace(extended, base_compliance=start)
+    return choose(LoadedKnowledge(extended, nothing, offers, cell, claimed(1.0), prepared.frames), pulled)
 
 
 class LoadedKnowledge(Knowledge):

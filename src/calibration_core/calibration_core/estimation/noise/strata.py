@@ -12,7 +12,7 @@ from calibration_core.estimation.likelihood.restricted import Gram, fit_sizes
 from calibration_core.estimation.noise.whitening import Strata, Whitening, whiten
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY
-from calibration_core.model.effects.absolute.transmission_error import order_of
+from calibration_core.model.effects.candidate import number_of
 from calibration_core.observations.covariance import wrench_covariance
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
@@ -84,7 +84,7 @@ def _a_little(offered: Offered) -> list[Int1D]:
     for candidate, block in zip(offered.candidates, offered.blocks, strict=True):
         columns = np.arange(block.start, block.stop)
         if candidate.effect == WAVE:
-            if order_of(candidate) <= LOW:
+            if number_of(candidate) <= LOW:
                 waves.append(columns)
         elif candidate.family != FAMILY and len(columns) < len(others.get(candidate.place, range(SIMPLE + 1))):
             others[candidate.place] = columns

@@ -134,6 +134,6 @@ def prior_lines(joints: Sequence[PooledJoint], population: TypePopulation) -> li
             pooled = f"{1e-5 * one.pooled:.4g} ± {1e-5 * one.pooled_std:.2g}"
             lines.append(f"  {raw} alone, {pooled} with its sisters, 10⁵ N·m/rad")
         else:
-            far = f"{one.deviation:+.1f} standard deviations"
+            far = f"{one.deviation:+z.1f} standard deviations"
             lines.append(f"  {raw} 10⁵ N·m/rad; it does not belong to its sisters ({far})")
     return lines

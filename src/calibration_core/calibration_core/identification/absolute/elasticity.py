@@ -92,7 +92,7 @@ def judge_elasticity(
     beyond = compare(wave, model.held_out([*waves, *(real + j for j in chosen)]), configuration)
     names = ", ".join(problem.chain.joints[j] for j in chosen)
     reason = (
-        f"{names}: {main.text}; with gravity turned by 90 degrees {100 * kept:.0f} % of the gain remains; "
+        f"{names}: {main.text}; with gravity turned by 90 degrees {100 * kept:z.0f} % of the gain remains; "
         f"beyond the first harmonic of these joints' own angles: {beyond.text}"
     )
     collapses = kept <= COLLAPSED and against.clear

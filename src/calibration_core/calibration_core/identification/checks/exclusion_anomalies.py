@@ -44,6 +44,22 @@ def with_own_outliers(anomalies: Sequence[Anomaly], own: Sequence[Anomaly]) -> t
     return (*anomalies[:first], *outliers, *others)
 
 
+def outliers_of(exclusions: Sequence[Exclusion]) -> tuple[Anomaly, ...]:
+    """Return the anomaly of readings that are not used; none where all are."""
+    if not exclusions:
+        return ()
+    largest = max(exclusions, key=lambda exclusion: exclusion.size)
+    numbers = [exclusion.configuration for exclusion in exclusions]
+    where: dict[str, str | int] = {
+        "point": largest.point,
+        "configuration": largest.configuration,
+        "step": largest.step,
+    }
+    keys = [(one.configuration, one.step, one.point) for one in exclusions]
+    text = outlier_text(keys, largest.size, "the others")
+    return (Anomaly(OUTLIERS, where, (min(numbers), max(numbers)), largest.size, "m", text),)
+
+
 def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: Readings) -> tuple[Anomaly, ...]:
     """Return understated noise, excluded readings and unsettled plateaus.
 
@@ -56,17 +72,7 @@ def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: R
     if noise.understated:
         seen = noise.claimed * noise.scale
         found.append(Anomaly("noise_understated", {"instrument": "tracker"}, None, seen, "m", noise.text))
-    if exclusions:
-        largest = max(exclusions, key=lambda exclusion: exclusion.size)
-        numbers = [exclusion.configuration for exclusion in exclusions]
-        where: dict[str, str | int] = {
-            "point": largest.point,
-            "configuration": largest.configuration,
-            "step": largest.step,
-        }
-        keys = [(one.configuration, one.step, one.point) for one in exclusions]
-        text = outlier_text(keys, largest.size, "the others")
-        found.append(Anomaly(OUTLIERS, where, (min(numbers), max(numbers)), largest.size, "m", text))
+    found += outliers_of(exclusions)
     unsettled = [note for note in readings.notes if note.kind == "unsettled"]
     found += [Anomaly("unsettled", {"place": n.place}, None, float(n.count), "1", n.text) for n in unsettled]
     return tuple(found)

@@ -13,6 +13,7 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.cell.identity import robot_sha256
 from calibration_core.errors import InputError, RecordingError, quoted
 from calibration_core.observations.kinds import holds_single_steps, is_loaded
+from calibration_core.observations.same import refuse_same
 from calibration_core.timeseries import Readings
 
 
@@ -60,6 +61,7 @@ def members_of(recordings: Sequence[Readings], cells: Sequence[Cell]) -> tuple[M
         first, second = recordings[one].provenance, recordings[other].provenance
         if first.sha256 and sorted(first.sha256.values()) == sorted(second.sha256.values()):
             raise RecordingError(second.path, "", f"the same content as in {first.path}", "every recording once")
+    refuse_same(recordings)
     most = max(int(readings.configuration.max(initial=0)) for readings in recordings)
     stride = 10 ** max(3, len(str(most)))
     return tuple(

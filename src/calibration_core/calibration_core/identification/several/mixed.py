@@ -2,7 +2,7 @@
 
 Each part shows tracker and points by itself, and is put together with the other as recordings of several set-ups are:
 the same data give the same answer, in one file or in two.  Where one part is too small to show them well, there is one
-set-up, which all unloaded positions show.
+set-up, which all unloaded positions show: that is known of one file, and of two it is not.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ from calibration_core.timeseries import Bool1D, Int1D, Note, Readings
 
 DIGITS = 9  # of the number from which on postures at rest are numbered beside loaded configurations
 LONG = re.compile(rf"\b\d{{{DIGITS + 1},}}\b")
+FEWEST_OF_A_FILE = 3  # postures at rest, with which a file of their own has frames of its own
+IN_TWO_FILES = "two files would have frames of their own each, share less, and give a slightly different answer"
 PARTS = ("the loaded configurations", "the postures at rest")
 
 
@@ -152,7 +154,8 @@ def set_ups(readings: Readings, cell: Cell, options: Options) -> Parts | str:
         return "the recording is of one kind"
     count = len(np.unique(readings.configuration[single_steps(readings)]))
     if count < FEWEST:
-        return f"frames of their own need {FEWEST} postures at rest, and there are {count}"
+        few = f"frames of their own need {FEWEST} postures at rest, and there are {count}"
+        return few if count < FEWEST_OF_A_FILE else f"{few}; {IN_TWO_FILES}"
     try:
         return parts_of(readings, cell, options)
     except IdentificationError as error:

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.absolute.evaluate import Evaluated, evaluate_absolute, identification_of
+from calibration_core.identification.checks.exclusion_anomalies import OUTLIERS, outliers_of
 from calibration_core.identification.result.estimate import Fit, Identification, Residuals
 from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.statistics.sizes import rms
@@ -70,16 +71,19 @@ def _with_geometry(found: Identification, still: Standing) -> Identification:
     known = still.found.estimate
     rows = [k for k, name in enumerate(known.names) if name.startswith(GEOMETRY)]
     seen = {(one.configuration, one.step, one.point) for one in found.exclusions}
-    exclusions = [one for one in still.found.exclusions if (one.configuration, one.step, one.point) not in seen]
-    kinds = {one.kind for one in found.anomalies}
+    further = [one for one in still.found.exclusions if (one.configuration, one.step, one.point) not in seen]
+    exclusions = (*found.exclusions, *further)
+    kinds = {OUTLIERS, *(one.kind for one in found.anomalies)}
+    anomalies = [one for one in found.anomalies if one.kind != OUTLIERS]
+    anomalies += [one for one in still.found.anomalies if one.kind not in kinds]
     residuals, fit = _figures(found, still)
     return dataclasses.replace(
         found,
         method=f"{found.method}; geometry from all postures at rest ({still.found.method})",
         parameters=(*found.parameters, *(one for one in still.found.parameters if one.group == "geometry")),
         unidentified=(*found.unidentified, *still.found.unidentified),
-        exclusions=(*found.exclusions, *exclusions),
-        anomalies=(*found.anomalies, *(one for one in still.found.anomalies if one.kind not in kinds)),
+        exclusions=exclusions,
+        anomalies=(*outliers_of(exclusions), *anomalies),
         residuals=residuals,
         fit=fit,
         estimate=GaussianEstimate.independent((found.estimate, known.chosen(rows))),

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
+from typing import Protocol
 
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.traits import OF_A_FAMILY, Trait
@@ -90,6 +91,26 @@ class Candidate:
     def place(self) -> tuple[str, tuple[tuple[str, str | tuple[str, ...]], ...]]:
         """Effect and location, whatever the variant."""
         return self.key[:2]
+
+
+class _Formed(Protocol):
+    """A hypothesis, of one candidate or of several."""
+
+    @property
+    def effect(self) -> str: ...
+    @property
+    def shape(self) -> object: ...
+
+
+def number_of(one: _Formed) -> int:
+    """Return the whole number that is the form of a hypothesis: the order of a wave, the position of a step.
+
+    Raises:
+        TypeError: Its form is no number.
+    """
+    if isinstance(one.shape, int):
+        return one.shape
+    raise TypeError(f"the form of {one.effect} is no number")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -74,6 +74,12 @@ class ValidRange:
         )  # fmt: skip
 
 
+WITHOUT_INTERVALS = (
+    "The model file is of schema 1: it has no covariance, and nothing that is taken from it has an interval."
+)
+"""What every command that reads such a file says, once."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class CalibratedModel:
     """The content of a model file.

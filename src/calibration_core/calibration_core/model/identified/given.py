@@ -7,11 +7,12 @@ from pathlib import Path
 
 from calibration_core.cell import Cell
 from calibration_core.model.effects.words import effect_sentence
-from calibration_core.model.identified.calibrated import CalibratedModel, ValidRange
+from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS, CalibratedModel, ValidRange
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.model_file import read_calibrated
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.recording.source import sha256_of
+from calibration_core.timeseries import NO_INTERVALS, Note
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,6 +47,12 @@ class GivenModel:
     def digest(self) -> dict[str, dict[str, str]]:
         """The file as input of a result: role -> file name -> SHA-256."""
         return {"model": {Path(self.file).name: self.sha256}}
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What its reader must be told: a file of schema 1 has no intervals."""
+        text = WITHOUT_INTERVALS[0].lower() + WITHOUT_INTERVALS[1:].removesuffix(".")
+        return () if self.estimate is not None else (Note(NO_INTERVALS, self.file, text),)
 
     def known_effects(self) -> str:
         """The effects and their places in words."""

@@ -80,8 +80,8 @@ def described(one: Disagreement) -> str:
     else:
         factor, unit = (1e3, "mm") if one.unit == "m" else (1e3, "mrad")
         size = (
-            f"{one.parameter.removeprefix(GEOMETRY)} stands {factor * one.change:+.3f} {unit} "
-            f"({factor * one.low:+.3f} to {factor * one.high:+.3f} {unit}) elsewhere"
+            f"{one.parameter.removeprefix(GEOMETRY)} stands {factor * one.change:+z.3f} {unit} "
+            f"({factor * one.low:+z.3f} to {factor * one.high:+z.3f} {unit}) elsewhere"
         )
     where = f"; the change may as well be at {' or '.join(one.or_else)}" if one.or_else else ""
     cause = "the robot has changed, or the model leaves something out"

@@ -189,7 +189,7 @@ def _streams(cell: Cell) -> dict[str, StreamKind]:
 
 
 def _recording(path: Path, bag: BagFiles, cell: Cell, contents: Contents, sha256: dict[str, str]) -> Streams:
-    notes = list(contents.notes)
+    notes = [*contents.notes, *_unread_wrenches(cell, contents)]
     series: dict[str, TimeSeries] = {}
     efforts: TimeSeries | None = None
     for topic, samples in contents.streams.items():
@@ -241,6 +241,16 @@ def _require(path: Path, cell: Cell, contents: Contents) -> None:
     if not any(name in contents.streams and len(contents.streams[name].stamp) for name in names):
         expected = f"measurement points on {', '.join(names)}"
         raise RecordingError(path, "tracker", f"no messages (in the bag: {there})", expected)
+
+
+def _unread_wrenches(cell: Cell, contents: Contents) -> list[Note]:
+    """Return a note where the topic of the wrench is not in the bag, and wrenches stand on another."""
+    kind, topic = StreamKind.WRENCH.value, cell.topics.wrench
+    others = sorted(name for name, found in contents.topics.items() if found == kind)
+    if topic in contents.topics or not others:
+        return []
+    text = f"no messages, but {kind} on {', '.join(others[:12])}: no load is read (topics of the cell file)"
+    return [Note("other_topic", topic, text)]
 
 
 def step_markers(rows: tuple[tuple[int, int, int, int, int], ...]) -> StepMarkers | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.files.csv_cells import inert, meant
+from calibration_core.files.written import number
 from calibration_core.recording.source import sha256_of
 from calibration_core.recording.tables.checks import check_plausible, check_steps
 from calibration_core.recording.tables.columns import INTEGERS, OPTIONAL, OURS, POSITION, WRENCH, checked_columns
-from calibration_core.timeseries import Provenance, Readings
+from calibration_core.timeseries import Float2D, Provenance, Readings
 
 MAX_BYTES = 1 << 27  # some 800,000 readings; as many as are read in half a minute
 MAX_LINE = 1 << 16
@@ -190,7 +191,7 @@ class _RowParser:
 
 
 def write_table(path: Path, readings: Readings) -> None:
-    """Write readings as a measurement table; what is read back is equal to the bit.
+    """Write readings as a measurement table; what is read back is equal to the bit, but for the sign of a zero.
 
     Args:
         path: The CSV file; replaced if it exists.
@@ -203,12 +204,11 @@ def write_table(path: Path, readings: Readings) -> None:
     for name in OPTIONAL:
         values = getattr(readings, name)
         if np.isfinite(values).any():
-            columns.append((name, ["" if math.isnan(value) else repr(value) for value in values.tolist()]))
-    columns += [(f"q{i + 1}", list(map(repr, one.tolist()))) for i, one in enumerate(readings.q.T)]
-    if readings.wrench is not None:
-        columns += [(name, list(map(repr, one.tolist()))) for name, one in zip(WRENCH, readings.wrench.T, strict=True)]
+            columns.append((name, ["" if math.isnan(value) else number(value) for value in values.tolist()]))
+    columns += _numeric([f"q{i + 1}" for i in range(readings.q.shape[1])], readings.q)
+    columns += [] if readings.wrench is None else _numeric(WRENCH, readings.wrench)
     columns.append(("point", [inert(readings.points[i]) for i in readings.point.tolist()]))
-    columns += [(name, list(map(repr, one.tolist()))) for name, one in zip(POSITION, readings.position.T, strict=True)]
+    columns += _numeric(POSITION, readings.position)
     partial = Path(path).with_name(f".{Path(path).name}.part")
     try:
         with partial.open("w", encoding="utf-8", newline="") as stream:
@@ -219,3 +219,7 @@ def write_table(path: Path, readings: Readings) -> None:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+
+
+def _numeric(names: Sequence[str], values: Float2D) -> list[tuple[str, list[str]]]:
+    return [(name, [number(value) for value in one.tolist()]) for name, one in zip(names, values.T, strict=True)]

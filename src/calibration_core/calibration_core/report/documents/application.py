@@ -100,7 +100,7 @@ def deflection_document(done: Deflected, cell: Cell, inputs: Inputs, result: byt
         for p, name in enumerate(found.names)
     ]
     springs = [
-        (str(k + 1), f"{1e-6 * stiff[k, axis]:.3f}", *(f"{x:.3f}" for x in axes[k, axis]))
+        (str(k + 1), f"{1e-6 * stiff[k, axis]:.3f}", *(f"{x:z.3f}" for x in axes[k, axis]))
         for k in shown
         for axis in range(3)
     ]
@@ -144,7 +144,7 @@ def _beyond(outside: Mapping[str, Sequence[int]]) -> list[str]:
 
 def _bounded(value: float, bound: float) -> str:
     """Return a length in mm, or an angle in mrad, with its interval where there is one."""
-    return f"{1e3 * value:.4f}" + ("" if np.isnan(bound) else f" ± {1e3 * bound:.4f}")
+    return f"{1e3 * value:z.4f}" + ("" if np.isnan(bound) else f" ± {1e3 * bound:.4f}")
 
 
 def space_of(cell: Cell, robot: CalibratedRobot, q: Float2D, wrench: Float2D) -> OperatingSpace:

@@ -74,7 +74,8 @@ def diagnosis_document(
         Section(f"Finding {number}: {_title(finding)}", "", finding_blocks(finding))
         for number, finding in enumerate(found.findings, start=1)
     ]
-    sources = traceability_section(cell, null.readings.provenance, further_files(found))
+    notes = [note for note in found.identification.notes if note.kind == NO_INTERVALS]
+    sources = traceability_section(cell, null.readings.provenance, further_files(found), notes)
     sections += [
         Section("How much better", "", gain_blocks(found)),
         Section("What remains", "", (Paragraph(found.rest.text),)),
@@ -83,7 +84,7 @@ def diagnosis_document(
         Section("Joint stiffness in the extended model", "", stiffness_blocks(found)),
         *([Section("What this kind of recording cannot show", "", (Items(found.aliases),))] if found.aliases else []),
         Section("Readings not used", "", exclusion_section(null, by)),
-        Section("Input and software", "", (*_without_intervals(found), *sources)),
+        Section("Input and software", "", sources),
     ]
     document = Document(
         number=document_number(result),
@@ -159,11 +160,6 @@ def _anomalies(found: Diagnosis) -> tuple[Block, ...]:
     if not found.anomalies:
         return (Paragraph("None was found."),)
     return (Items(tuple(f"{a.kind.replace('_', ' ')}: {a.text}" for a in found.anomalies)),)
-
-
-def _without_intervals(found: Diagnosis) -> tuple[Block, ...]:
-    notes = [note for note in found.identification.notes if note.kind == NO_INTERVALS]
-    return tuple(Paragraph(f"{note.place}: {note.text}.") for note in notes)
 
 
 def _title(finding: Finding) -> str:

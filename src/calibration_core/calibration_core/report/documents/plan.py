@@ -51,7 +51,7 @@ from calibration_core.report.sections.procedure import (
 from calibration_core.report.sections.records import traceability_section
 from calibration_core.report.sections.stiffness import symbol
 from calibration_core.report.writing.rendering import document_number
-from calibration_core.timeseries import Float2D
+from calibration_core.timeseries import Float2D, Note
 
 STATEMENT = (
     "The expected uncertainties hold for the nominal model and for instruments as good as stated; they contain no "
@@ -71,6 +71,7 @@ def plan_document(
     seed: int,
     day: dt.date | None = None,
     further: Sequence[Section] = (),
+    notes: Sequence[Note] = (),
 ) -> Document:
     """Build the report of a plan.
 
@@ -83,6 +84,7 @@ def plan_document(
         seed: Seed of the search.
         day: Date of planning; today (UTC) if not given.
         further: Sections after the loads: what other load steps would reveal, or what is promised of the geometry.
+        notes: What must be told of the given model.
     """
     day = day or dt.datetime.now(dt.UTC).date()
     demands = plan_requirements(plan, cell, space)
@@ -101,7 +103,7 @@ def plan_document(
         *_arcs(plan, cell),
         Section("Start-up cycle and reference", "5.1, 5.2", _cycle(plan, cell.prismatic)),
         Section("Measuring equipment", "5.3", equipment(cell)),
-        Section("Input and software", "", traceability_section(cell, None, inputs)),
+        Section("Input and software", "", traceability_section(cell, None, inputs, notes)),
     ]
     document = Document(
         number=document_number(result),

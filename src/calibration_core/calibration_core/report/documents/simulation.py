@@ -58,7 +58,7 @@ def simulation_document(simulated: Simulated, cell: Cell, result: bytes, day: dt
         Section("Predicted deflections", "", _deflections(simulated)),
         Section("Noise", "5.3", (Paragraph(_noise(simulated)), *equipment(cell))),
         Section("Recording", "", _recording(simulated)),
-        Section("Input and software", "", traceability_section(cell, None, simulated.inputs)),
+        Section("Input and software", "", traceability_section(cell, None, simulated.inputs, simulated.notes)),
     )
     document = Document(
         number=document_number(result),

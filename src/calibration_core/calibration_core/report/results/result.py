@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -10,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.files.written import json_bytes
 from calibration_core.identification.result.estimate import Anomaly, Identification, JointStiffness
 from calibration_core.model.identified.given import GivenModel
+from calibration_core.observations.kinds import postures_at_rest
 from calibration_core.report.results.phases import decoupled_dict, phases_dict
 from calibration_core.report.results.provenance import digests, software
 from calibration_core.report.results.scene import space_dict
@@ -66,7 +67,7 @@ def result_dict(
 
 def result_json(content: dict[str, Any]) -> bytes:
     """Return result.json: UTF-8, indented, same bytes for the same content."""
-    return (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()
+    return json_bytes(content)
 
 
 def recording_record(readings: Readings, *, loaded: bool) -> dict[str, Any]:
@@ -79,6 +80,7 @@ def recording_record(readings: Readings, *, loaded: bool) -> dict[str, Any]:
         "points": list(readings.points),
         "loaded": loaded,
         "readings": len(readings),
+        **({"postures_at_rest": rest} if (rest := postures_at_rest(readings)) else {}),
     }
 
 

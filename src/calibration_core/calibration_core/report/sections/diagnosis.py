@@ -226,7 +226,7 @@ def story(found: Diagnosis) -> Facts:
         )
         sure = (
             f"{evidence_words(first.log_bayes_factor)}; on configurations left out the squared error falls by "
-            f"{100 * first.held_out_gain:.0f} %"
+            f"{100 * first.held_out_gain:z.0f} %"
         )
         rows.append(("How sure", sure))
     better = (

@@ -9,6 +9,7 @@ import numpy as np
 from calibration_core.cell import Cell, ForceTorque, Thermometer, Tracker
 from calibration_core.identification.result.estimate import Identification, OperatingSpace, Precondition
 from calibration_core.report.document import Block, Column, Facts, Figure, Paragraph, Table
+from calibration_core.report.extent import configurations_text
 from calibration_core.report.figures.operating_space import (
     MOST_ARMS,
     deflection_scale,
@@ -210,7 +211,7 @@ def counts_text(result: Identification) -> str:
     configurations_, steps = _counts(result)
     readings = result.readings
     return (
-        f"{counted(configurations_, 'configuration')}, {counted(steps, 'step')}, "
+        f"{configurations_text(readings, configurations_)}, {counted(steps, 'step')}, "
         f"{counted(len(readings.points), 'measurement point')}, {counted(len(readings), 'reading')}"
     )
 

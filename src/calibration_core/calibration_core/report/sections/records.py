@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from calibration_core.cell import Cell
 from calibration_core.identification.result.estimate import Identification
@@ -11,7 +11,7 @@ from calibration_core.report.document import Block, Column, Facts, Items, Paragr
 from calibration_core.report.results.provenance import digests, software
 from calibration_core.report.rounding import counted, length_unit, padded, shortened, spread
 from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
-from calibration_core.timeseries import Provenance
+from calibration_core.timeseries import Note, Provenance
 
 
 def exclusion_section(result: Identification, by: str = "") -> tuple[Block, ...]:
@@ -88,7 +88,10 @@ def given_model(result: Identification) -> tuple[tuple[str, str], ...]:
 
 
 def traceability_section(
-    cell: Cell, provenance: Provenance | None = None, further: Mapping[str, Mapping[str, str]] | None = None
+    cell: Cell,
+    provenance: Provenance | None = None,
+    further: Mapping[str, Mapping[str, str]] | None = None,
+    notes: Sequence[Note] = (),
 ) -> tuple[Block, ...]:
     """Return the input files with their digests, and the versions of the software.
 
@@ -96,6 +99,7 @@ def traceability_section(
         cell: The cell.
         provenance: The recording; None if none was read.
         further: Role -> file -> SHA-256 of further input files.
+        notes: What must be told of them.
     """
     files = digests(cell, provenance, further)
     counts = {} if provenance is None else provenance.messages
@@ -104,6 +108,7 @@ def traceability_section(
     versions = ", ".join(f"{package} {version}" for package, version in software().items())
     origin = tuple((label, text) for label, text in (("Origin of the data", cell.source), ("Note", cell.note)) if text)
     return (
+        *(Paragraph(f"{note.place}: {note.text}.") for note in notes),
         *((Facts(origin),) if origin else ()),
         Table(
             "Input files", (Column("Role", "left"), Column("File", "left", wide=True), Column("SHA-256", "left")), files

@@ -38,6 +38,22 @@ def require_own(directory: Path, command: str) -> None:
         raise OutputError(directory / there[0], "", f"a file that calibration {command} did not write", expected)
 
 
+def require_directory(directory: Path) -> None:
+    """Refuse a place for results that is, or lies below, something other than a directory.
+
+    Raises:
+        OutputError: It does.
+    """
+    for place in (directory, *directory.parents):
+        try:
+            there = place.exists() and not place.is_dir()
+        except (OSError, ValueError):  # no place at all: whoever writes says so
+            return
+        if there:
+            found = "a file" if place == directory else f"a file, {place}, above it"
+            raise OutputError(directory, "", found, "a directory for the results")
+
+
 def refuse_inputs(directory: Path, command: str, inputs: Iterable[Path]) -> None:
     """Refuse a folder in which the results of a command would take the place of what it reads.
 

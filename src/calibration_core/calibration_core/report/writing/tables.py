@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from calibration_core.files.csv_cells import inert
+from calibration_core.files.written import csv_bytes
 from calibration_core.identification.result.estimate import Identification, JointStiffness
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
 
@@ -26,7 +24,9 @@ def table1_csv(number: Int1D | Float1D | Sequence[int], q: Float2D, prismatic: S
         prismatic: Per joint, whether it slides; none where empty.
     """
     names, values = _table1(q, prismatic)
-    return _csv(["No", *names], ([int(no), *(f"{x:.6f}" for x in row)] for no, row in zip(number, values, strict=True)))
+    return csv_bytes(
+        ["No", *names], ([int(no), *(f"{x:z.6f}" for x in row)] for no, row in zip(number, values, strict=True))
+    )
 
 
 def table1_yaml(number: Int1D | Float1D | Sequence[int], q: Float2D, prismatic: Sequence[bool] = ()) -> bytes:
@@ -41,7 +41,7 @@ def table1_yaml(number: Int1D | Float1D | Sequence[int], q: Float2D, prismatic: 
     units = "angles theta in degrees, distances d in mm" if any(prismatic) else "angles in degrees"
     lines = [f"# Table 1 of CWA 17384: manipulator measurement configurations, {units}."]
     for no, row in zip(number, values, strict=True):
-        angles = ", ".join(f"{name}: {value:.6f}" for name, value in zip(names, row, strict=True))
+        angles = ", ".join(f"{name}: {value:z.6f}" for name, value in zip(names, row, strict=True))
         lines.append(f'- {{"No": {int(no)}, {angles}}}')  # bare, No would be false in YAML 1.1
     return ("\n".join(lines) + "\n").encode()
 
@@ -73,7 +73,7 @@ def table2_csv(stiffness: Sequence[JointStiffness]) -> bytes:
         *(["unit"] if slides else []),
         *([f"extended_model_{name}{unit}" for name in ("", "low_", "high_")] if beside else []),
     ]
-    return _csv(
+    return csv_bytes(
         head,
         (
             [
@@ -102,7 +102,7 @@ def predictions_csv(readings: Readings, predicted: Float2D) -> bytes:
         predicted: (m, 3) m, predicted position of each reading in the tracker frame.
     """
     head = ["configuration", "step", "point", "x", "y", "z", "px", "py", "pz"]
-    return _csv(head, _rows(readings, np.hstack([readings.position, predicted]).tolist()))
+    return csv_bytes(head, _rows(readings, np.hstack([readings.position, predicted]).tolist()))
 
 
 def residuals_csv(identification: Identification) -> bytes:
@@ -119,7 +119,7 @@ def residuals_csv(identification: Identification) -> bytes:
     values = np.hstack([rows.load[:, None], rows.measured, rows.predicted, rows.residual, rows.held_out, rows.sigma])
     excluded = ("yes" if flag else "no" for flag in np.asarray(rows.excluded, dtype=bool))
     cells = ([*map(_micro, row), flag] for row, flag in zip(values.tolist(), excluded, strict=True))
-    return _csv(head, _rows(identification.readings, cells))
+    return csv_bytes(head, _rows(identification.readings, cells))
 
 
 def table_files(identification: Identification, prismatic: Sequence[bool] = ()) -> dict[str, bytes]:
@@ -139,16 +139,8 @@ def _rows(readings: Readings, cells: Iterable[Sequence[object]]) -> Iterable[lis
 
 
 def _scaled(value: float) -> str:
-    return f"{value * 1e-5:.6g}" if math.isfinite(value) else ""
+    return f"{value * 1e-5:z.6g}" if math.isfinite(value) else ""
 
 
 def _micro(value: float) -> str:
-    return f"{value:.9g}" if math.isfinite(value) else ""
-
-
-def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows([inert(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
-    return text.getvalue().encode("utf-8", "replace")
+    return f"{value:z.9g}" if math.isfinite(value) else ""

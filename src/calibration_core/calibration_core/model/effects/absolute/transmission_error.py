@@ -58,17 +58,6 @@ def harmonic(joint: int, name: str, order: int, rated_load: float) -> Candidate:
     )
 
 
-def order_of(candidate: Candidate) -> int:
-    """Return the order of a wave.
-
-    Raises:
-        TypeError: It is no wave.
-    """
-    if isinstance(candidate.shape, int):
-        return candidate.shape
-    raise TypeError(f"{candidate.effect} has no order")
-
-
 def _restored(described: AppliedEffect, state: State) -> Candidate | None:
     name, joints, written = described.location.get("joint"), state.chain.joints, ORDER.fullmatch(described.variant)
     if name not in joints or written is None:
