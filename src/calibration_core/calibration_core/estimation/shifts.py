@@ -15,7 +15,7 @@ from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.kinematics import cross
-from calibration_core.timeseries import Bool1D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float3D, Int1D, Readings, in_time
 
 FAMILY = "anomaly"
 MOVED, TURNED = 1e-3, 1e-3  # m, rad: typical
@@ -73,12 +73,6 @@ def position_of(one: Hypothesis) -> int:
     if isinstance(one.shape, int):
         return one.shape
     raise TypeError(f"{one.effect} has no position")
-
-
-def in_time(configuration: Int1D) -> Int1D:
-    """Return the position of every reading's configuration, in the order in which they were read, (m,)."""
-    _, first, index = np.unique(configuration, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[index.reshape(-1)].astype(np.int64)
 
 
 def _target(name: str, position: int, after: Bool1D) -> Candidate:

@@ -49,7 +49,7 @@ def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: R
 
     Args:
         noise: Claimed against seen.
-        exclusions: Readings not used.
+        exclusions: Readings not used, in the order of time.
         readings: With the notes of what was set aside before.
     """
     found = []
@@ -58,7 +58,6 @@ def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: R
         found.append(Anomaly("noise_understated", {"instrument": "tracker"}, None, seen, "m", noise.text))
     if exclusions:
         largest = max(exclusions, key=lambda exclusion: exclusion.size)
-        numbers = [exclusion.configuration for exclusion in exclusions]
         where: dict[str, str | int] = {
             "point": largest.point,
             "configuration": largest.configuration,
@@ -66,7 +65,7 @@ def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: R
         }
         keys = [(one.configuration, one.step, one.point) for one in exclusions]
         text = outlier_text(keys, largest.size, "the others")
-        found.append(Anomaly(OUTLIERS, where, (min(numbers), max(numbers)), largest.size, "m", text))
+        found.append(Anomaly(OUTLIERS, where, (keys[0][0], keys[-1][0]), largest.size, "m", text))
     unsettled = [note for note in readings.notes if note.kind == "unsettled"]
     found += [Anomaly("unsettled", {"place": n.place}, None, float(n.count), "1", n.text) for n in unsettled]
     return tuple(found)
