@@ -35,6 +35,20 @@ def read_only(values: ArrayLike, dtype: type = np.float64) -> NDArray[np.float64
     return array
 
 
+def in_time(configuration: Int1D) -> Int1D:
+    """Return the position of every reading's configuration in the order in which they were read, (m,), from 0.
+
+    Their numbers are names: they need not grow.
+    """
+    _, first, index = np.unique(configuration, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[index.reshape(-1)].astype(np.int64)
+
+
+def numbers_in_time(configuration: Int1D) -> Int1D:
+    """Return the different numbers of configurations, in the order in which they were read."""
+    return configuration[np.sort(np.unique(configuration, return_index=True)[1])]
+
+
 class Phase(enum.IntEnum):
     """What the cell is doing, as in `calibration_interfaces/msg/MeasurementStep`."""
 

@@ -18,6 +18,7 @@ from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_
 from calibration_core.diagnosis.data_checks.step_direction import jumps_along_a_joint
 from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
+from calibration_core.diagnosis.evidence.aliases import aliases
 from calibration_core.diagnosis.evidence.block_scatter import scattered_covariance
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import (
@@ -63,13 +64,6 @@ ROUNDS = 3
 SETTLED = 0.05  # relative change of the noise below which it is taken as found
 LISTED = 12  # steps that are named
 MOVED = 0.05  # relative change of a compliance below which the operating point is taken as found
-ALIASES = (
-    "A gain common to all axes of the force/torque sensor acts like all joints being softer by the same share.",
-    "A servo that gives way acts like its joint being softer, unless the encoder is read again under load.",
-    "A wrong scale of the tracker acts like all joints being softer by the same share.",
-    "A gravity compensator acts like a stiffness of joint 2 that follows its angle.",
-    "Rocking of the base acts like an off-axis compliance of joint 1.",
-)
 FRAMES_SPOILED = frozenset({"target_moved", "tracker_moved"})
 
 
@@ -156,7 +150,7 @@ def diagnose_loaded(
         test=None if test is None else tested_on(test, cell, model, prepared.parameters, with_frames=False),
         model=model,
         estimate=loaded_estimate(extended, identification, model, cell),
-        aliases=ALIASES,
+        aliases=aliases(extended.state, differences=True),
         further_figures=_held_out_lengths(extended, cell),
     )
 

@@ -20,7 +20,7 @@ from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import load_torque
 from calibration_core.observations.load_levels import levels_of
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 PERMUTATIONS = 400
 CERTAIN = 0.01  # chance that permuted configurations show any such pattern
@@ -109,7 +109,7 @@ def locate(readings: Readings, residual: Float2D, cell: Cell, model: ModelParame
     Returns:
         None where there are too few configurations for any pattern.
     """
-    numbers = np.unique(readings.configuration)
+    numbers = numbers_in_time(readings.configuration)
     if len(numbers) < FEWEST:
         return None
     if len(numbers) > MOST:

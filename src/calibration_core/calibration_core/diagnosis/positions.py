@@ -17,10 +17,10 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter
 from calibration_core.diagnosis.data_checks.shift_anomalies import shift_anomalies
+from calibration_core.diagnosis.evidence.aliases import aliases
 from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.diagnosis.findings.geometry import geometry_findings
 from calibration_core.diagnosis.findings.positions import position_findings
-from calibration_core.diagnosis.loaded import ALIASES
 from calibration_core.diagnosis.model_estimate import positions_compliance, positions_estimate
 from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.choose import NONE_ASKED, Proposals
@@ -257,13 +257,12 @@ def diagnose_mixed(
     anomalies = (*checked.anomalies, *_of_readings(found, checked, claimed), *unsettled)
     silent = dataclasses.replace(identification, anomalies=())
     result = diagnosis_of(found, evaluated, silent, cell, test=test, offers=offers, anomalies=anomalies)
-    result = dataclasses.replace(result, aliases=ALIASES)
+    result = dataclasses.replace(result, aliases=aliases(found.extended.model.state, differences=False))
     open_joints = any(not joint.identifiable for joint in identification.stiffness)
     if offers is None or result.next_measurements or not open_joints:
         return result
-    loads = propose_loads(
-        prepared, start.compliance, np.flatnonzero(used), cell, offers
-    )  # no posture shows what no load has shown
+    # no posture shows what no load has shown
+    loads = propose_loads(prepared, start.compliance, np.flatnonzero(used), cell, offers)
     if not loads.measurements:
         return result
     return dataclasses.replace(result, next_measurements=loads.measurements, next_text=loads.text)

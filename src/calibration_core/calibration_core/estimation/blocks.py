@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.timeseries import Float2D, Int1D
+from calibration_core.timeseries import Float2D, Int1D, in_time
 
 MOST = 40  # blocks
 STAYS = -1  # label of readings that are never left out
@@ -61,9 +61,8 @@ def time_blocks(configuration: Int1D, most: int = MOST) -> Blocks:
         configuration: (m,) configuration of every reading, in the order of time.
         most: Number of blocks, where there are as many configurations.
     """
-    _, first, index = np.unique(configuration, return_index=True, return_inverse=True)
-    order = np.argsort(np.argsort(first))[index.reshape(-1)]  # position in time
-    count = len(first)
+    order = in_time(configuration)
+    count = int(order.max()) + 1
     return Blocks("time", (order * min(most, count) // count).astype(np.int64))
 
 
@@ -75,14 +74,14 @@ def posture_blocks(q: Float2D, configuration: Int1D, most: int = MOST) -> Blocks
         configuration: (m,) configuration of every reading.
         most: Number of clusters, where there are at least three configurations for each.
     """
-    _, first, index = np.unique(configuration, return_index=True, return_inverse=True)
+    first = np.sort(np.unique(configuration, return_index=True)[1])
     angles = q[first]
     count = min(most, len(first) // FEWEST_PER_CLUSTER)
     if count < 2:
         return time_blocks(configuration, most)
     features = np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
     label = _clusters(features, count)
-    return Blocks("posture", label[index.reshape(-1)])
+    return Blocks("posture", label[in_time(configuration)])
 
 
 def _clusters(features: Float2D, count: int) -> Int1D:

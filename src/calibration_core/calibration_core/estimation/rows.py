@@ -20,7 +20,7 @@ from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.effects.side_torques import Acting, with_side_torques
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, FloatND, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, FloatND, Int1D, Readings, numbers_in_time
 
 STAY = 1e-3  # of a compliance: by which it may move before columns of effects are written anew
 SEARCHED = 1_000  # configurations in the sample that is searched
@@ -210,7 +210,7 @@ def sample(configuration: Int1D, used: Int1D) -> Int1D:
         configuration: (m,) configuration of every reading.
         used: Indices of the readings that may be used.
     """
-    numbers = np.unique(configuration[used])
+    numbers = numbers_in_time(configuration[used])
     if len(numbers) > SEARCHED:
         numbers = numbers[np.linspace(0, len(numbers) - 1, SEARCHED).astype(int)]
     return used[np.isin(configuration[used], numbers)]

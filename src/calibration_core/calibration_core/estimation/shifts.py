@@ -14,7 +14,7 @@ from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.kinematics import cross
-from calibration_core.timeseries import Bool1D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float3D, Int1D, Readings, in_time
 
 FAMILY = "anomaly"
 MOVED, TURNED = 1e-3, 1e-3  # m, rad: typical
@@ -61,12 +61,6 @@ def around(readings: Readings, order: Int1D, position: int) -> Bool1D:
 def spacing(readings: Readings) -> int:
     """Return how many configurations lie between two of the change points that are tried first."""
     return max(len(np.unique(readings.configuration)) // POSITIONS, 1)
-
-
-def in_time(configuration: Int1D) -> Int1D:
-    """Return the position of every reading's configuration, in the order in which they were read, (m,)."""
-    _, first, index = np.unique(configuration, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[index.reshape(-1)].astype(np.int64)
 
 
 def _target(name: str, position: int, after: Bool1D) -> Candidate:

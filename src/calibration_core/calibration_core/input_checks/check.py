@@ -15,7 +15,7 @@ from calibration_core.model.chain import Chain, pose_matrix
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.observe import CLAIMS_BASE_AXES
-from calibration_core.timeseries import Float2D, Note, Readings
+from calibration_core.timeseries import Float2D, Note, Readings, numbers_in_time
 
 MOST = 1500  # readings that are looked at
 GROSS = 6.0  # times the motion that nearly all readings have
@@ -78,7 +78,7 @@ def some_of(readings: Readings) -> Readings:
     """Return whole configurations, evenly taken, of about as many readings as are looked at."""
     if len(readings) <= MOST:
         return readings
-    numbers = np.unique(readings.configuration)
+    numbers = numbers_in_time(readings.configuration)
     count = max(6, int(len(numbers) * MOST / len(readings)))
     taken = numbers[np.unique(np.linspace(0, len(numbers) - 1, count).astype(int))]
     return readings.select(np.isin(readings.configuration, taken))

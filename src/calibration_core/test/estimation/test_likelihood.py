@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from calibration_core.estimation.likelihood.gains import Grouped, beside, gains
+from calibration_core.estimation.likelihood.gains import Grouped, beside, chance_gain, gains
 from calibration_core.estimation.likelihood.restricted import DEAR, WIDE, Gram, Likelihood, Sizes, fit_sizes, price
 
 ROWS, FLAT = 90, 4
@@ -122,3 +122,14 @@ def test_a_wide_block_beside_others_is_as_the_dense_likelihood(few: int, at: int
 def test_sizes_beyond_what_is_typical_cost() -> None:
     assert price(np.array([0.1, 3.0])).tolist() == [0.0, 0.0]
     assert np.all(np.diff(price(np.array([3.0, 6.0, 12.0, 60.0]))) > 0)
+
+
+def test_one_recording_of_noise_in_a_hundred_gains_more_than_chance_does() -> None:
+    _, flat, columns = example(0)
+    blocks, recordings = Grouped.of([*BLOCKS, FURTHER]), 1500
+    limit = chance_gain(condensed(np.zeros(ROWS), flat, columns), np.ones(10, dtype=bool), blocks, 240)
+    rng, beyond = np.random.default_rng(9), 0
+    for _ in range(recordings):
+        gram = condensed(rng.standard_normal(ROWS), flat, columns)
+        beyond += gains(beside(gram, [], Sizes(1.0, np.zeros(0), 0.0)), blocks).nats.max() > limit
+    assert 0.004 < beyond / recordings < 0.025

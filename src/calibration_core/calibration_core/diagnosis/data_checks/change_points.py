@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration_core.diagnosis.data_checks.tool_shape import Shape
 from calibration_core.identification.statistics.distributions import f_tail
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 CERTAIN = 1e-6
 LEAST_TARGET, LEAST_TRACKER = 1e-4, 3e-4  # m: smaller steps are no event
@@ -105,8 +105,7 @@ def averages(residual: Float2D, place: Float2D, axes: Float3D, readings: Reading
         axes: (m, 3, 3) rows are the flange axes in the base frame.
         readings: The same readings.
     """
-    _, order = np.unique(readings.configuration, return_index=True)
-    numbers = readings.configuration[np.sort(order)]
+    numbers = numbers_in_time(readings.configuration)
     points = np.unique(readings.point)
     rows, targets, tools, group, reading = [], [], [], [], []
     for index, number in enumerate(numbers):

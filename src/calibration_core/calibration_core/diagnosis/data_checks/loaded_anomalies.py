@@ -23,7 +23,7 @@ from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
+from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings, numbers_in_time
 
 LOOSE = 4.0  # times the variance of the other points
 SWINGING = 4.0  # times the variance that the other configurations have
@@ -161,10 +161,9 @@ def outlier_readings(excluded: Bool1D, size: float, readings: Readings) -> tuple
     if not len(rows):
         return ()
     keys = [(int(readings.configuration[i]), int(readings.step[i]), readings.points[readings.point[i]]) for i in rows]
-    numbers = readings.configuration[excluded]
     text = outlier_text(keys, size, "the others of their configuration under the model of the diagnosis")
     where = {"tracker": "tracker"}
-    return (Anomaly(OUTLIERS, where, (int(numbers.min()), int(numbers.max())), size, "m", text),)
+    return (Anomaly(OUTLIERS, where, (keys[0][0], keys[-1][0]), size, "m", text),)
 
 
 def _target_moved(step: Step, shape: Shape, readings: Readings) -> Anomaly:
@@ -235,12 +234,13 @@ def _unsettled(
     restless = (ratio > SWINGING) & (chance * len(groups) < CERTAIN)
     if not restless.any():
         return None
-    numbers = np.array(list(groups))[restless]
+    known = numbers_in_time(prepared.problem.readings.configuration)
+    numbers = known[np.isin(known, np.array(list(groups))[restless])]
     size = float(np.sqrt(power[restless].mean()))
     text = (
         f"in configurations {', '.join(map(str, numbers))} all points move together from step to step by "
         f"{1e6 * size:.0f} µm per coordinate, not with the load: the arm, or what carries it, had not come to rest. "
         "These configurations are not used for physics."
     )
-    span = (int(numbers.min()), int(numbers.max()))
+    span = (int(numbers[0]), int(numbers[-1]))
     return Anomaly("unsettled", {"robot": "robot"}, span, size, "m", text), numbers

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.estimation.estimate import Estimate
-from calibration_core.estimation.shifts import FAMILY, around, in_time
+from calibration_core.estimation.shifts import FAMILY, around
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects.candidate import number_of
 from calibration_core.model.effects.words import listed_location
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import Readings, in_time
 
 EQUIVALENT = 5.0  # nats
 NEAR = 3  # configurations within which two steps are one

@@ -11,7 +11,7 @@ import itertools
 
 import numpy as np
 
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 OTHERS = 2  # points at the same step, to which a reading must stand wrong to be the one at fault
 CLEARLY = 6.0  # times the usual change of a distance
@@ -52,8 +52,7 @@ def shape_of(residual: Float2D, readings: Readings, axes: Float3D) -> Shape:
         axes: (m, 3, 3) rows are the flange axes in the base frame.
     """
     local = np.einsum("mia,ma->mi", axes, residual)
-    _, first = np.unique(readings.configuration, return_index=True)
-    numbers = readings.configuration[np.sort(first)]
+    numbers = numbers_in_time(readings.configuration)
     steps = np.unique(readings.step)
     table = np.full((len(numbers), len(steps), len(readings.points), 3), np.nan)
     place = {int(number): k for k, number in enumerate(numbers)}

@@ -15,7 +15,7 @@ from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.result.finding import Rest
 from calibration_core.identification.statistics.distributions import f_tail
 from calibration_core.model.effects.possible import nearest
-from calibration_core.timeseries import Float1D, Float2D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Readings, numbers_in_time
 
 ODD = 1e-4  # chance that a clean recording holds any configuration that is called odd
 
@@ -33,7 +33,7 @@ def what_remains(extended: ExtendedLoadedModel, seen: Scatter, claimed: float, r
     """
     design = extended.design
     rest, ratio, freedom = weighted_rest(extended)
-    numbers = np.unique(readings.configuration).tolist()
+    numbers = numbers_in_time(readings.configuration).tolist()
     trusted = seen.freedom > 0
     size = claimed * seen.total  # of one whitened row
     per = {

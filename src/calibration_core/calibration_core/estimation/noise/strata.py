@@ -14,7 +14,7 @@ from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.model.effects.candidate import number_of
 from calibration_core.observations.covariance import wrench_covariance
-from calibration_core.timeseries import Float1D, Float2D, Int1D
+from calibration_core.timeseries import Float1D, Float2D, Int1D, in_time
 
 SHARED = (0.0, 0.5, 1.0, 1.5)  # of the own noise: slow tracker noise, common to the points of a step
 OFFSETS = (0.0, 0.5, 2.0, 8.0, 30.0)  # of the own noise
@@ -26,7 +26,7 @@ LOW = 2  # orders of transmissions that may be there a little
 def strata_of(model: NullModel, rows: Int1D) -> Strata:
     """Return which of some readings share what."""
     readings = model.readings.select(rows)
-    configuration = np.unique(readings.configuration, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    configuration = in_time(readings.configuration)
     wrench = None if model.problem.load is None else _wrench(model, model.cell)[rows]
     return Strata(configuration, readings.step, readings.point, wrench)
 

@@ -26,7 +26,7 @@ from calibration_core.identification.geometry.fit import (
 from calibration_core.identification.geometry.terms import Term, names_of
 from calibration_core.identification.statistics.distributions import student_quantile
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Bool1D, Float2D, Int1D
+from calibration_core.timeseries import Bool1D, Float2D, Int1D, in_time
 
 FOLDS = 5
 FEW = 30  # configurations below which every one is left out on its own
@@ -37,10 +37,10 @@ CHANCE = 0.023  # probability of a clear gain where there is none: two standard 
 
 def folds(configuration: Int1D) -> Int1D:
     """Return the fold of every reading, (m,), 0 first; readings of one configuration are never parted."""
-    numbers, index = np.unique(configuration, return_inverse=True)
-    count = len(numbers)
+    index = in_time(configuration)
+    count = int(index.max(initial=-1)) + 1
     order = np.arange(count) if count < FEW else np.random.default_rng(SEED).permutation(count) % FOLDS
-    return order[index.reshape(-1)].astype(np.int64)
+    return order[index].astype(np.int64)
 
 
 @dataclasses.dataclass(frozen=True)

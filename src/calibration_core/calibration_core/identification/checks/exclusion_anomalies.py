@@ -45,11 +45,10 @@ def with_own_outliers(anomalies: Sequence[Anomaly], own: Sequence[Anomaly]) -> t
 
 
 def outliers_of(exclusions: Sequence[Exclusion]) -> tuple[Anomaly, ...]:
-    """Return the anomaly of readings that are not used; none where all are."""
+    """Return the anomaly of readings that are not used, in the order of time; none where all are."""
     if not exclusions:
         return ()
     largest = max(exclusions, key=lambda exclusion: exclusion.size)
-    numbers = [exclusion.configuration for exclusion in exclusions]
     where: dict[str, str | int] = {
         "point": largest.point,
         "configuration": largest.configuration,
@@ -57,7 +56,7 @@ def outliers_of(exclusions: Sequence[Exclusion]) -> tuple[Anomaly, ...]:
     }
     keys = [(one.configuration, one.step, one.point) for one in exclusions]
     text = outlier_text(keys, largest.size, "the others")
-    return (Anomaly(OUTLIERS, where, (min(numbers), max(numbers)), largest.size, "m", text),)
+    return (Anomaly(OUTLIERS, where, (keys[0][0], keys[-1][0]), largest.size, "m", text),)
 
 
 def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: Readings) -> tuple[Anomaly, ...]:
@@ -65,7 +64,7 @@ def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: R
 
     Args:
         noise: Claimed against seen.
-        exclusions: Readings not used.
+        exclusions: Readings not used, in the order of time.
         readings: With the notes of what was set aside before.
     """
     found = []

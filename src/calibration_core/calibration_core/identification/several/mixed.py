@@ -32,7 +32,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.kinds import FEWEST, holds_both, loaded_configurations, single_steps, standing
-from calibration_core.timeseries import Bool1D, Int1D, Note, Readings
+from calibration_core.timeseries import Bool1D, Int1D, Note, Readings, numbers_in_time
 
 DIGITS = 9  # of the number from which on postures at rest are numbered beside loaded configurations
 LONG = re.compile(rf"\b\d{{{DIGITS + 1},}}\b")
@@ -80,7 +80,7 @@ class Parts:
     def number(self, configuration: int) -> int:
         """Return the number that a configuration of both parts together has in the recording."""
         apart = self.members[1].first_number
-        return configuration - apart if configuration > apart else configuration
+        return configuration - apart if configuration >= apart else configuration
 
     def parameters(self, text: str) -> str:
         """Return a text that names parameters of both set-ups, those of the postures at rest marked as such."""
@@ -99,7 +99,10 @@ class Parts:
 
     def anomaly(self, one: Anomaly) -> Anomaly:
         """Return an anomaly in words of the recording."""
-        first_last = None if one.configurations is None else sorted(map(self.number, one.configurations))
+        known = numbers_in_time(self.readings.configuration).tolist()
+        first_last = (
+            None if one.configurations is None else sorted(map(self.number, one.configurations), key=known.index)
+        )
         return dataclasses.replace(
             one,
             location=self.location(one.location),

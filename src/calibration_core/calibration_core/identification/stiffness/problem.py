@@ -19,7 +19,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.statics import Load, load_torque
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings, in_time
 
 KEPT = 3  # equilibria and linearisations that a problem remembers: the diagnosis comes back to a few compliances
 T = TypeVar("T")
@@ -189,7 +189,6 @@ def build_problem(
     else:
         noise = rotation @ position_covariance(readings, cell) @ rotation.T
         root = _root(wrench_covariance(readings, cell))
-    _, configuration = np.unique(readings.configuration, return_inverse=True)
     return LoadedProblem(
         chain,
         readings,
@@ -199,7 +198,7 @@ def build_problem(
         measured,
         noise,
         root,
-        configuration.astype(np.int64),
+        in_time(readings.configuration),
         method,
     )
 

@@ -10,7 +10,7 @@ from calibration_core.model.effects.state import State, setups_of, state_of
 from calibration_core.model.equilibrium import Equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import Load
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import Readings, in_time
 
 
 def recorded_state(
@@ -42,7 +42,7 @@ def recorded_state(
         np.stack([parameters.points[name] for name in readings.points])[readings.point].T,
         point_index=readings.point,
         wrench=None if load is None else readings.wrench,
-        configuration=np.unique(readings.configuration, return_inverse=True)[1].reshape(-1).astype(np.int64),
+        configuration=in_time(readings.configuration),
         step=readings.step,
         time=readings.time,
         temperature=readings.temperature,

@@ -202,6 +202,13 @@ def test_guessed_masses_leave_open_on_which_torque_a_law_acts(chain: Chain) -> N
     assert offered == {"total torque", "load torque"}
 
 
+def test_friction_that_carries_all_it_can_on_arrival_is_against_the_first_change() -> None:
+    """So that a load that grows from step 0 on has twice the stroke before everything slips."""
+    torque = np.array([[0.0, 1.0, 3.0, 5.0, 3.0], [0.0, -1.0, -3.0, -5.0, -3.0]])
+    np.testing.assert_allclose(stop(torque, 2.0, 1.0), [[-2, -1, 1, 2, 0], [2, 1, -1, -2, 0]])
+    np.testing.assert_allclose(stop(torque, 2.0, 0.0), [[0, 1, 2, 2, 0], [0, -1, -2, -2, 0]])
+
+
 def test_friction_begins_with_what_the_weight_strained(chain: Chain) -> None:
     torque = np.array([[5.0, 7.0, 9.0, 7.0, 5.0], [-1.0, 0.0, 1.0, 0.0, -1.0]])
     np.testing.assert_allclose(stop(torque, 2.0, None), [[2, 2, 2, 0, -2], [-1, 0, 1, 0, -1]])
