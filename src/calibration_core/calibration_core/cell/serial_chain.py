@@ -79,10 +79,10 @@ def _bases(links: list[str], above: dict[str, ET.Element]) -> list[str]:
 def _between(above: dict[str, ET.Element], base: str, end: str) -> list[str] | None:
     """Return the names of the joints with a drive of their own; None where the end hangs elsewhere.
 
-    What mimics one of these is passed over; what mimics another joint makes None, too.
+    What mimics one of these is passed over; what mimics a joint elsewhere makes None, too.
     """
     moving: list[str] = []
-    drivers: set[str] = set()
+    drivers, mimics = set[str](), set[str]()
     while end != base:
         joint = above.get(end)
         if joint is None:
@@ -90,12 +90,13 @@ def _between(above: dict[str, ET.Element], base: str, end: str) -> list[str] | N
         mimic = joint.find("mimic")
         if joint.get("type") in MOVING and mimic is not None:
             drivers.add(str(mimic.get("joint")))
+            mimics.add(str(joint.get("name")))
         elif joint.get("type") in MOVING:
             moving.append(str(joint.get("name")))
         elif joint.get("type") != "fixed":
             return None
         end = _link(joint, "parent")
-    return moving[::-1] if drivers <= set(moving) else None
+    return moving[::-1] if drivers <= {*moving, *mimics} else None
 
 
 def _link(joint: ET.Element, tag: str) -> str:

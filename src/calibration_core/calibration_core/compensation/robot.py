@@ -136,15 +136,17 @@ def with_payload(chain: Chain, payload: tuple[float, ...] | None) -> Chain:
     extra, centre = payload[0], chain.flange_translation + chain.flange_rotation @ np.array(payload[1:])
     mass = np.zeros(chain.n) if chain.mass is None else chain.mass.copy()
     com = np.zeros((chain.n, 3)) if chain.com is None else chain.com.copy()
-    mimics = tuple(
-        one if one.com is not None else dataclasses.replace(one, mass=0.0, com=np.zeros(3)) for one in chain.mimics
-    )
-    if mimics and mimics[-1].behind == chain.n:  # the flange is on its link
-        last = mimics[-1]
-        total, middle = _together(last.mass, last.com, extra, centre)
-        mimics = (*mimics[:-1], dataclasses.replace(last, mass=total, com=middle))
+    weights = [
+        (0.0, np.zeros(3)) if one.mass is None or one.com is None else (one.mass, one.com) for one in chain.mimics
+    ]
+    if chain.mimics and chain.mimics[-1].behind == chain.n:  # the flange is on its link
+        weights[-1] = _together(*weights[-1], extra, centre)
     else:
         mass[-1], com[-1] = _together(mass[-1], com[-1], extra, centre)
+    mimics = tuple(
+        dataclasses.replace(one, mass=weight, com=middle)
+        for one, (weight, middle) in zip(chain.mimics, weights, strict=True)
+    )
     return dataclasses.replace(chain, mass=mass, com=com, mimics=mimics)
 
 

@@ -141,7 +141,7 @@ def refuse_mimics(robot: ExportedRobot, form: str) -> None:
         InputError: There are some.
     """
     if robot.chain.mimics:
-        found = f"{', '.join(one.name for one in robot.chain.mimics)}, which mimic others"
+        found = f"mimic joints: {', '.join(one.name for one in robot.chain.mimics)}"
         expected = f"a robot whose joints all have drives of their own, for {form}; --format urdf keeps mimic joints"
         raise InputError(robot.cell.urdf_path or robot.cell.path, "joints", found, expected)
 

@@ -43,8 +43,8 @@ class Chain:
         prismatic: Per joint, whether it slides: its q is m, its load a force, its stiffness N/m.
         rigid: Per joint, whether it is declared rigid: its stiffness is not asked for.
         along: (n,) m, how far along its axis the joint's own frame stands from the frame before: d of modified rows.
-        mimics: Joints that mimic others, base to flange; `rotation` and `translation` of a joint behind one of them, and
-            the flange's, are in the body frame of the mimic joint's link.
+        mimics: Joints that mimic others, base to flange.  `rotation` and `translation` of a joint behind one of them,
+            and the flange's, are in the body frame of the mimic joint's link.
     """
 
     joints: tuple[str, ...]
@@ -113,10 +113,8 @@ class Chain:
 
     @property
     def rails(self) -> int:
-        """Number of sliding joints before the first that turns: a linear unit that carries the robot."""
-        if self.mimics:
-            return int(np.count_nonzero(self.own < self.whole.rails))
-        return next((i for i, slides in enumerate(self.prismatic) if not slides), self.n)
+        """Number of sliding joints, of all moving ones, before the first that turns: a unit that carries the robot."""
+        return next((i for i, slides in enumerate(self.whole.prismatic) if not slides), self.whole.n)
 
     @property
     def revolute(self) -> tuple[int, ...]:

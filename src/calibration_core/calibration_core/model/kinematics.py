@@ -48,6 +48,11 @@ class Posture:
         taken = {name: getattr(self, name).take(rows, axis=-1) for name in names}
         return dataclasses.replace(self, **taken, whole=None if self.whole is None else self.whole.of_readings(rows))
 
+    @property
+    def moving(self) -> Posture:
+        """The posture of all moving joints, each taken as a joint of its own; this one where none mimics another."""
+        return self if self.whole is None else self.whole
+
     def axis(self, joint: int) -> Float2D:
         """Return the (3, m) unit vectors along a joint's axis, base axes."""
         return np.asarray(self.before[joint, 2])

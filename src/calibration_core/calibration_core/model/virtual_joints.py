@@ -85,8 +85,7 @@ class VirtualJoints:
             by_torque: (3, n, m) m/(N*m), how the points move with a torque on each joint, K_CSM included.
         """
         self._point, self._by_torque = point, by_torque
-        moving = at if at.whole is None else at.whole
-        first, self._place = differing(moving.body, moving.body_origin, load.force, load.moment, load.where)
+        first, self._place = differing(at.moving.body, at.moving.body_origin, load.force, load.moment, load.where)
         self._robot = _LoadedRobot.of(chain, at.of_readings(first), load.of_readings(first))
         self._wrenches: dict[int, Float2D] = {}
         self._answers: dict[Cut, Float3D] = {}
@@ -149,9 +148,8 @@ class _LoadedRobot:
     @staticmethod
     def of(chain: Chain, at: Posture, load: ExternalWrench) -> _LoadedRobot:
         external = np.concatenate([load.moment + cross(load.where, load.force), load.force])
-        moving = at if at.whole is None else at.whole
-        beyond = masses_beyond(chain.whole, moving)
-        return _LoadedRobot(moving, at, load, external, chain.gravity[:, None, None], *beyond)
+        beyond = masses_beyond(chain.whole, at.moving)
+        return _LoadedRobot(at.moving, at, load, external, chain.gravity[:, None, None], *beyond)
 
     def wrench(self, link: int) -> Float2D:
         """Return the (6, m) wrench of the load, and of the weight of a link and all beyond it."""

@@ -49,7 +49,8 @@ def _robot(cell: Cell, chain: Chain) -> str:
     kinds = [f"{_count(turning)} turning" if turning else "", f"{_count(sliding)} sliding" if sliding else ""]
     joints = f"{' and '.join(kind for kind in kinds if kind)} joints"
     if chain.mimics:
-        joints += f" and {_count(len(chain.mimics))} more that {'mimic others' if chain.mimics[1:] else 'mimics another'}"
+        verb = "mimic others" if chain.mimics[1:] else "mimics another"
+        joints += f" and {_count(len(chain.mimics))} more that {verb}"
     source = "URDF" if cell.robot.dh is None else "DH rows"
     size = f"{chain.reach:.3g} m long, rated load {cell.robot.rated_load:g} kg"
     return f"{cell.robot.name}: {joints} ({source}), {size}"

@@ -148,7 +148,9 @@ def _from_urdf(cell: Cell) -> Chain:
         link = _link(path, joint, parent, robot.joints, inertials, followers.get(joint.get("name", "")))
         if link.joint:
             limits[link.joint] = _limits(path, joint)
-        if link.follows is not None and joint.find("limit") is not None and link.follows.multiplier != 0.0:
+        limit = joint.find("limit")
+        bounded = limit is not None and {"lower", "upper"} <= set(limit.keys()) and joint.get("type") != "continuous"
+        if link.follows is not None and bounded and link.follows.multiplier != 0.0:
             narrower.append((link.follows, _limits(path, joint)))
         if link.name in {known.name for known in links}:
             raise CellError(path, f"link {link.name!r}", "two parents", "a tree")

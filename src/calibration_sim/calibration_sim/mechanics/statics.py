@@ -174,7 +174,7 @@ class Mechanism:
             x[..., self._gear.led] = x @ self._gear.matrix.T[:, self._gear.led] + self._gear.offset
 
     def _shared(self, columns: FloatND) -> FloatND:
-        """Return derivatives by coordinates (..., nv), or forces on them, with those of mimic joints at their drivers."""
+        """Return derivatives by coordinates (..., nv), or forces on them: those of mimic joints at their drivers."""
         return columns if self._gear is None else np.asarray(columns @ self._gear.matrix)
 
     def jacobian(self, angles: ArrayLike, point: ArrayLike = (0.0, 0.0, 0.0)) -> Float2D:

@@ -133,7 +133,7 @@ class State:
 
         That joint may be one that mimics another.
         """
-        stage, moving = self.chain.stage(link) + 1, self.at if self.at.whole is None else self.at.whole
+        stage, moving = self.chain.stage(link) + 1, self.at.moving
         if stage == len(moving.origin):
             return self.at.flange_origin
         apart = float(self.chain.whole.other_end[stage]) if other_end else 0.0

@@ -49,7 +49,7 @@ def gears_of(cell: Cell, tree: Tree, path: list[str]) -> dict[str, Gear]:
             raise CellError(
                 cell.urdf_path or cell.path,
                 f"joint {quoted(name)}, mimic",
-                f"{quoted(driver)}, {_what(tree, path, driver, name)}",
+                "nothing" if mimic.joint is None else f"{quoted(driver)}, {_what(tree, path, driver, name)}",
                 f"one of the cell's joints, which drive: {', '.join(own)}",
             )
         if multiplier != 0.0:

@@ -92,8 +92,8 @@ def joint_alignments(cell: Cell) -> Float3D:
 def link_poses(cell: Cell, tree: Tree) -> dict[str, tuple[int, Float2D]]:
     """Return link -> (index of the joint that carries it, -1 for the base; (4, 4) pose in that link's body frame).
 
-    Of every link that hangs on the base.  All moving joints from base to flange are counted, those that mimic others too
-    (`Chain.whole`); all other joints that are none of the cell's stand at zero.
+    Of every link that hangs on the base.  All moving joints from base to flange are counted, those that mimic others
+    too (`Chain.whole`); all other joints that are none of the cell's stand at zero.
     """
     path = _path(cell, tree)
     gears = gears_of(cell, tree, path)

@@ -39,7 +39,7 @@ def _by_moments(state: State, joint: int, gravity: Float1D | None = None) -> Flo
     Of the joint's own link only x and y: what lies on the axis needs no torque.
     """
     pull = np.broadcast_to((state.chain.gravity if gravity is None else gravity)[:, None], (3, state.m))
-    moving, links = state.at if state.at.whole is None else state.at.whole, _heavy(state, joint)
+    moving, links = state.at.moving, _heavy(state, joint)
     return stacked(*(
         state.joint_column(joint, dot(_axis(state, joint, link), cross(direction, pull)))
         for link in links
