@@ -22,7 +22,7 @@ class SerialChain:
         name: Name of the robot.
         base_link: Base.
         flange: Flange.
-        joints: Moving joints from base to flange.
+        joints: Moving joints from base to flange, without those that mimic others.
         masses: Sum of the masses that the URDF states, kg; 0 where it states none.
     """
 
@@ -77,18 +77,26 @@ def _bases(links: list[str], above: dict[str, ET.Element]) -> list[str]:
 
 
 def _between(above: dict[str, ET.Element], base: str, end: str) -> list[str] | None:
-    """Return the names of the moving joints; None where the end hangs elsewhere, or on a mimic joint."""
+    """Return the names of the joints with a drive of their own; None where the end hangs elsewhere.
+
+    What mimics one of these is passed over; what mimics a joint elsewhere makes None, too.
+    """
     moving: list[str] = []
+    drivers, mimics = set[str](), set[str]()
     while end != base:
         joint = above.get(end)
-        if joint is None or (joint.find("mimic") is not None and joint.get("type") in MOVING):
+        if joint is None:
             return None
-        if joint.get("type") in MOVING:
+        mimic = joint.find("mimic")
+        if joint.get("type") in MOVING and mimic is not None:
+            drivers.add(str(mimic.get("joint")))
+            mimics.add(str(joint.get("name")))
+        elif joint.get("type") in MOVING:
             moving.append(str(joint.get("name")))
         elif joint.get("type") != "fixed":
             return None
         end = _link(joint, "parent")
-    return moving[::-1]
+    return moving[::-1] if drivers <= {*moving, *mimics} else None
 
 
 def _link(joint: ET.Element, tag: str) -> str:

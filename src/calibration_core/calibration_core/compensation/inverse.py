@@ -148,11 +148,14 @@ def rpy_of_axes(axes: Float3D) -> Float2D:
 
 
 def into_limits(q: Float2D, chain: Chain) -> Float2D:
-    """Return (m, n) angles of the same posture within the limits, by whole turns, wherever that is possible."""
+    """Return (m, n) angles of the same posture within the limits, by whole turns, wherever that is possible.
+
+    A whole turn of a joint that others mimic is another posture.
+    """
     low, high = chain.limits.T
     turns = np.where(
         q < low, np.ceil((low - q) / (2 * np.pi)), np.where(q > high, -np.ceil((q - high) / (2 * np.pi)), 0)
     )
     moved = q + 2 * np.pi * turns
-    fits = (moved >= low) & (moved <= high) & ~np.array(chain.prismatic)
+    fits = (moved >= low) & (moved <= high) & np.isin(np.arange(chain.n), chain.circling)
     return np.where(fits, moved, q)

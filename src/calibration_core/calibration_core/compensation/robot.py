@@ -136,11 +136,24 @@ def with_payload(chain: Chain, payload: tuple[float, ...] | None) -> Chain:
     extra, centre = payload[0], chain.flange_translation + chain.flange_rotation @ np.array(payload[1:])
     mass = np.zeros(chain.n) if chain.mass is None else chain.mass.copy()
     com = np.zeros((chain.n, 3)) if chain.com is None else chain.com.copy()
-    total = mass[-1] + extra
-    if total > 0:
-        com[-1] = (mass[-1] * com[-1] + extra * centre) / total
-    mass[-1] = total
-    return dataclasses.replace(chain, mass=mass, com=com)
+    weights = [
+        (0.0, np.zeros(3)) if one.mass is None or one.com is None else (one.mass, one.com) for one in chain.mimics
+    ]
+    if chain.mimics and chain.mimics[-1].behind == chain.n:  # the flange is on its link
+        weights[-1] = _together(*weights[-1], extra, centre)
+    else:
+        mass[-1], com[-1] = _together(mass[-1], com[-1], extra, centre)
+    mimics = tuple(
+        dataclasses.replace(one, mass=weight, com=middle)
+        for one, (weight, middle) in zip(chain.mimics, weights, strict=True)
+    )
+    return dataclasses.replace(chain, mass=mass, com=com, mimics=mimics)
+
+
+def _together(mass: float, com: Float1D, extra: float, centre: Float1D) -> tuple[float, Float1D]:
+    """Return mass (kg) and centre of gravity (3,) m of a link and what it carries besides."""
+    total = mass + extra
+    return total, (mass * com + extra * centre) / total if total > 0 else com
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -248,17 +261,7 @@ def rows_of(rest: Equilibrium, rows: Int1D) -> Equilibrium:
     """Return the equilibrium of some of the places."""
     if len(rows) == rest.deflection.shape[1]:
         return rest
-    at = rest.at
-    posture = dataclasses.replace(
-        at,
-        before=at.before[..., rows],
-        origin=at.origin[..., rows],
-        body=at.body[..., rows],
-        body_origin=at.body_origin[..., rows],
-        flange=at.flange[..., rows],
-        flange_origin=at.flange_origin[..., rows],
-    )
-    return Equilibrium(rest.deflection[:, rows], rest.torque[:, rows], posture, rest.amplification[..., rows])
+    return rest.of_readings(rows)
 
 
 def _applying(

@@ -14,7 +14,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.model.kinematics import Posture, posture
+from calibration_core.model.kinematics import Posture, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
@@ -254,7 +254,10 @@ def _shares(
     for joint, name in enumerate(joints):
         lever = place - at.origin[joint].T[:, None]
         about = np.stack([np.cross(np.eye(3)[a], lever) for a in range(3)], axis=-1).reshape(k, 3 * p, 3)
-        axis = np.cross(at.axis(joint).T[:, None], lever).reshape(k, 3 * p, 1)
+        own = np.cross(at.axis(joint).T[:, None], lever)
+        if at.whole is not None:  # what mimics the joint moves with it
+            own = np.stack([linear_jacobian(at, place[:, i].T)[joint].T for i in range(p)], axis=1)
+        axis = own.reshape(k, 3 * p, 1)
         shares.append(JointShare(name, _explained(about, flat) / total, _explained(axis, flat) / total))
     middle = place.mean(axis=1, keepdims=True)
     turns = np.stack([np.cross(np.eye(3)[a], place - middle) for a in range(3)], axis=-1).reshape(k, 3 * p, 3)

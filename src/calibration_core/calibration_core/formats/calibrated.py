@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import ModelFileError
+from calibration_core.errors import InputError, ModelFileError
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects.absolute import geometry_error, joint_zero_offset
 from calibration_core.model.effects.absolute.geometry_error import AXES
@@ -122,6 +122,11 @@ def _with_effect(chain: Chain, effect: AppliedEffect) -> Chain | None:
         return None
     joint = chain.joints.index(str(effect.location["joint"]))
     row = np.zeros((chain.n, 6))
+    if not is_frame and chain.mimics:  # what mimics the joint goes with its zero
+        offset = effect.parameters["offset"]
+        led = [(one, one.multiplier * offset if one.driver == joint else 0.0) for one in chain.mimics]
+        moved = tuple(dataclasses.replace(one, offset=one.offset + change) for one, change in led)
+        chain = dataclasses.replace(chain, mimics=moved)
     if is_frame:
         row[joint] = [effect.parameters.get(name, 0.0) for name in GEOMETRY]
     elif chain.prismatic[joint]:
@@ -129,6 +134,18 @@ def _with_effect(chain: Chain, effect: AppliedEffect) -> Chain | None:
     else:
         row[joint, 5] = effect.parameters["offset"]
     return chain.corrected(row)
+
+
+def refuse_mimics(robot: ExportedRobot, form: str) -> None:
+    """Refuse a robot with mimic joints, for a format that has no word for them.
+
+    Raises:
+        InputError: There are some.
+    """
+    if robot.chain.mimics:
+        found = f"mimic joints: {', '.join(one.name for one in robot.chain.mimics)}"
+        expected = f"a robot whose joints all have drives of their own, for {form}; --format urdf keeps mimic joints"
+        raise InputError(robot.cell.urdf_path or robot.cell.path, "joints", found, expected)
 
 
 def joint_frames(chain: Chain) -> Float3D:

@@ -17,7 +17,14 @@ import numpy as np
 
 from calibration_core.files.written import csv_bytes
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.formats.calibrated import Exported, ExportedRobot, deviation, joint_frames, random_postures
+from calibration_core.formats.calibrated import (
+    Exported,
+    ExportedRobot,
+    deviation,
+    joint_frames,
+    random_postures,
+    refuse_mimics,
+)
 from calibration_core.model.chain import Chain, rotation_x, rotation_y, rotation_z, rpy_of
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -62,7 +69,12 @@ class DhTable:
 
 
 def dh_files(robot: ExportedRobot) -> Exported:
-    """Return `dh.csv`, `dh_modified.csv` and `dh.yaml` with both."""
+    """Return `dh.csv`, `dh_modified.csv` and `dh.yaml` with both.
+
+    Raises:
+        InputError: Joints of the robot mimic others.
+    """
+    refuse_mimics(robot, "DH rows")
     chain = robot.chain
     table = dh_table(chain)
     q = random_postures(chain)

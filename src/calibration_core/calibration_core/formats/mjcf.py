@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from calibration_core.files.written import numbers
-from calibration_core.formats.calibrated import Exported, ExportedRobot, joint_frames, named
+from calibration_core.formats.calibrated import Exported, ExportedRobot, joint_frames, named, refuse_mimics
 from calibration_core.formats.springs import LinkSprings, Spring, Springs, springs_of
 from calibration_core.model.chain import Chain
 from calibration_core.timeseries import Float1D, Float2D
@@ -34,7 +34,11 @@ def mjcf_files(robot: ExportedRobot) -> Exported:
 
     Compliances between two joints become fixed tendons: the stiffness matrix of the pair is the inverse of its
     compliances, and its off-diagonal term the tendon's stiffness.
+
+    Raises:
+        InputError: Joints of the robot mimic others.
     """
+    refuse_mimics(robot, "MJCF")
     chain = robot.chain
     springs = springs_of(chain, robot.further)
     stiffness, tendons = _joint_stiffness(chain, robot.parameters.compliance, springs)

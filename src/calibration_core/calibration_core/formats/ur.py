@@ -20,7 +20,14 @@ import numpy as np
 
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.yaml_file import read_yaml, yaml_text
-from calibration_core.formats.calibrated import Exported, ExportedRobot, deviation, joint_frames, random_postures
+from calibration_core.formats.calibrated import (
+    Exported,
+    ExportedRobot,
+    deviation,
+    joint_frames,
+    random_postures,
+    refuse_mimics,
+)
 from calibration_core.model.chain import Chain, pose_matrix, rotation_rpy, rotation_z, rpy_of
 from calibration_core.timeseries import Float2D, Float3D
 
@@ -54,6 +61,7 @@ def ur_files(robot: ExportedRobot, template: Path | None) -> Exported:
     Raises:
         InputError: There is no template, it cannot be used, or it is another robot's.
     """
+    refuse_mimics(robot, "a UR's kinematics")
     if template is None:
         raise InputError("export --format ur", "--template", "nothing", HOW)
     extracted = read_template(template)

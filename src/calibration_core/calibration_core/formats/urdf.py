@@ -69,13 +69,13 @@ def _deviation(robot: ExportedRobot, raw: bytes) -> Deviation:
     base, flange = cell.robot.base_link or "base_link", cell.robot.flange or "flange"
     model = pin.buildModelFromXML(raw.decode())
     data = model.createData()
-    index = [model.joints[model.getJointId(name)].idx_q for name in cell.robot.joints]
-    sizes = [model.joints[model.getJointId(name)].nq for name in cell.robot.joints]
+    index = [model.joints[model.getJointId(name)].idx_q for name in robot.chain.whole.joints]
+    sizes = [model.joints[model.getJointId(name)].nq for name in robot.chain.whole.joints]
     ends = [model.getFrameId(base), model.getFrameId(flange)]
     rest = pin.neutral(model)
     q = random_postures(robot.chain)
     poses = np.empty((len(q), 4, 4))
-    for k, row in enumerate(q):
+    for k, row in enumerate(robot.chain.expanded(q)):
         values = rest.copy()
         for i, size, value in zip(index, sizes, row, strict=True):
             values[i : i + size] = (np.cos(value), np.sin(value)) if size == 2 else value
@@ -107,9 +107,18 @@ def _of_urdf(robot: ExportedRobot, folder: Path) -> tuple[ET.Element, dict[str, 
         pose = np.eye(4) if origin is None else np.asarray(origin, dtype=float)
         origins[name] = pose @ align[i] @ change @ align[i].T
         _set_origin(elements[name], origins[name])
+    for before, after in zip(robot.nominal.mimics, robot.chain.mimics, strict=True):
+        if after.offset != before.offset:
+            _mimic_tag(elements[after.name]).set("offset", repr(after.offset))
     for mesh in root.iter("mesh"):
         mesh.set("filename", _moved(str(mesh.get("filename")), path.parent, folder))
     return root, origins
+
+
+def _mimic_tag(joint: ET.Element) -> ET.Element:
+    tag = joint.find("mimic")
+    assert tag is not None  # noqa: S101 - the chain has it from there
+    return tag
 
 
 def _alignments(robot: ExportedRobot) -> Float3D:

@@ -63,12 +63,13 @@ def _robot(cell: Cell, chain: Chain) -> Iterator[Remark]:
     if abs(gravity - STANDARD_GRAVITY) > 0.1:
         found = f"an acceleration of {gravity:.4g} m/s²"
         yield Remark("robot.gravity", found, "9.76 to 9.84 m/s², as on Earth", False)
-    if chain.mass is not None and chain.com is not None:
-        moving = float(chain.mass.sum())
+    whole = chain.whole
+    if whole.mass is not None and whole.com is not None:
+        moving = float(whole.mass.sum())
         if moving < 0.5 * robot.rated_load:
             found = f"links of {moving:.3g} kg in all, for a rated load of {robot.rated_load:g} kg"
             yield Remark("robot", found, "a robot several times as heavy as its load: are masses or load in kg?", False)
-        far = float(np.linalg.norm(chain.com, axis=1).max())
+        far = float(np.linalg.norm(whole.com, axis=1).max())
         if far > 2.0 * chain.reach:
             yield Remark("robot.inertials", f"a centre of gravity {far:.3g} m from its joint", "metres", True)
 

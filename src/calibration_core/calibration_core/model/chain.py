@@ -7,15 +7,21 @@ Every joint turns about the z axis of the frame before it, or slides along it:
 with P_i the fixed pose of the frame before joint i in the body frame of link i-1, and F the flange in the body frame
 of the last link.  For standard DH rows the frame before joint i is the DH frame i-1.  For modified rows it is DH
 frame i before its turn theta_i and its shift d_i, which `Chain.along` holds.
+
+Joints that mimic others stand beside the chain's own (`Chain.mimics`).  All that is counted per joint counts the own
+ones; `Chain.whole` is the chain of all moving joints, own and mimic, N of them, each taken as a joint of its own, and
+`Chain.expanded` says where these stand.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
-from calibration_core.timeseries import Float1D, Float2D, Float3D, read_only
+from calibration_core.model.mimic import Mimic
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, read_only
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,6 +43,8 @@ class Chain:
         prismatic: Per joint, whether it slides: its q is m, its load a force, its stiffness N/m.
         rigid: Per joint, whether it is declared rigid: its stiffness is not asked for.
         along: (n,) m, how far along its axis the joint's own frame stands from the frame before: d of modified rows.
+        mimics: Joints that mimic others, base to flange.  `rotation` and `translation` of a joint behind one of them,
+            and the flange's, are in the body frame of the mimic joint's link.
     """
 
     joints: tuple[str, ...]
@@ -53,6 +61,7 @@ class Chain:
     prismatic: tuple[bool, ...] = ()
     rigid: tuple[bool, ...] = ()
     along: Float1D = dataclasses.field(default_factory=lambda: np.zeros(0))
+    mimics: tuple[Mimic, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy to read-only arrays."""
@@ -63,7 +72,7 @@ class Chain:
                 object.__setattr__(self, name, (False,) * len(self.joints))
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.name not in {"joints", "inertials_known", "prismatic", "rigid"} and value is not None:
+            if field.name not in {"joints", "inertials_known", "prismatic", "rigid", "mimics"} and value is not None:
                 object.__setattr__(self, field.name, read_only(value))
 
     @property
@@ -74,7 +83,7 @@ class Chain:
     @property
     def reach(self) -> float:
         """Sum of the distances between neighbouring joints and the flange, m: a length scale of the robot."""
-        steps = np.vstack([self.translation[1:], self.flange_translation[None]])
+        steps = np.vstack([self.whole.translation[1:], self.flange_translation[None]])
         return float(np.linalg.norm(steps, axis=1).sum())
 
     @property
@@ -85,6 +94,8 @@ class Chain:
         With modified rows the other end is the joint's own frame, d away; with a URDF it is the point of the axis next
         to the previous joint's frame.  0 where both ends are one.
         """
+        if self.mimics:
+            return self.whole.other_end[self.own]
         own = np.zeros((self.n, 3))
         own[1:, 2] = self.along[:-1]
         near = np.einsum("nik,ni->nk", self.rotation, own - self.translation)[:, 2]
@@ -102,13 +113,96 @@ class Chain:
 
     @property
     def rails(self) -> int:
-        """Number of sliding joints before the first that turns: a linear unit that carries the robot."""
-        return next((i for i, slides in enumerate(self.prismatic) if not slides), self.n)
+        """Number of sliding joints, of all moving ones, before the first that turns: a unit that carries the robot."""
+        return next((i for i, slides in enumerate(self.whole.prismatic) if not slides), self.whole.n)
 
     @property
     def revolute(self) -> tuple[int, ...]:
         """Indices of the joints that turn."""
         return tuple(i for i, slides in enumerate(self.prismatic) if not slides)
+
+    @functools.cached_property
+    def whole(self) -> Chain:
+        """The chain of all N moving joints, each taken as a joint of its own; this one where none mimics another."""
+        if not self.mimics:
+            return self
+        rows: list[tuple[str, Float2D, Float1D, bool, float | None, Float1D | None]] = []
+        for k in range(self.n + 1):
+            rows += [
+                (one.name, one.rotation, one.translation, one.prismatic, one.mass, one.com)
+                for one in self.mimics
+                if one.behind == k
+            ]
+            if k < self.n:
+                mass, com = (None, None) if self.mass is None or self.com is None else (self.mass[k], self.com[k])
+                rows.append((self.joints[k], self.rotation[k], self.translation[k], self.prismatic[k], mass, com))
+        names, rotation, translation, prismatic, mass, com = zip(*rows, strict=True)
+        known = self.mass is not None
+        offset = np.zeros(len(rows))
+        offset[self.own] = self.offset
+        ends = self.expanded(self.limits.T)
+        return Chain(
+            joints=names,
+            rotation=np.stack(rotation),
+            translation=np.stack(translation),
+            offset=offset,
+            flange_rotation=self.flange_rotation,
+            flange_translation=self.flange_translation,
+            limits=np.sort(ends.T, axis=1),
+            gravity=self.gravity,
+            mass=np.array(mass) if known else None,
+            com=np.stack(com) if known else None,
+            inertials_known=self.inertials_known,
+            prismatic=prismatic,
+        )
+
+    @functools.cached_property
+    def own(self) -> Int1D:
+        """(n,) places of the own joints among all moving ones."""
+        behind = np.array([one.behind for one in self.mimics], dtype=np.int64)
+        return np.array([i + int(np.count_nonzero(behind <= i)) for i in range(self.n)], dtype=np.int64)
+
+    @functools.cached_property
+    def matrix(self) -> Float2D:
+        """(N, n) rad or m per rad or m: how every moving joint goes with the own ones."""
+        matrix = np.zeros((self.n + len(self.mimics), self.n))
+        matrix[self.own, np.arange(self.n)] = 1.0
+        for place, one in zip(self._mimic_places, self.mimics, strict=True):
+            matrix[place, one.driver] = one.multiplier
+        return matrix
+
+    @property
+    def _mimic_places(self) -> Int1D:
+        return np.setdiff1d(np.arange(self.n + len(self.mimics)), self.own)
+
+    def expanded(self, q: Float2D) -> Float2D:
+        """Return where all moving joints stand, (m, N), the own ones standing at (m, n); rad, m where one slides."""
+        if not self.mimics:
+            return q
+        rest = np.zeros(len(self.matrix))
+        rest[self._mimic_places] = [one.offset for one in self.mimics]
+        return np.asarray(q @ self.matrix.T + rest)
+
+    def stage(self, joint: int) -> int:
+        """Return the place of an own joint among all moving ones; of the flange, n, their number."""
+        if not self.mimics:
+            return joint
+        return len(self.matrix) if joint == self.n else int(self.own[joint])
+
+    @property
+    def leading(self) -> tuple[bool, ...]:
+        """Per joint, whether a mimic joint goes with it."""
+        drivers = {one.driver for one in self.mimics if one.multiplier != 0.0}
+        return tuple(joint in drivers for joint in range(self.n))
+
+    @property
+    def circling(self) -> tuple[int, ...]:
+        """Indices of the joints that alone turn the flange about their axis: they turn, and none mimics them."""
+        return tuple(i for i in self.revolute if not self.leading[i])
+
+    def wrist_apart(self, joints: int) -> bool:
+        """Say whether no mimic joint stands between or behind so many last joints, nor goes with one of them."""
+        return self.stage(self.n - joints) + joints == self.whole.n and not any(self.leading[-joints:])
 
     def corrected(self, geometry: Float2D) -> Chain:
         """Return the chain with every frame before a joint moved by `geometry` ((n, 6): x, y, z, rx, ry, rz)."""

@@ -28,6 +28,8 @@ class Posture:
         prismatic: Per joint, whether it slides.
         flange: (3, 3, m) columns of the flange frame.
         flange_origin: (3, m), m.
+        whole: Where joints mimic others, all N moving joints as joints of their own (`Chain.whole`); None: none does.
+        matrix: (N, n) how those go with the n joints; None as `whole`.
     """
 
     before: Float4D
@@ -37,22 +39,30 @@ class Posture:
     prismatic: tuple[bool, ...]
     flange: Float3D
     flange_origin: Float2D
+    whole: Posture | None = None
+    matrix: Float2D | None = None
 
     def of_readings(self, rows: Int1D) -> Posture:
         """Return the posture of other readings, each that of one of these (indices)."""
         names = ("before", "origin", "body", "body_origin", "flange", "flange_origin")
-        return dataclasses.replace(self, **{name: getattr(self, name).take(rows, axis=-1) for name in names})
+        taken = {name: getattr(self, name).take(rows, axis=-1) for name in names}
+        return dataclasses.replace(self, **taken, whole=None if self.whole is None else self.whole.of_readings(rows))
+
+    @property
+    def moving(self) -> Posture:
+        """The posture of all moving joints, each taken as a joint of its own; this one where none mimics another."""
+        return self if self.whole is None else self.whole
 
     def axis(self, joint: int) -> Float2D:
         """Return the (3, m) unit vectors along a joint's axis, base axes."""
         return np.asarray(self.before[joint, 2])
 
     def spin(self, joint: int) -> Float2D:
-        """Return the (3, m) angular velocity per unit joint rate, base axes; zero where the joint slides."""
+        """Return the flange's (3, m) angular velocity per unit joint rate, base axes; zero where the joint slides."""
         return np.asarray(self.spins[joint])
 
     def screw(self, joint: int) -> tuple[Float2D, Float2D]:
-        """Return a joint's unit twist: angular (3, m) and linear velocity (3, m) of the base origin."""
+        """Return a joint's unit twist of the flange: angular (3, m) and linear velocity (3, m) of the base origin."""
         return self.spin(joint), self.shifts[joint]
 
     @property
@@ -62,19 +72,31 @@ class Posture:
 
     @functools.cached_property
     def spins(self) -> Float3D:
-        """(n, 3, m) angular velocities per unit joint rate, base axes; zero where a joint slides."""
+        """(n, 3, m) angular velocities of the flange per unit joint rate, base axes; zero where a joint slides."""
+        if self.whole is not None:
+            return self.gathered(self.whole.spins)
         if not any(self.prismatic):
             return self.axes
         return np.where(np.array(self.prismatic)[:, None, None], 0.0, self.axes)
 
     @functools.cached_property
     def shifts(self) -> Float3D:
-        """(n, 3, m) linear velocities of the base origin per unit joint rate, base axes."""
+        """(n, 3, m) linear velocities of the base origin, taken with the flange, per unit joint rate, base axes."""
+        if self.whole is not None:
+            return self.gathered(self.whole.shifts)
         return self.slid(by_joint(cross(by_axis(self.origin), by_axis(self.axes))))
 
     def point(self, point: Float1D) -> Float2D:
         """Return the (3, m) positions of a point given in the flange frame ((3,) or (3, m)), m, base frame."""
         return self.flange_origin + turn(self.flange, point)
+
+    def gathered(self, parts: FloatND) -> FloatND:
+        """Return what the n joints bring about, (n, ...), from what all N moving joints do by themselves, (N, ...).
+
+        A joint and those that mimic it move together: velocities add up, and so do torques, by virtual work.
+        """
+        assert self.matrix is not None  # noqa: S101 - asked for only where joints mimic others
+        return np.tensordot(self.matrix.T, parts, axes=1)
 
     def slid(self, velocity: Float3D) -> Float3D:
         """Put the axis in the place of what a sliding joint would do if it turned, (n, 3, m)."""
@@ -111,6 +133,10 @@ def posture(chain: Chain, q: Float2D) -> Posture:
 
     Source: composition of the chain's transforms (see `chain`), CWA 17384, 6.1.
     """
+    if chain.mimics:
+        whole, own = posture(chain.whole, chain.expanded(q)), chain.own
+        frames = whole.before[own], whole.origin[own], whole.body[own], whole.body_origin[own]
+        return Posture(*frames, chain.prismatic, whole.flange, whole.flange_origin, whole, chain.matrix)
     m, n = len(q), chain.n
     slides = np.array(chain.prismatic)
     angles = np.where(slides[:, None], 0.0, q.T) + chain.offset[:, None]
@@ -191,4 +217,6 @@ def linear_jacobian(at: Posture, point: Float2D) -> Float3D:
 
     Source: column a_i x (p - o_i) of the geometric Jacobian, CWA 17384, equation (1); a_i where the joint slides.
     """
+    if at.whole is not None:
+        return at.gathered(linear_jacobian(at.whole, point))
     return at.slid(by_joint(cross(by_axis(at.axes), by_axis(point - at.origin))))

@@ -29,10 +29,13 @@ def chain_of(cell: Cell) -> Chain:
 
 
 def pinocchio_model(chain: Chain) -> Any:
-    """Return a `pinocchio.Model` of the chain, with the operational frame `flange`."""
+    """Return a `pinocchio.Model` of the chain, with the operational frame `flange`.
+
+    Joints that mimic others are joints of their own in it: its configurations are those of `Chain.expanded`.
+    """
     import pinocchio as pin
 
-    model = pin.Model()
+    model, chain = pin.Model(), chain.whole
     parent = 0
     for i, name in enumerate(chain.joints):
         rotation = chain.rotation[i] @ rotation_z(float(chain.offset[i]))

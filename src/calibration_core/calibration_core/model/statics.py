@@ -60,6 +60,8 @@ def gravity_torque(chain: Chain, at: Posture) -> Float2D:
     """
     if chain.mass is None:
         return np.zeros((chain.n, at.flange_origin.shape[1]))
+    if at.whole is not None:
+        return at.gathered(gravity_torque(chain.whole, at.whole))
     gravity = chain.gravity[:, None, None]
     mass, moment = masses_beyond(chain, at)
     turning = dot(by_axis(at.spins), cross(by_axis(moment[:-1]), gravity))
@@ -69,7 +71,8 @@ def gravity_torque(chain: Chain, at: Posture) -> Float2D:
 def masses_beyond(chain: Chain, at: Posture) -> tuple[Float1D, Float3D]:
     """Return mass (n + 1,) kg and first moment about the base origin (n + 1, 3, m) kg*m of every link and all beyond.
 
-    The last entry, beyond the last link, is zero; so are all where masses are not known.
+    The last entry, beyond the last link, is zero; so are all where masses are not known.  Of a chain with mimic joints
+    it is asked for the whole one.
     """
     mass, moment = np.zeros(chain.n + 1), np.zeros((chain.n + 1, 3, at.flange_origin.shape[1]))
     if chain.mass is not None and chain.com is not None:
@@ -91,6 +94,8 @@ def load_torque_derivative(at: Posture, load: Load) -> Float3D:
     Source: product rule on tau_i = w_i . M + v_i . f, with (w_i, v_i) the joint's twist and (M, f) the wrench about the
     base origin; both change with a twist (w, v) by (w x w_i, w x v_i + v x w_i) and by (w x M + v x f, w x f).
     """
+    if at.whole is not None:
+        return _gathered_twice(at, load_torque_derivative(at.whole, load))
     force, torque, point = (vector[:, None] for vector in load.in_base(at))
     moment = torque + cross(point, force)
     spin, shift = by_axis(at.spins), by_axis(at.shifts)
@@ -108,11 +113,18 @@ def gravity_torque_derivative(chain: Chain, at: Posture) -> Float3D:
     n, m = chain.n, at.flange_origin.shape[1]
     if chain.mass is None:
         return np.zeros((n, n, m))
+    if at.whole is not None:
+        return _gathered_twice(at, gravity_torque_derivative(chain.whole, at.whole))
     mass, moment = masses_beyond(chain, at)
     spin, shift = by_axis(at.spins), by_axis(at.shifts)
     moved = mass[:-1, None] * shift + cross(spin, by_axis(moment[:-1]))  # of the first moment beyond joint j
     slope = _pairs(spin, cross(moved, chain.gravity[:, None, None]))
     return np.where(np.tri(n, dtype=bool).T[:, :, None], slope, slope.transpose(1, 0, 2))
+
+
+def _gathered_twice(at: Posture, slope: Float3D) -> Float3D:
+    """Return M^T S M, (n, n, m), of the (N, N, m) slopes of all moving joints: they go linearly with the n joints."""
+    return np.asarray(at.gathered(at.gathered(slope).transpose(1, 0, 2)).transpose(1, 0, 2))
 
 
 def _pairs(first: Float3D, second: Float3D) -> Float3D:

@@ -21,7 +21,7 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 @dataclasses.dataclass(frozen=True)
 class Cut:
-    """Where a virtual joint sits.
+    """Where a virtual joint sits; all moving joints are counted, those that mimic others too (`Chain.stage`).
 
     Attributes:
         joint: Index of the first joint beyond it; the number of joints at the flange.
@@ -85,7 +85,7 @@ class VirtualJoints:
             by_torque: (3, n, m) m/(N*m), how the points move with a torque on each joint, K_CSM included.
         """
         self._point, self._by_torque = point, by_torque
-        first, self._place = differing(at.body, at.body_origin, load.force, load.moment, load.where)
+        first, self._place = differing(at.moving.body, at.moving.body_origin, load.force, load.moment, load.where)
         self._robot = _LoadedRobot.of(chain, at.of_readings(first), load.of_readings(first))
         self._wrenches: dict[int, Float2D] = {}
         self._answers: dict[Cut, Float3D] = {}
@@ -128,15 +128,17 @@ class _LoadedRobot:
     """What all points of one step have in common: posture, load and weight, for m of them.
 
     Attributes:
-        at: The deformed posture.
+        at: The deformed posture; where joints mimic others, with all N moving joints taken as joints of their own.
+        joints: The same posture as the robot's own joints have it.
         load: On the flange.
         external: (6, m) the same as a wrench about the base origin.
         gravity: (3, 1, 1) m/s^2, base axes.
-        mass: (n + 1,) kg, of every link and all beyond.
-        first_moment: (n + 1, 3, m) kg*m, likewise.
+        mass: (N + 1,) kg, of every link and all beyond.
+        first_moment: (N + 1, 3, m) kg*m, likewise.
     """
 
     at: Posture
+    joints: Posture
     load: ExternalWrench
     external: Float2D
     gravity: Float3D
@@ -146,7 +148,8 @@ class _LoadedRobot:
     @staticmethod
     def of(chain: Chain, at: Posture, load: ExternalWrench) -> _LoadedRobot:
         external = np.concatenate([load.moment + cross(load.where, load.force), load.force])
-        return _LoadedRobot(at, load, external, chain.gravity[:, None, None], *masses_beyond(chain, at))
+        beyond = masses_beyond(chain.whole, at.moving)
+        return _LoadedRobot(at.moving, at, load, external, chain.gravity[:, None, None], *beyond)
 
     def wrench(self, link: int) -> Float2D:
         """Return the (6, m) wrench of the load, and of the weight of a link and all beyond it."""
@@ -176,7 +179,8 @@ class _LoadedRobot:
         else:
             by_turn += cross(self.load.where[:, None], by_force)
             by_turn[:, beyond] += turned[:, beyond]
-        return by_joint(np.concatenate([by_turn, by_shift]))
+        slope = by_joint(np.concatenate([by_turn, by_shift]))
+        return slope if self.joints.whole is None else self.joints.gathered(slope)
 
 
 def rotation_twist(axis: Float2D, origin: Float2D) -> Float2D:

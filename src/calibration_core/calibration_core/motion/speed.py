@@ -1,19 +1,20 @@
 """How fast every monitored point of the robot moves, and how fast it can at most move between samples.
 
 Monitored are the flange, the tool, the wrench point, the sensor, every measurement point and every joint's origin
-(CWA 17384, 7.1: the Cartesian speed shall not exceed 250 mm/s).
+(CWA 17384, 7.1: the Cartesian speed shall not exceed 250 mm/s).  Joints that mimic others move with them and count.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import cross, posture
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Float1D, Float2D, Int1D, read_only
+from calibration_core.timeseries import Float1D, Float2D, FloatND, Int1D, read_only
 
 SAFETY_RATED_SPEED = 0.25  # m/s (CWA 17384, 7.1)
 REFINED = (1, 4, 16, 64, 256)  # pieces per interval, as long as a bound is too large
@@ -29,7 +30,8 @@ class Monitored:
         names: Of all points: the joints' origins (`origin of joint_1`), then the points on the flange.
         points: (p, 3) m, the points on the flange, in its frame.
         lever: (k, n) m/rad, no point k ever moves faster per unit rate of joint j: no distance from the joint's origin
-            is larger; 1 (m/m) where the joint slides, zero where it does not move the point.
+            is larger; 1 (m/m) where the joint slides, zero where it does not move the point.  What the joints add that
+            mimic it is included.
     """
 
     chain: Chain
@@ -52,15 +54,23 @@ class Monitored:
             named["force/torque sensor"] = parameters.force_torque[:3, 3]
         named |= {name: np.asarray(point) for name, point in parameters.points.items()}
         points = np.stack(list(named.values()))
-        origins = tuple(f"origin of {joint}" for joint in chain.joints)
-        return Monitored(chain, (*origins, *named), read_only(points), read_only(_levers(chain, points)))
+        origins = tuple(f"origin of {joint}" for joint in chain.whole.joints)
+        lever = _levers(chain.whole, points)
+        if chain.mimics:
+            lever = lever @ np.abs(chain.matrix)
+        return Monitored(chain, (*origins, *named), read_only(points), read_only(lever))
+
+    @functools.cached_property
+    def _each(self) -> Float2D:
+        """(k, N) m/rad, `lever` of every moving joint by itself, those that mimic others too."""
+        return self.lever if not self.chain.mimics else _levers(self.chain.whole, self.points)
 
     def speeds(self, q: Float2D, rate: Float2D) -> Float2D:
         """Return the speeds of all points, (m, k) m/s, at joint positions and rates, (m, n) rad and rad/s.
 
         Source: v(o_i+1) = v(o_i) + omega_i x (o_i+1 - o_i), from the base outwards; a sliding joint adds to v.
         """
-        at = posture(self.chain, q)
+        at, rate = posture(self.chain.whole, self.chain.expanded(q)), self._moving(rate)
         turning = np.zeros((3, len(q)))
         velocity = np.zeros((3, len(q)))
         speeds = np.empty((len(self.names), len(q)))
@@ -72,7 +82,7 @@ class Monitored:
             if at.prismatic[i]:
                 velocity = velocity + at.axis(i) * rate[:, i]
             here = origin
-        for k, point in enumerate(self.points, start=self.chain.n):
+        for k, point in enumerate(self.points, start=self.chain.whole.n):
             speeds[k] = np.linalg.norm(velocity + cross(turning, at.point(point) - here), axis=0)
         return speeds.T
 
@@ -85,16 +95,33 @@ class Monitored:
         Args:
             rate: (n,) rad, direction of the line: dq/ds.
         """
-        return np.asarray(self.lever @ self.pairs(np.abs(rate)))
+        return np.asarray(self._each @ self._pairs(np.abs(self._moving(rate))))
 
-    def pairs(self, size: Float2D | Float1D) -> Float2D | Float1D:
+    def acceleration(self, slope: FloatND, fastest: FloatND) -> FloatND:
+        """Bound the acceleration of every point, (..., k) m/s^2: sum_i |q.._i| R_i + sum_ij |q._i| |q._j| R_max(i,j).
+
+        Args:
+            slope: (..., n) rad/s^2, largest |q..|.
+            fastest: (..., n) rad/s, largest |q.|.
+        """
+        return np.asarray(
+            (self._moving(slope, largest=True) + self._pairs(self._moving(fastest, largest=True))) @ self._each.T
+        )
+
+    def _pairs(self, size: FloatND) -> FloatND:
         """Return, per outer joint j, |r_j| times the sum of |r_i| over all inner joints that turn, j counted once.
 
         Args:
-            size: (..., n) rates, not negative.
+            size: (..., N) rates of all moving joints, not negative.
         """
-        turning = np.where(self.chain.prismatic, 0.0, size)
+        turning = np.where(self.chain.whole.prismatic, 0.0, size)
         return np.asarray(size * (2.0 * np.cumsum(turning, axis=-1) - turning))
+
+    def _moving(self, rate: FloatND, *, largest: bool = False) -> FloatND:
+        """Return the rates of all moving joints, (..., N), from those of the own ones, (..., n), or from bounds."""
+        if not self.chain.mimics:
+            return rate
+        return np.asarray(rate @ (np.abs(self.chain.matrix) if largest else self.chain.matrix).T)
 
 
 def _levers(chain: Chain, points: Float2D) -> Float2D:
@@ -183,7 +210,7 @@ def _interval_bound(
     """Bound every point's speed, (m, k) m/s, on m cubics between positions and velocities, (m, n) each, of span (m,) s.
 
     On a piece of half-length h about its middle, the speed is at most that in the middle plus h times a bound on the
-    acceleration: |p..| <= sum_i |q.._i| R_i + sum_ij |q._i| |q._j| R_max(i,j), each factor at its largest on the piece.
+    acceleration (`Monitored.acceleration`), each factor at its largest on the piece.
     """
     span = span[:, None]
     middle = (np.arange(pieces) + 0.5) / pieces
@@ -205,7 +232,6 @@ def _interval_bound(
     m, n = change.shape
     reach = half * span[:, None]  # s
     fastest = np.abs(rate) + slope * reach
-    acceleration = (slope + monitored.pairs(fastest)) @ monitored.lever.T
     speed = monitored.speeds(q.reshape(-1, n), rate.reshape(-1, n)).reshape(m, pieces, -1)
-    bound: Float2D = (speed + reach * acceleration).max(axis=1)
+    bound: Float2D = (speed + reach * monitored.acceleration(slope, fastest)).max(axis=1)
     return bound

@@ -47,10 +47,13 @@ def meaning(cell: Cell, chain: Chain) -> list[tuple[str, str]]:
 def _robot(cell: Cell, chain: Chain) -> str:
     turning, sliding = len(chain.revolute), chain.n - len(chain.revolute)
     kinds = [f"{_count(turning)} turning" if turning else "", f"{_count(sliding)} sliding" if sliding else ""]
-    joints = " and ".join(kind for kind in kinds if kind)
+    joints = f"{' and '.join(kind for kind in kinds if kind)} joints"
+    if chain.mimics:
+        verb = "mimic others" if chain.mimics[1:] else "mimics another"
+        joints += f" and {_count(len(chain.mimics))} more that {verb}"
     source = "URDF" if cell.robot.dh is None else "DH rows"
     size = f"{chain.reach:.3g} m long, rated load {cell.robot.rated_load:g} kg"
-    return f"{cell.robot.name}: {joints} joints ({source}), {size}"
+    return f"{cell.robot.name}: {joints} ({source}), {size}"
 
 
 def _flange(chain: Chain) -> str:
@@ -63,10 +66,11 @@ def _flange(chain: Chain) -> str:
 
 
 def _masses(cell: Cell, chain: Chain) -> str:
-    if chain.mass is None:
+    mass = chain.whole.mass
+    if mass is None:
         return "not stated: the sag of the links under their own weight is not predicted"
     known = "" if cell.robot.inertials_known else ", declared as guesses"
-    return f"{float(chain.mass.sum()):.4g} kg in {counted(int(np.count_nonzero(chain.mass)), 'moving link')}{known}"
+    return f"{float(mass.sum()):.4g} kg in {counted(int(np.count_nonzero(mass)), 'moving link')}{known}"
 
 
 def _tracker(cell: Cell) -> str:

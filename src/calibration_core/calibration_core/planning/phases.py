@@ -101,14 +101,14 @@ def _standstills(
         planned.extend(PlannedConfiguration(first + i, row, np.zeros((1, 6)), phase=phase) for i, row in enumerate(q))
         return np.asarray(q[-1])
 
-    for joint in chain.revolute:
+    for joint in chain.circling:
         sweep = best_sweep(bodies, joint, rules, rng, here)
         if sweep is not None:
             here = add("base_frame" if joint < 2 else "geometry", sweep.q)
         elif joint < 2:
             found = f"no arc of {math.degrees(rules.least_arc):.0f}° that is free and seen"
             raise PlanError(cell.path, chain.joints[joint], found, "a joint that can be swept (CWA 17384, 7.1)")
-    if chain.n > WRIST:
+    if chain.n > WRIST and chain.wrist_apart(WRIST):
         here = add("wrist_centre", _wrist(ground, rules, rng, here))
     add("points", _everywhere(ground, rules, rng, here, home))
     return tuple(planned)

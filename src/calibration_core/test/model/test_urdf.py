@@ -138,7 +138,7 @@ LIMIT = '<limit lower="-3" upper="2" effort="1" velocity="1"/>'
         ('<parent link="a"/><child link="b"/>', '<parent link="a"/>', "joint 'j2', child", "nothing"),
         ('<parent link="a"/><child link="b"/>', '<parent link="c"/><child link="b"/>', "link", "circle"),
         ('<parent link="b"/><child link="c"/>', '<parent link="b"/><child link="a"/>', "joint 'j3'", "second parent"),
-        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="j1"/>', "joint 'j3'", "a mimic joint between"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="j1"/>', "robot.joints.2", "'j3', a mimic joint"),
         ('<child link="motor"/>', '<child link="engine"/>', "joint 'on', child", "'engine'"),
     ],
 )  # fmt: skip

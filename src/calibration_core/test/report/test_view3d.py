@@ -18,7 +18,9 @@ from matplotlib.image import imread
 
 import calibration_core as cal
 from calibration_core.cell import load_cell
+from calibration_core.model.chain import rotation_x
 from calibration_core.model.kinematics import posture
+from calibration_core.model.mimic import Mimic
 from calibration_core.report.figures.operating_space import deflection_scale
 from calibration_core.report.view3d import Arrow, View, cell_view, page, script, script_safe
 from calibration_core.report.view3d.picture import png
@@ -70,7 +72,20 @@ def test_everything_of_the_cell_is_handed_over(rail: View) -> None:
     assert json.loads(script_safe(content)) == content
 
 
-def test_a_browser_places_the_robot_as_the_model_does(rail: View, tmp_path: Path) -> None:
+@pytest.fixture
+def mimicking(rail: View) -> View:
+    """Return the same view with a joint that mimics the second one, and one that mimics the third, behind it."""
+    pose = {"rotation": rotation_x(0.3), "translation": np.array([0.1, 0.0, 0.2])}
+    slides = Mimic("slides", 1, 1, 0.2, 0.05, **pose, prismatic=True)
+    turns = Mimic("turns", 3, 2, -1.5, 0.4, **pose, prismatic=False)
+    return dataclasses.replace(rail, chain=dataclasses.replace(rail.chain, mimics=(slides, turns)), solids=())
+
+
+@pytest.mark.parametrize("kind", ["rail", "mimicking"])
+def test_a_browser_places_the_robot_as_the_model_does(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    rail = request.getfixturevalue(kind)
     probe = """<script>
     const data = JSON.parse(document.getElementById("scene-data").textContent), places = [];
     const view = calibrationScene(document.createElement("div"), data);

@@ -64,7 +64,7 @@ class Beam(Effect):
 
     def springs(self, chain: Chain) -> tuple[Spring, ...]:
         """Put three hinges at each of two stations of the beam, carrying the next link."""
-        child = next(link for link in chain.links if link.parent == self.link)
+        child = chain.child_of(self.link)
         span = child.origin.rotation.T @ child.origin.translation  # along the beam, in the next link's axes
         length = float(np.linalg.norm(span))
         axes = _beam_axes(span / length, child.origin.rotation.T, self.turn)

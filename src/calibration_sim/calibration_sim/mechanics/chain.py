@@ -1,6 +1,7 @@
 """The robot as its file states it: a tree of links, read from a URDF or from DH rows.
 
-A link's frame turns with its joint.  Standing joints (fixed, or movable but not among the cell's joints) have no axis.
+A link's frame turns with its joint.  Standing joints (fixed, or movable but not among the cell's joints) have no axis;
+joints between base and flange that mimic one of the cell's have one.
 Only what statics needs is read: joint origins and axes, masses and centres of gravity.
 """
 
@@ -20,6 +21,23 @@ from calibration_core.timeseries import Float1D, Float2D
 from calibration_sim.mechanics.transforms import Placement, axis_rotation, fixed_axes, translation, turn
 
 
+@dataclasses.dataclass(frozen=True)
+class Follows:
+    """How a mimic joint stands: at multiplier times where the link of another joint stands, plus an offset.
+
+    Attributes:
+        name: Of the mimic joint.
+        joint: Name of the other, one of the cell's.
+        multiplier: Of the other's rad, or m where it slides.
+        offset: rad, m where the mimic joint slides.
+    """
+
+    name: str
+    joint: str
+    multiplier: float
+    offset: float
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Link:
     """One body of the tree.
@@ -33,6 +51,7 @@ class Link:
         slides: Whether the joint moves along its axis instead of turning about it.
         mass: kg.
         com: (3,) m, centre of gravity in the link's frame.
+        follows: Where a mimic joint moves it about or along the axis, how; None otherwise.
     """
 
     name: str
@@ -43,6 +62,7 @@ class Link:
     mass: float
     com: Float1D
     slides: bool = False
+    follows: Follows | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,6 +80,11 @@ class Chain:
     joints: tuple[str, ...]
     flange: int
     limits: Float2D
+
+    def child_of(self, joint: int) -> Link:
+        """Return the first link that hangs on what a joint carries."""
+        carrier = next(i for i, link in enumerate(self.links) if link.joint == self.joints[joint])
+        return next(link for link in self.links if link.parent == carrier)
 
 
 def read_chain(cell: Cell) -> Chain:
@@ -108,17 +133,25 @@ def _from_urdf(cell: Cell) -> Chain:
         if name not in names:
             raise CellError(cell.path, f"robot.{key}", quoted(name), f"a link of {path.name}: {', '.join(names)}")
     children: dict[str, list[ET.Element]] = {}
+    above: dict[str, ET.Element] = {}
     for joint in root.findall("joint"):
         children.setdefault(_attribute(path, joint, "parent", "link"), []).append(joint)
+        above[_attribute(path, joint, "child", "link")] = joint
+    followers = _followers(cell, path, above)
     inertials = {element.get("name", ""): element.find("inertial") for element in root.findall("link")}
     links: list[Link] = []
     limits: dict[str, tuple[float, float]] = {}
+    narrower: list[tuple[Follows, tuple[float, float]]] = []
     open_ends = [(child, -1) for child in children.get(str(robot.base_link), [])]
     while open_ends:
         joint, parent = open_ends.pop(0)
-        link = _link(path, joint, parent, robot.joints, inertials)
+        link = _link(path, joint, parent, robot.joints, inertials, followers.get(joint.get("name", "")))
         if link.joint:
             limits[link.joint] = _limits(path, joint)
+        limit = joint.find("limit")
+        bounded = limit is not None and {"lower", "upper"} <= set(limit.keys()) and joint.get("type") != "continuous"
+        if link.follows is not None and bounded and link.follows.multiplier != 0.0:
+            narrower.append((link.follows, _limits(path, joint)))
         if link.name in {known.name for known in links}:
             raise CellError(path, f"link {link.name!r}", "two parents", "a tree")
         links.append(link)
@@ -129,6 +162,9 @@ def _from_urdf(cell: Cell) -> Chain:
     _check_joints(cell, links, flange)
     if robot.joint_limits is not None:
         limits = dict(zip(robot.joints, robot.joint_limits, strict=True))
+    for follows, ends in narrower:
+        low, high = sorted((end - follows.offset) / follows.multiplier for end in ends)
+        limits[follows.joint] = max(low, limits[follows.joint][0]), min(high, limits[follows.joint][1])
     return Chain(tuple(links), robot.joints, flange, np.array([limits[name] for name in robot.joints]))
 
 
@@ -136,15 +172,41 @@ def _parse(path: Path, own_limits: tuple[str, ...]) -> ET.Element:
     return ET.fromstring(urdf_bytes(path, own_limits))
 
 
+def _followers(cell: Cell, path: Path, above: dict[str, ET.Element]) -> dict[str, Follows]:
+    """Return the mimic joints between base and flange, by name."""
+    found, here = {}, str(cell.robot.flange)
+    while here != cell.robot.base_link and here in above:
+        joint = above[here]
+        mimic, name = joint.find("mimic"), joint.get("name", "")
+        if mimic is not None and joint.get("type") in {"revolute", "continuous", "prismatic"}:
+            driver = mimic.get("joint", "")
+            if name in cell.robot.joints or driver not in cell.robot.joints:
+                raise CellError(
+                    path, f"joint {name!r}, mimic", quoted(driver), "one joint of the cell, itself none of them"
+                )
+            place = f"joint {name!r}, mimic"
+            multiplier, offset = (
+                _number(path, place, mimic.get(key, default)) for key, default in (("multiplier", "1"), ("offset", "0"))
+            )
+            found[name] = Follows(name, driver, multiplier, offset)
+        here = _attribute(path, joint, "parent", "link")
+    return found
+
+
 def _link(
-    path: Path, joint: ET.Element, parent: int, joints: tuple[str, ...], inertials: dict[str, ET.Element | None]
+    path: Path,
+    joint: ET.Element,
+    parent: int,
+    joints: tuple[str, ...],
+    inertials: dict[str, ET.Element | None],
+    follows: Follows | None,
 ) -> Link:
     name, kind = joint.get("name", ""), joint.get("type", "")
     child = _attribute(path, joint, "child", "link")
     if child not in inertials:
         raise CellError(path, f"joint {name!r}", f"child {quoted(child)}", "a link of this file")
     axis = np.zeros(3)
-    if name in joints:
+    if name in joints or follows is not None:
         if kind not in {"revolute", "continuous", "prismatic"}:
             raise CellError(path, f"joint {name!r}", f"type {quoted(kind)}", "revolute, continuous or prismatic")
         axis = _vector(path, joint, "axis", "xyz", (1.0, 0.0, 0.0))
@@ -163,7 +225,7 @@ def _link(
         fixed_axes(*_vector(path, joint, "origin", "rpy", (0.0, 0.0, 0.0))),
         _vector(path, joint, "origin", "xyz", (0.0, 0.0, 0.0)),
     )
-    return Link(child, parent, origin, name if name in joints else "", axis, mass, com, kind == "prismatic")
+    return Link(child, parent, origin, name if name in joints else "", axis, mass, com, kind == "prismatic", follows)
 
 
 def _limits(path: Path, joint: ET.Element) -> tuple[float, float]:

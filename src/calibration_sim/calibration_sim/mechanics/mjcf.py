@@ -106,9 +106,11 @@ def build_mjcf(
 
 def _content(link: Link, of_joint: dict[str, float]) -> list[str]:
     lines = [_inertial(link.mass, link.com)]
+    kind = "slide" if link.slides else "hinge"
+    if link.follows is not None:  # `Mechanism` lets it follow
+        lines.append(f'<joint name={quoteattr(link.follows.name)} type="{kind}" axis="{_numbers(link.axis)}"/>')
     if link.joint:
         spring = f'stiffness="{float(of_joint[link.joint])!r}" springref="0"'
-        kind = "slide" if link.slides else "hinge"
         lines.append(f'<joint name={quoteattr(link.joint)} type="{kind}" axis="{_numbers(link.axis)}" {spring}/>')
     return lines
 

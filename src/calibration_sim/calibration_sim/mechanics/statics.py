@@ -8,6 +8,9 @@ spring until spring, weight and external wrench balance:
 with the wrench w acting at the deflected wrench point.  Springs are MuJoCo's (`qfrc_passive`, reference = commanded
 angle), weight is MuJoCo's (`qfrc_bias` at rest), the wrench goes in through `mj_applyFT`.  Springs besides the joints
 (`mjcf.Spring`), pushes on links and torques beside the joints take part in the same balance.
+
+A joint that mimics another has no coordinate of its own: it stands where the link of the other makes it stand, and what
+acts on it acts, times its multiplier, on the other (virtual work): with dx = G dy the balance is G^T F(x) = 0.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calibration_core.errors import EquilibriumError
-from calibration_core.timeseries import Float1D, Float2D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, FloatND, Int1D
 from calibration_sim.mechanics.chain import Chain
 from calibration_sim.mechanics.mjcf import Spring, build_mjcf
 from calibration_sim.mechanics.transforms import Placement
@@ -81,6 +84,33 @@ class SideTorque:
     torque: Callable[[float], float]
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Gear:
+    """How mimic joints go with the others.
+
+    Attributes:
+        led: Coordinates of the k mimic joints.
+        matrix: (nv, nv) G: the identity, but for the rows of mimic joints: their multipliers at their drivers.
+        offset: (k,) rad, m where they slide.
+    """
+
+    led: Int1D
+    matrix: Float2D
+    offset: Float1D
+
+    @staticmethod
+    def of(model: mujoco.MjModel, chain: Chain) -> _Gear | None:
+        """Return the gear of a robot; None where no joint mimics another."""
+        follows = [link.follows for link in chain.links if link.follows is not None]
+        if not follows:
+            return None
+        led = np.array([model.joint(one.name).dofadr[0] for one in follows], dtype=np.int64)
+        matrix = np.eye(model.nv)
+        matrix[led, led] = 0.0
+        matrix[led, [model.joint(one.joint).dofadr[0] for one in follows]] = [one.multiplier for one in follows]
+        return _Gear(led, matrix, np.array([one.offset for one in follows]))
+
+
 class Mechanism:
     """A robot of hinges with springs, held by MuJoCo; the only object here that has a state, and it is scratch."""
 
@@ -114,10 +144,13 @@ class Mechanism:
         self._zero = np.zeros(len(chain.joints)) if joint_zero is None else np.asarray(joint_zero, dtype=np.float64)
         self._wrench_point = np.asarray(wrench_point, dtype=np.float64)
         self._dofs = np.array([self.model.joint(name).dofadr[0] for name in chain.joints], dtype=np.int64)
+        self._gear = _Gear.of(self.model, chain)
         self._flange = int(self.model.body(chain.links[chain.flange].name).id)
         self._links = [int(self.model.body(link.name).id) for link in chain.links]
         self._origins = np.array(self.model.body_pos)
         self._rates = np.array(self.model.jnt_stiffness, dtype=np.float64).reshape(self.model.nv, -1)[:, 0]
+        if self._gear is not None:
+            self._rates[self._gear.led] = 1.0  # never used: no force is left there
         self._grain = 8.0 * np.finfo(np.float64).eps * self._rates  # torque that rounding alone leaves, per rad
         # Views of the scratch, made once: MuJoCo makes a new one whenever it is asked.
         self._qpos, self._passive, self._bias = self.data.qpos, self.data.qfrc_passive, self.data.qfrc_bias
@@ -131,8 +164,18 @@ class Mechanism:
         """Return the flange frame in the base frame with the links (not the motors) at `angles` (n,) rad."""
         self._qpos[:] = 0.0
         self._qpos[self._dofs] = np.asarray(angles) + self._zero
+        self._follow(self._qpos)
         mujoco.mj_kinematics(self.model, self.data)
         return self._flange_placement()
+
+    def _follow(self, x: FloatND) -> None:
+        """Put the mimic joints of coordinates (..., nv) where the others make them stand."""
+        if self._gear is not None:
+            x[..., self._gear.led] = x @ self._gear.matrix.T[:, self._gear.led] + self._gear.offset
+
+    def _shared(self, columns: FloatND) -> FloatND:
+        """Return derivatives by coordinates (..., nv), or forces on them: those of mimic joints at their drivers."""
+        return columns if self._gear is None else np.asarray(columns @ self._gear.matrix)
 
     def jacobian(self, angles: ArrayLike, point: ArrayLike = (0.0, 0.0, 0.0)) -> Float2D:
         """Return the Jacobian (6, n) of a point of the flange frame (m): translation above rotation, base axes."""
@@ -140,7 +183,7 @@ class Mechanism:
         mujoco.mj_comPos(self.model, self.data)
         linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
         mujoco.mj_jac(self.model, self.data, linear, angular, place.apply(point), self._flange)
-        return np.asarray(np.vstack([linear, angular])[:, self._dofs])
+        return np.asarray(self._shared(np.vstack([linear, angular]))[:, self._dofs])
 
     def jacobians(self, angles: Float2D) -> Float3D:
         """Return the Jacobians (k, 6, n) of the flange's origin, as `jacobian`, for link angles (k, n) rad at once."""
@@ -150,10 +193,11 @@ class Mechanism:
         self._qpos[:] = 0.0
         for row, each in zip(result, np.asarray(angles) + self._zero, strict=True):
             self._qpos[self._dofs] = each
+            self._follow(self._qpos)
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_jac(model, data, linear, angular, self._at, self._flange)
-            row[:3], row[3:] = linear[:, self._dofs], angular[:, self._dofs]
+            row[:3], row[3:] = self._shared(linear)[:, self._dofs], self._shared(angular)[:, self._dofs]
         return result
 
     def freedoms(self, angles: ArrayLike, wrench: ArrayLike, points: Float2D) -> tuple[Float3D, Float1D]:
@@ -177,7 +221,7 @@ class Mechanism:
         motion = np.empty((len(points), 3, model.nv))
         for row, point in zip(motion, points, strict=True):
             mujoco.mj_jac(model, data, row, None, place.apply(point), self._flange)
-        return motion, load - np.array(data.qfrc_bias)
+        return self._shared(motion), self._shared(load - np.array(data.qfrc_bias))
 
     def softening(self, q: ArrayLike, wrench: ArrayLike, rest: Float1D, points: Float2D) -> Float3D:
         """Return how points move where a joint becomes softer, by the derivative of the balance at a rest.
@@ -206,13 +250,13 @@ class Mechanism:
         if left > ALONE * self._largest():
             msg = f"{left:.3g} N*m are not balanced by springs, weight and wrench"
             raise ValueError(msg)
-        slope = self._slope(rest)
+        slope = self._slope(np.array(rest))
         gives = np.zeros((model.nv, len(self._dofs)))
         gives[self._dofs, np.arange(len(self._dofs))] = self._passive[self._dofs]
         place, motion = self._flange_placement(), np.empty((len(points), 3, model.nv))
         for row, point in zip(motion, points, strict=True):
             mujoco.mj_jac(model, data, row, None, place.apply(point), self._flange)
-        return np.asarray(motion @ np.linalg.solve(slope, gives))
+        return np.asarray(self._shared(motion) @ np.linalg.solve(slope, gives))
 
     def origins(self, angles: ArrayLike) -> Float2D:
         """Return the origins (links, 3) of all links in the base frame, m, with the links at `angles` (n,) rad."""
@@ -230,6 +274,7 @@ class Mechanism:
         at, turned = np.empty((len(angles), *positions.shape)), np.empty((len(angles), 9))
         q = np.zeros((len(angles), self.model.nq))
         q[:, self._dofs] = np.asarray(angles) + self._zero
+        self._follow(q)
         for row, each in enumerate(q):
             qpos[:] = each
             mujoco.mj_kinematics(self.model, data)
@@ -313,6 +358,7 @@ class Mechanism:
         """Return the unbalanced torque (nv,) at rest at x."""
         model, data, load = self.model, self.data, self._load
         self._qpos[:] = x
+        self._follow(self._qpos)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_passive(model, data)
@@ -326,7 +372,7 @@ class Mechanism:
             mujoco.mj_applyFT(model, data, push.force(place), np.zeros(3), place, body, load)
         for side in self._sides:
             load[self._dofs[side.joint]] += side.torque(float(x[self._dofs[side.joint]]))
-        return np.asarray(self._passive - self._bias + load)
+        return self._shared(np.asarray(self._passive - self._bias + load))
 
     def _slope(self, x: Float1D) -> Float2D:
         """Return the derivative (nv, nv) of the unbalanced torque by central differences."""
@@ -337,7 +383,10 @@ class Mechanism:
             forces = self._unbalanced(x + shift) - self._unbalanced(x - shift)
             columns.append(forces / (2.0 * DIFFERENCE_STEP))
         self._unbalanced(x)
-        return np.array(columns).T
+        slope = np.array(columns).T
+        if self._gear is not None:
+            slope[self._gear.led, self._gear.led] = 1.0  # they stay where they are, and no force is left there
+        return slope
 
     def _flange_placement(self) -> Placement:
         return Placement(self._turned.copy(), self._at.copy())

@@ -106,7 +106,7 @@ def _springs(chain: Chain) -> dict[str, tuple[Spring, ...]]:
         turns = [Spring(link.name, axis, np.zeros(3), 1.0, rank=BEARING) for axis in axes]
         result[f"frame {j}"] = (*slides, *turns)
     for index in range(len(chain.joints) - 1):
-        child = next(link for link in chain.links if link.parent == index)
+        child = chain.child_of(index)
         if np.linalg.norm(child.origin.translation) >= SHORTEST:
             result[f"beam {index}"] = Beam(UNNAMED, index, (1.0, 1.0), 1.0).springs(chain)
     return result
@@ -120,8 +120,8 @@ def _order(chain: Chain, springs: list[Spring]) -> dict[int | str, int]:
         for spring in sorted_springs:
             if spring.link == link.name:
                 order[id(spring)] = len(order)
-        if link.joint:
-            order[link.joint] = len(order)
+        if link.joint or link.follows is not None:
+            order[link.joint or link.name] = len(order)
     return order
 
 

@@ -35,7 +35,9 @@ def operating_space(
     at_load = None if load is None else load.rows(rows)
     shown = parameters.points[readings.points[0]]
     deflection, bent, share, base_force = _loaded(chain, parameters, q, at, at_load, shown)
-    joints = np.stack([np.zeros((len(rows), 3)), *(origin.T for origin in at.origin), at.flange_origin.T], axis=1)
+    joints = np.stack(
+        [np.zeros((len(rows), 3)), *(origin.T for origin in at.moving.origin), at.flange_origin.T], axis=1
+    )
     return OperatingSpace(
         configuration=numbers,
         joint_origins=joints,

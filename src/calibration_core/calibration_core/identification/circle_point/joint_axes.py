@@ -184,9 +184,10 @@ def _corrections(chain: Chain, axes: tuple[Axis, ...], lines: Float2D) -> Float2
 
 def _axes(readings: Readings, chain: Chain) -> dict[int, Axis]:
     sweeps: dict[int, list[Sweep]] = {}
+    circling = chain.circling
     for sweep in single_joint_sweeps(readings.q, readings.point):
         sweeps.setdefault(sweep.joints[0], []).append(sweep)
-    return {joint: _axis(readings, joint, found) for joint, found in sorted(sweeps.items()) if joint < chain.n}
+    return {joint: _axis(readings, joint, found) for joint, found in sorted(sweeps.items()) if joint in circling}
 
 
 def _axis(readings: Readings, joint: int, sweeps: list[Sweep]) -> Axis:
@@ -217,9 +218,10 @@ def _axis(readings: Readings, joint: int, sweeps: list[Sweep]) -> Axis:
 def _require_both(readings: Readings, chain: Chain, axes: dict[int, Axis]) -> None:
     for joint in (0, 1):
         if joint not in axes:
-            raise IdentificationError(
-                readings.provenance.path, chain.joints[joint], "no sweep", "five or more poses in which only it moves"
-            )
+            found, expected = "no sweep", "five or more poses in which only it moves"
+            if chain.leading[joint]:
+                found, expected = "joints that mimic it", "a joint that alone turns the flange about its axis"
+            raise IdentificationError(readings.provenance.path, chain.joints[joint], found, expected)
 
 
 def _base(readings: Readings, chain: Chain, axes: dict[int, Axis]) -> BaseFrame:

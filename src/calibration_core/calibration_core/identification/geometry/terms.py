@@ -293,16 +293,15 @@ class HarmonicTerm:
 
     def write(self, view: TermContext, out: Float3D) -> None:
         """Write the lever of each joint times sine and cosine of its angle, taken from the posture."""
+        levers = linear_jacobian(view.at, view.target)
         for k, joint in enumerate(self.joints):
             if view.chain.prismatic[joint]:
                 out[2 * k : 2 * k + 2] = 0.0
                 continue
-            lever = np.empty_like(view.target)
-            cross_into(view.at.axis(joint), view.target - view.at.origin[joint], lever)
             x, y, _ = view.at.before[joint]
             turned_x = view.at.body[joint][0]
-            np.multiply(lever, np.einsum("am,am->m", turned_x, y), out=out[2 * k])
-            np.multiply(lever, np.einsum("am,am->m", turned_x, x), out=out[2 * k + 1])
+            np.multiply(levers[joint], np.einsum("am,am->m", turned_x, y), out=out[2 * k])
+            np.multiply(levers[joint], np.einsum("am,am->m", turned_x, x), out=out[2 * k + 1])
 
     def moved(self, parameters: ModelParameters, step: Float1D) -> ModelParameters:
         """Refuse: there is nothing in the model to move."""

@@ -262,7 +262,7 @@ class OperatingSpace:
 
     Attributes:
         configuration: (k,) numbers of the configurations.
-        joint_origins: (k, n + 2, 3) base, every joint origin, flange: the arm as a polyline.
+        joint_origins: (k, N + 2, 3) base, origins of all N moving joints, flange: the arm as a polyline.
         flange: (k, 3); points: measurement point -> (k, 3); wrench_point: (k, 3) or None.
         force: (k, 3) N, largest force applied at that configuration, base axes; None for absolute recordings.
         deflection: (k, 3) m, deflection of the first point under that force; None for absolute recordings.

@@ -87,6 +87,8 @@ def identify_decoupled(prepared: PreparedLoaded, scale: float, wrist_centre: Flo
     path, chain, n = problem.readings.provenance.path, problem.chain, problem.chain.n
     if n <= WRIST:
         raise IdentificationError(path, "joints", f"{n}", f"more than {WRIST}: an arm that carries a wrist")
+    if not chain.wrist_apart(WRIST):
+        raise IdentificationError(path, "joints", "mimic joints in the wrist", "last three joints that move alone")
     centre = wrist_centre_of(chain) if wrist_centre is None else wrist_centre
     off = np.inf if centre is None else _passing(posture(chain, problem.readings.q), centre)
     if centre is None or off > MEETS:

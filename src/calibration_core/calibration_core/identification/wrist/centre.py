@@ -71,7 +71,10 @@ def identify_wrist_centre(
         IdentificationError: Fewer than three points, no stretch in which only the wrist moves, or no wrist at all.
     """
     path = readings.provenance.path
-    n = chain_of(cell).n
+    chain = chain_of(cell)
+    n = chain.n
+    if not chain.wrist_apart(WRIST):
+        raise IdentificationError(path, "joints", "mimic joints in the wrist", "last three joints that move alone")
     if n <= WRIST:
         raise IdentificationError(path, "joints", f"{n}", f"more than {WRIST}: an arm that carries a wrist")
     sweeps = wrist_sweep(readings.q, readings.point, tuple(range(n - WRIST, n)))

@@ -66,7 +66,8 @@ def along_link(
     span = tip - start
     length = np.linalg.norm(span, axis=0)
     centre = _share_before_centre(state, link, start, span) if own_weight else np.zeros(state.m)
-    parts = (behind_joint(link), np.zeros(state.m), centre), (before_joint(link + 1), centre, np.ones(state.m))
+    stage = state.chain.stage(link)
+    parts = (behind_joint(stage), np.zeros(state.m), centre), (before_joint(stage + 1), centre, np.ones(state.m))
     total = []
     for cut, begin, end in parts:
         if not np.any(end > begin):

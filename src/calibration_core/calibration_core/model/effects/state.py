@@ -128,6 +128,17 @@ class State:
         """Return the same behind the motion of the joint, where the link begins."""
         return self.at.body_origin[link] + self._beyond(link, other_end=other_end)
 
+    def tip(self, link: int, *, other_end: bool = False) -> Float2D:
+        """Return the (3, m) m where a link ends: at the frame before the next moving joint, or at the flange.
+
+        That joint may be one that mimics another.
+        """
+        stage, moving = self.chain.stage(link) + 1, self.at.moving
+        if stage == len(moving.origin):
+            return self.at.flange_origin
+        apart = float(self.chain.whole.other_end[stage]) if other_end else 0.0
+        return moving.origin[stage] + apart * moving.axis(stage)
+
     def _beyond(self, joint: int, *, other_end: bool) -> Float2D:
         return (float(self.chain.other_end[joint]) if other_end else 0.0) * self.at.axis(joint)
 

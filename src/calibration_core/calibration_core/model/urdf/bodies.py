@@ -25,7 +25,7 @@ class Body:
     """One rigid body of the robot.
 
     Attributes:
-        link: 0 for the base, i for what joint i carries.
+        link: 0 for the base, i for what moving joint i carries, those that mimic others counted (`Chain.whole`).
         name: Of the URDF's link, with a number where it has several bodies.
         form: What it is.
         size: m: edges of a box, (3,); radius and length of a cylinder, (2,); radius of a sphere, (1,); the factors by

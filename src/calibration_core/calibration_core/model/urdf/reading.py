@@ -10,6 +10,8 @@ from calibration_core.cell import Cell
 from calibration_core.cell.urdf import MOST_RADIANS, RADIANS
 from calibration_core.errors import CellError, quoted
 from calibration_core.model.chain import Chain, rotation_x
+from calibration_core.model.mimic import Mimic
+from calibration_core.model.urdf.mimics import gears_of, narrowed
 from calibration_core.model.urdf.tree import MOVING, Tree, tree_of, unit_axis
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -26,34 +28,54 @@ def chain_of_urdf(cell: Cell) -> Chain:
         raise CellError(cell.path, "robot.inertials", "inertials beside a urdf", "the URDF's own inertials only")
     tree = tree_of(cell)
     path = _path(cell, tree)
-    n = len(cell.robot.joints)
-    rotation, translation = np.empty((n, 3, 3)), np.empty((n, 3))
+    gears = gears_of(cell, tree, path)
+    moving = [name for name in path if name in cell.robot.joints or name in gears]
+    rotation, translation = np.empty((len(moving), 3, 3)), np.empty((len(moving), 3))
     here = np.eye(4)  # from the body frame of the link before
     i = 0
     for name in path:
-        here = here @ tree.standing(name)
-        if name not in cell.robot.joints:
+        here = here @ (tree.origin(name) if name in gears else tree.standing(name))
+        if name not in moving:
             continue
-        turn = _align_z(_axis(cell, tree, i))
+        turn = _align_z(_axis(cell, tree, name))
         rotation[i], translation[i] = here[:3, :3] @ turn, here[:3, 3]
         here = np.eye(4)
         here[:3, :3] = turn.T
         i += 1
-    mass, com = _masses(cell, tree)
+    mass, com = _masses(cell, tree, moving)
+    slides = [tree.joints[name].type == "prismatic" for name in moving]
+    own = [moving.index(name) for name in cell.robot.joints]
+    mimics = tuple(
+        Mimic(
+            name=name,
+            behind=sum(k < i for k in own),
+            driver=gears[name].driver,
+            multiplier=gears[name].multiplier,
+            offset=gears[name].offset,
+            rotation=rotation[i],
+            translation=translation[i],
+            prismatic=slides[i],
+            mass=None if mass is None else float(mass[i]),
+            com=None if com is None else com[i],
+        )
+        for i, name in enumerate(moving)
+        if name in gears
+    )
     return Chain(
         joints=cell.robot.joints,
-        rotation=rotation,
-        translation=translation,
-        offset=np.zeros(n),
+        rotation=rotation[own],
+        translation=translation[own],
+        offset=np.zeros(len(own)),
         flange_rotation=here[:3, :3],
         flange_translation=here[:3, 3],
-        limits=_limits(cell, tree),
+        limits=narrowed(cell, tree, _limits(cell, tree), gears),
         gravity=cell.gravity,
-        mass=mass,
-        com=com,
+        mass=None if mass is None else mass[own],
+        com=None if com is None else com[own],
         inertials_known=cell.robot.inertials_known,
         rigid=tuple(stiffness == math.inf for stiffness in cell.robot.stiffness or ()),
-        prismatic=tuple(tree.joints[name].type == "prismatic" for name in cell.robot.joints),
+        prismatic=tuple(slides[i] for i in own),
+        mimics=tuple(mimics),
     )
 
 
@@ -64,15 +86,22 @@ def joint_alignments(cell: Cell) -> Float3D:
         CellError: As `chain_of_urdf`.
     """
     tree = tree_of(cell)
-    return np.stack([_align_z(_axis(cell, tree, i)) for i in range(len(cell.robot.joints))])
+    return np.stack([_align_z(_axis(cell, tree, name)) for name in cell.robot.joints])
 
 
 def link_poses(cell: Cell, tree: Tree) -> dict[str, tuple[int, Float2D]]:
     """Return link -> (index of the joint that carries it, -1 for the base; (4, 4) pose in that link's body frame).
 
-    Of every link that hangs on the base; joints that are none of the cell's stand at zero.
+    Of every link that hangs on the base.  All moving joints from base to flange are counted, those that mimic others
+    too (`Chain.whole`); all other joints that are none of the cell's stand at zero.
     """
-    order = {name: i for i, name in enumerate(cell.robot.joints)}
+    path = _path(cell, tree)
+    gears = gears_of(cell, tree, path)
+    return _link_poses(cell, tree, [name for name in path if name in cell.robot.joints or name in gears])
+
+
+def _link_poses(cell: Cell, tree: Tree, moving: list[str]) -> dict[str, tuple[int, Float2D]]:
+    order = {name: i for i, name in enumerate(moving)}
     below: dict[str, list[str]] = {}
     for name, joint in tree.joints.items():
         below.setdefault(joint.parent, []).append(name)
@@ -82,13 +111,13 @@ def link_poses(cell: Cell, tree: Tree) -> dict[str, tuple[int, Float2D]]:
         link = open_ends.pop()
         carrier, pose = poses[link]
         for name in below.get(link, []):
-            child, placed = tree.joints[name].child, pose @ tree.standing(name)
+            child = tree.joints[name].child
             if name in order:
                 body = np.eye(4)
-                body[:3, :3] = _align_z(_axis(cell, tree, order[name])).T
+                body[:3, :3] = _align_z(_axis(cell, tree, name)).T
                 poses[child] = (order[name], body)
             else:
-                poses[child] = (carrier, placed)
+                poses[child] = (carrier, pose @ tree.standing(name))
             open_ends.append(child)
     return poses
 
@@ -105,12 +134,6 @@ def _path(cell: Cell, tree: Tree) -> list[str]:
             raise CellError(
                 cell.path, f"robot.joints.{i}", quoted(name), "a moving joint of the URDF: " + ", ".join(moving)
             )
-    for name in path:
-        if tree.joints[name].mimic is not None and tree.joints[name].type in MOVING:
-            found = f"a mimic joint between {robot.base_link!r} and {robot.flange!r}"
-            raise CellError(
-                cell.urdf_path or cell.path, f"joint {quoted(name)}", found, "joints of its own drive there"
-            )
     chain = [name for name in path if name in robot.joints]
     if chain != list(robot.joints):
         order = ", ".join(chain) or "none of them"
@@ -118,11 +141,9 @@ def _path(cell: Cell, tree: Tree) -> list[str]:
     return path
 
 
-def _axis(cell: Cell, tree: Tree, i: int) -> Float1D:
-    """Return the (3,) unit axis of one of the cell's joints, in the axes of the link that it carries."""
-    name = cell.robot.joints[i]
-    joint = tree.joints[name]
-    axis = unit_axis(joint.axis)
+def _axis(cell: Cell, tree: Tree, name: str) -> Float1D:
+    """Return the (3,) unit axis of a joint, in the axes of the link that it carries."""
+    axis = unit_axis(tree.joints[name].axis)
     if axis is None:
         raise CellError(cell.urdf_path or cell.path, f"joint {quoted(name)}", "an axis of length zero", "an axis")
     return axis
@@ -141,11 +162,10 @@ def _align_z(axis: Float1D) -> Float2D:
     return np.eye(3) + skew + skew @ skew / (1 + c)
 
 
-def _masses(cell: Cell, tree: Tree) -> tuple[Float1D | None, Float2D | None]:
-    """Gather every body's mass on the nearest joint of the chain below it; None where no link beyond one has any."""
-    n = len(cell.robot.joints)
-    mass, moment = np.zeros(n), np.zeros((n, 3))
-    for name, (carrier, pose) in link_poses(cell, tree).items():
+def _masses(cell: Cell, tree: Tree, moving: list[str]) -> tuple[Float1D | None, Float2D | None]:
+    """Gather every body's mass on the nearest moving joint below it; None where no link beyond one has any."""
+    mass, moment = np.zeros(len(moving)), np.zeros((len(moving), 3))
+    for name, (carrier, pose) in _link_poses(cell, tree, moving).items():
         inertial = tree.links[name].inertial
         if inertial is None or carrier < 0:
             continue

@@ -45,10 +45,15 @@ class Tree:
             link = self.joints[names[-1]].parent
         return names[::-1]
 
+    def origin(self, name: str) -> Float2D:
+        """Return the (4, 4) pose of what a joint carries in its parent link, at zero."""
+        origin = self.joints[name].origin
+        return np.eye(4) if origin is None else np.asarray(origin, dtype=float)
+
     def standing(self, name: str) -> Float2D:
         """Return the (4, 4) pose of what a joint carries in its parent link, at zero, a mimic joint at its offset."""
         joint = self.joints[name]
-        pose = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=float)
+        pose = self.origin(name)
         if joint.mimic is None or joint.type not in MOVING:
             return pose
         moved, axis = np.eye(4), unit_axis(joint.axis)

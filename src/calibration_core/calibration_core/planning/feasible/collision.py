@@ -68,7 +68,10 @@ class CollisionModel:
         import pinocchio as pin
 
         data, found = self.model.createData(), _with_margin(self.geometry, self.rules.distance)
-        touching = [pin.computeCollisions(self.model, data, self.geometry, found, np.asarray(row), True) for row in q]
+        rows = self.site.chain.expanded(q)
+        touching = [
+            pin.computeCollisions(self.model, data, self.geometry, found, np.asarray(row), True) for row in rows
+        ]
         return ~np.array(touching, dtype=bool)
 
     def touching(self, q: Float1D) -> tuple[str, ...]:
@@ -76,7 +79,8 @@ class CollisionModel:
         import pinocchio as pin
 
         data, found = self.model.createData(), _with_margin(self.geometry, self.rules.distance)
-        pin.computeCollisions(self.model, data, self.geometry, found, np.asarray(q), False)
+        row = self.site.chain.expanded(np.asarray(q)[None])[0]
+        pin.computeCollisions(self.model, data, self.geometry, found, row, False)
         names = [one.name for one in self.geometry.geometryObjects]
         return tuple(
             f"{names[pair.first]} and {names[pair.second]}"
@@ -112,7 +116,7 @@ class CollisionModel:
         request, mask = coal.CollisionRequest(), np.ones(len(q), dtype=bool)
         points = positions(posture(self.site.chain, q), self.site.points).transpose(2, 0, 1)  # (m, p, 3)
         beams = [[_rod(tracker, point, BEAM_RADIUS, BEAM_END) for point in row] for row in points]
-        for k, row in enumerate(q):
+        for k, row in enumerate(self.site.chain.expanded(q)):
             pin.updateGeometryPlacements(self.model, data, self.geometry, found, np.asarray(row))
             places = [coal.Transform3s(found.oMg[i].rotation, found.oMg[i].translation) for i in self.obstacles]
             mask[k] = not any(
@@ -155,7 +159,7 @@ class _Builder:
     def __init__(self, cell: Cell, site: Site, rules: SpaceRules) -> None:
         import pinocchio as pin
 
-        self.pin, self.cell, self.site, self.rules, self.chain = pin, cell, site, rules, site.chain
+        self.pin, self.cell, self.site, self.rules, self.chain = pin, cell, site, rules, site.chain.whole
         self.geometry = pin.GeometryModel()
         self.link: list[int] = []  # of every body; -1 for the surroundings
         self.tool: set[int] = set()
@@ -173,7 +177,7 @@ class _Builder:
         for i, j in itertools.product(range(robot), range(robot, len(self.link))):
             if self.link[i] >= rails + (2 if j in floor else 1):  # base and rail, and for the floor the column, stand
                 self.geometry.addCollisionPair(self.pin.CollisionPair(i, j))
-        model = pinocchio_model(self.chain)
+        model = pinocchio_model(self.site.chain)
         unjudged = self._leave_out(model, robot, 1.0 if shaped else BY_SHAPE)
         obstacles = tuple(i for i in range(len(self.link)) if i not in self.tool and i not in floor)
         return CollisionModel(self.site, self.rules, model, self.geometry, self._sweep(), obstacles, unjudged)
@@ -201,13 +205,13 @@ class _Builder:
             if bodies:
                 return True
         chain, radius = self.chain, self.rules.body * self.chain.reach
-        ends = [*chain.translation, chain.flange_translation]
+        ends, wrist = [*chain.translation, chain.flange_translation], self.site.chain.stage(self.site.chain.n - WRIST)
         for link, end in enumerate(ends):
             length = float(np.linalg.norm(end))
             if length < 1e-6:
                 continue
-            width = radius * (SLENDER if link >= chain.n - WRIST else 1.0)
-            last = link == chain.n - WRIST  # the forearm ends at the wrist and not a radius beyond it
+            width = radius * (SLENDER if link >= wrist else 1.0)
+            last = link == wrist  # the forearm ends at the wrist and not a radius beyond it
             kept = max(length - width, 0.5 * length) if last else length
             self._capsule(link, f"link {link}", np.zeros(3), end * kept / length, width)
         return False
@@ -234,11 +238,12 @@ class _Builder:
 
     def _leave_out(self, model: Any, robot: int, share: float) -> tuple[str, ...]:
         """Take out pairs of the robot's own bodies that touch in so many of random postures: their shape, no clash."""
-        low, high = joint_range(self.chain, self.rules)
+        chain = self.site.chain
+        low, high = joint_range(chain, self.rules)
         data, found = model.createData(), _with_margin(self.geometry, self.rules.distance)
         pairs = [(pair.first, pair.second) for pair in self.geometry.collisionPairs]
         count = np.zeros(len(pairs))
-        for row in np.random.default_rng(0).uniform(low, high, (TRIED, self.chain.n)):
+        for row in chain.expanded(np.random.default_rng(0).uniform(low, high, (TRIED, chain.n))):
             self.pin.computeCollisions(model, data, self.geometry, found, row, False)
             count += [result.isCollision() for result in found.collisionResults]
         often = [pair for pair, hits in zip(pairs, count, strict=True) if hits >= share * TRIED and max(pair) < robot]
@@ -264,4 +269,5 @@ class _Builder:
             )
             for j in range(chain.n)
         ]
-        return np.where(chain.prismatic, 1.0, levers)
+        each = np.where(chain.prismatic, 1.0, levers)
+        return each @ np.abs(self.site.chain.matrix) if self.site.chain.mimics else each

@@ -161,13 +161,16 @@ def complementary_share(chain: Chain, parameters: ModelParameters, q: Float2D, f
     """
     at = posture(chain, q)
     assert parameters.wrench_point is not None  # noqa: S101 - the planner has checked it
-    n = chain.n
-    levers = linear_jacobian(at, at.point(parameters.wrench_point))
+    n = chain.whole.n
+    each = linear_jacobian(at.moving, at.point(parameters.wrench_point))
     stiffness = np.empty((*force.shape[:2], n, n))
     for j in range(n):
         for i in range(j + 1):
-            bent = cross(at.spin(i), levers[j])
+            bent = cross(at.moving.spin(i), each[j])
             stiffness[..., i, j] = stiffness[..., j, i] = np.einsum("am,mka->mk", bent, force)
+    if chain.mimics:
+        stiffness = chain.matrix.T @ stiffness @ chain.matrix
+    levers = linear_jacobian(at, at.point(parameters.wrench_point))
     torque = np.einsum("nam,mka->mkn", levers, force)
     compliance = parameters.compliance
     extra = compliance * np.einsum("mkij,mkj->mki", stiffness, compliance * torque)

@@ -152,7 +152,7 @@ def _above_floor(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
     if rules.floor is None or size == 0.0:
         return np.ones(m, dtype=bool)
     up = -site.chain.gravity / size
-    watched = np.concatenate([at.origin[2 + site.chain.rails :], positions(at, site.handled)])
+    watched = np.concatenate([at.moving.origin[2 + site.chain.rails :], positions(at, site.handled)])
     height = np.einsum("pam,a->pm", watched, up)
     return np.asarray(height.min(axis=0) >= rules.floor + rules.clearance * site.chain.reach)
 
@@ -173,8 +173,9 @@ def _in_box(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
 
 def _arm(site: Site, at: Posture) -> list[tuple[Float2D, Float2D]]:
     """Return the ends, (3, m) each, of the lines between neighbouring joints from the base to the wrist."""
-    foot = np.zeros_like(at.flange_origin) if site.chain.rails == 0 else at.origin[site.chain.rails]
-    ends = [foot, *at.origin[site.chain.rails : max(site.chain.n - WRIST, 1) + 1]]
+    origins, rails = at.moving.origin, site.chain.rails
+    foot = np.zeros_like(at.flange_origin) if rails == 0 else origins[rails]
+    ends = [foot, *origins[rails : site.chain.stage(max(site.chain.n - WRIST, 1)) + 1]]
     return list(itertools.pairwise(ends))
 
 

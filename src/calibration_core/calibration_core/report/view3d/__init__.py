@@ -3,7 +3,9 @@
 `View` is what is drawn; `View.json()` is what `scene.js` reads: the same for the report, `check` and the panel.  All
 lengths are m, all angles rad, all poses the twelve numbers of a (3, 4) matrix row by row; z of the base is up.
 
-- `joints`: per joint `name`, `prismatic`, `offset` and `pose`: the frame before it, in the link before (`model.chain`).
+- `joints`: per joint `name`, `prismatic`, `offset` and `pose`: the frame before it, in the link before (`model.chain`);
+  where it mimics another, `mimic`: index of that `joint` in a posture's `q`, `multiplier`, `offset`; `q` has no number
+  for it.
 - `flange`: pose of the flange in the last link.
 - `solids`: bodies of the robot: `link` (0 base, i what joint i carries), `form` (`box`; `cylinder` along z; `sphere`;
   `mesh`), `size` (edges; radius and length; radius; empty), `pose` in the link, for a mesh its number as `mesh`.

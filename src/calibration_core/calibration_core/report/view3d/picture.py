@@ -52,7 +52,7 @@ def svg(view: View, height: float = 4.2) -> bytes:
 
 def draw(axes: Axes, view: View, index: int = 0) -> None:
     """Draw a view at one of its postures, seen from the side and above, without perspective."""
-    at = posture(view.chain, view.postures[index][1][None])
+    at = posture(view.chain.whole, view.chain.expanded(view.postures[index][1][None]))
     polygons = [_faces(solid, at) for solid in view.solids]
     names: list[tuple[Float1D, str]] = []
     size, middle = _extent(view, at, polygons)

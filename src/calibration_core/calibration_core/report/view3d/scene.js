@@ -166,11 +166,12 @@
 
   // Poses of base, of what each joint carries, and of the flange.
   function kinematics(scene, q) {
-    var here = identity(), links = [here];
-    scene.joints.forEach(function (joint, i) {
+    var here = identity(), links = [here], own = 0;
+    scene.joints.forEach(function (joint) {
+      var at = joint.mimic ? joint.mimic.multiplier * q[joint.mimic.joint] + joint.mimic.offset : q[own++];
       here = times(here, ofRows(joint.pose));
-      here = times(here, spun(joint.offset + (joint.prismatic ? 0 : q[i])));
-      if (joint.prismatic) { here = times(here, moved([0, 0, q[i]])); }
+      here = times(here, spun(joint.offset + (joint.prismatic ? 0 : at)));
+      if (joint.prismatic) { here = times(here, moved([0, 0, at])); }
       links.push(here);
     });
     return { links: links, flange: times(here, ofRows(scene.flange)) };

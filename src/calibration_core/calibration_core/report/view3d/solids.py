@@ -27,7 +27,7 @@ class Solid:
     """One body of the robot.
 
     Attributes:
-        link: 0 for the base, i for what joint i carries.
+        link: 0 for the base, i for what moving joint i carries, those that mimic others counted (`Chain.whole`).
         form: What it is.
         size: m: (3,) edges of a box; (2,) radius and length of a cylinder along z; (1,) radius; (0,) of a mesh.
         pose: (4, 4) in the link's body frame.
@@ -56,7 +56,7 @@ def robot_solids(cell: Cell, chain: Chain) -> tuple[tuple[Solid, ...], str]:
                 return tuple(_solid(cell, body) for body in bodies), ""
         except CellError as error:  # a URDF is often handed on without its meshes; it can be drawn all the same
             reason = str(error)
-    return _slender(chain), reason
+    return _slender(chain.whole), reason
 
 
 def simplified(vertices: Float2D, faces: Int2D, most: int = MOST_FACES) -> tuple[Float2D, Int2D]:

@@ -89,7 +89,11 @@ class View:
 
     def json(self) -> dict[str, Any]:
         """Return the view as `scene.js` reads it (see the package)."""
-        chain, meshes = self.chain, [solid for solid in self.solids if solid.form == "mesh"]
+        chain, meshes = self.chain.whole, [solid for solid in self.solids if solid.form == "mesh"]
+        gears = {
+            one.name: {"mimic": {"joint": one.driver, "multiplier": one.multiplier, "offset": one.offset}}
+            for one in self.chain.mimics
+        }
         numbers = {id(solid): k for k, solid in enumerate(meshes)}
         return {
             "schema": SCHEMA,
@@ -100,6 +104,7 @@ class View:
                     "prismatic": chain.prismatic[i],
                     "offset": float(chain.offset[i]),
                     "pose": _pose(chain.rotation[i], chain.translation[i]),
+                    **gears.get(name, {}),
                 }
                 for i, name in enumerate(chain.joints)
             ],

@@ -22,7 +22,7 @@ from calibration_core.model.effects.state import State
 from calibration_core.model.effects.traits import Trait
 from calibration_core.model.kinematics import cross, dot
 from calibration_core.model.statics import gravity_torque
-from calibration_core.timeseries import Float1D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 AXIAL, UNKNOWN = "axial", "unknown masses"
 WRIST = 3  # joints
@@ -39,14 +39,30 @@ def _by_moments(state: State, joint: int, gravity: Float1D | None = None) -> Flo
     Of the joint's own link only x and y: what lies on the axis needs no torque.
     """
     pull = np.broadcast_to((state.chain.gravity if gravity is None else gravity)[:, None], (3, state.m))
-    axis = state.at.axis(joint)
-    directions = [d for link in _heavy(state, joint) for d in state.at.body[link][: 2 if link == joint else 3]]
-    return stacked(*(state.joint_column(joint, dot(axis, cross(direction, pull))) for direction in directions))
+    moving, links = state.at.moving, _heavy(state, joint)
+    return stacked(*(
+        state.joint_column(joint, dot(_axis(state, joint, link), cross(direction, pull)))
+        for link in links
+        for direction in moving.body[link][: 2 if link == links[0] else 3]
+    ))  # fmt: skip
 
 
 def _heavy(state: State, joint: int) -> range:
-    """Return the links whose moments a joint's sag is made of; those of the wrist go with the forearm."""
-    return range(joint, max(state.chain.n - WRIST, joint) + 1)
+    """Return the links, by all moving joints, whose moments a joint's sag is made of; the wrist's go with the forearm.
+
+    They begin at the joint, or at one before it that mimics it.
+    """
+    chain = state.chain
+    first = int(np.flatnonzero(chain.matrix[:, joint])[0]) if chain.mimics else joint
+    return range(first, chain.stage(max(chain.n - WRIST, joint) + 1))
+
+
+def _axis(state: State, joint: int, link: int) -> Float2D:
+    """Return the (3, m) angular velocity of a link, by all moving joints, per unit rate of a joint."""
+    whole, matrix = state.at.whole, state.at.matrix
+    if whole is None or matrix is None:
+        return state.at.axis(joint)
+    return np.asarray(np.tensordot(matrix[: link + 1, joint], whole.spins[: link + 1], axes=1))
 
 
 def turned_columns(state: State, joint: int) -> Float3D:
@@ -78,7 +94,7 @@ def _unknown(state: State, joint: int) -> Candidate:
     names = [
         f"compliance_times_moment_{axis}_link_{link + 1}"
         for link in _heavy(state, joint)
-        for axis in ("xy" if link == joint else "xyz")
+        for axis in ("xy" if link == _heavy(state, joint)[0] else "xyz")
     ]
     parameters = tuple(Parameter(name, unit, size) for name in names)
     place = {"joint": state.chain.joints[joint]}
@@ -89,11 +105,16 @@ def _without_masses(state: State) -> Iterator[Candidate]:
     if not np.any(state.chain.gravity):
         return
     for joint in state.chain.revolute:
-        if state.chain.rigid[joint]:
+        if state.chain.rigid[joint] or _lifts(state, joint):
             continue
         candidate = _unknown(state, joint)
         if np.abs(candidate.columns(state)).max(initial=0.0) > LEAST:
             yield candidate
+
+
+def _lifts(state: State, joint: int) -> bool:
+    """Say whether a joint that mimics it slides: the weight beyond, and not only its moments, then loads the joint."""
+    return any(one.driver == joint and one.prismatic for one in state.chain.mimics)
 
 
 def _candidates(state: State) -> Iterator[Candidate]:

@@ -21,6 +21,8 @@ from calibration_core.timeseries import Float3D
 
 
 def _columns(state: State, joint: int) -> Float3D:
+    if state.at.whole is not None:  # the joints that mimic it move, too, and not as one body
+        return stacked(state.since_step_zero(state.joint_column(joint, np.ones(state.m))))
     moved = np.einsum("akm,km->ma", state.virtual.answer(behind_joint(joint)), np.concatenate(state.at.screw(joint)))
     return stacked(state.since_step_zero(moved))
 

@@ -15,7 +15,7 @@ from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.traits import Trait
-from calibration_core.model.kinematics import cross, dot
+from calibration_core.model.kinematics import by_axis, dot, linear_jacobian
 from calibration_core.timeseries import Float2D, Float3D
 
 ARM = 0.2  # m, typical distance of a tool's centre of gravity from the flange
@@ -24,9 +24,9 @@ ARM = 0.2  # m, typical distance of a tool's centre of gravity from the flange
 def pulled(state: State, where: Float2D, force: Float2D) -> Float2D:
     """Return the (m, 3) m that a force (3, m) N at points (3, m) m moves the measured point, by the joints alone."""
     moved = np.zeros((3, state.m))
+    torque = dot(by_axis(linear_jacobian(state.at, where)), force[:, None])
     for joint, compliance in enumerate(state.compliance):
-        torque = dot(state.at.axis(joint), cross(where - state.at.origin[joint], force))
-        moved += state.answer[:, joint] * (compliance * torque)
+        moved += state.answer[:, joint] * (compliance * torque[joint])
     return moved.T
 
 

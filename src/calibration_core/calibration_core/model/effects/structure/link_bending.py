@@ -3,7 +3,7 @@
 u = F L^3/3EI + M L^2/2EI, phi = F L^2/2EI + M L/EI, torsion M L/GJ: rotary springs spread evenly along the link.
 The weight of the link itself acts at its centre of gravity; or it rests on the link's joint, as the weight of motors
 that sit there does.  A link reaches from the frame before its joint to the frame before the next joint, or from the
-other end of its axis to that of the next (`Chain.other_end`).
+other end of its axis to that of the next (`Chain.other_end`); the next may be one that mimics another.
 Source: Euler-Bernoulli beam by virtual work.
 """
 
@@ -31,10 +31,7 @@ TURNED = 0.3  # typical size of the compliance between the two planes over that 
 
 
 def _ends(state: State, link: int, *, other_ends: bool) -> tuple[Float2D, Float2D]:
-    start = state.foot(link, other_end=other_ends)
-    if link == state.chain.n - 1:
-        return start, state.at.flange_origin
-    return start, state.place(link + 1, other_end=other_ends)
+    return state.foot(link, other_end=other_ends), state.tip(link, other_end=other_ends)
 
 
 def _axes(state: State, link: int, ends: tuple[Float2D, Float2D]) -> tuple[Float2D, Float2D, Float2D]:
@@ -105,11 +102,11 @@ def _candidates(state: State) -> Iterator[Candidate]:
 
     A link's own weight may rest on its joint where this and other weight bend the link.
     """
-    chain, n = state.chain, state.chain.n
-    mass = np.zeros(n) if chain.mass is None else chain.mass
-    apart = np.append(np.abs(chain.other_end), 0.0)
-    heavy = {link_name(link) for link in range(n) if mass[link] > 0 and np.any(mass[link + 1 :] > 0)}
-    other = {link_name(link) for link in range(n) if max(apart[link], apart[link + 1]) > SHORTEST}
+    whole, stages = state.chain.whole, [state.chain.stage(link) for link in range(state.chain.n)]
+    mass = np.zeros(whole.n) if whole.mass is None else whole.mass
+    apart = np.append(np.abs(whole.other_end), 0.0)
+    heavy = {link_name(link) for link, k in enumerate(stages) if mass[k] > 0 and np.any(mass[k + 1 :] > 0)}
+    other = {link_name(link) for link, k in enumerate(stages) if max(apart[k], apart[k + 1]) > SHORTEST}
     for candidate, *asks in _described(state):
         asked = [links for asks_it, links in zip(asks, (heavy, other), strict=True) if asks_it]
         if not asked or (not state.loaded and all(candidate.location["link"] in links for links in asked)):

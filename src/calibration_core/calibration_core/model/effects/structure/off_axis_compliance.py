@@ -27,12 +27,16 @@ TURNED = 0.3  # typical size of the compliance between x and y over that about t
 
 def _proximal(state: State, joint: int, *, other_end: bool = False) -> Float3D:
     axes = state.at.before[joint]
-    return tilting(state, before_joint(joint), (axes[X], axes[Y]), state.place(joint, other_end=other_end))
+    return tilting(
+        state, before_joint(state.chain.stage(joint)), (axes[X], axes[Y]), state.place(joint, other_end=other_end)
+    )
 
 
 def _distal(state: State, joint: int, *, other_end: bool = False) -> Float3D:
     axes = state.at.body[joint]
-    return tilting(state, behind_joint(joint), (axes[X], axes[Y]), state.foot(joint, other_end=other_end))
+    return tilting(
+        state, behind_joint(state.chain.stage(joint)), (axes[X], axes[Y]), state.foot(joint, other_end=other_end)
+    )
 
 
 def _isotropic(state: State, joint: int, *, other_end: bool = False) -> Float3D:

@@ -18,7 +18,7 @@ from calibration_core.timeseries import Float3D
 
 
 def _columns(state: State, translations: int) -> Float3D:
-    axes, flange = [state.at.flange[k] for k in range(3)], before_joint(state.chain.n)
+    axes, flange = [state.at.flange[k] for k in range(3)], before_joint(state.chain.stage(state.chain.n))
     turns = [turning(state, flange, axis, state.at.flange_origin) for axis in axes]
     return stacked(*turns, *(sliding(state, flange, axis) for axis in axes[:translations]))
 
