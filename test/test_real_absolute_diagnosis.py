@@ -19,7 +19,8 @@ from calibration_core.recording.tables.table import read_table
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 UR10 = ("A", "B", "C", "D")
 GEOMETRY = {"A": 0.44e-3, "B": 0.44e-3, "C": 0.48e-3, "D": 0.40e-3}  # m, 3-d rms that geometry alone leaves, at least
-LEFT = {"A": 0.20e-3, "B": 0.20e-3, "C": 0.20e-3, "D": 0.22e-3}  # m, the same with what was found, at most
+LEFT = {"A": 0.12e-3, "B": 0.18e-3, "C": 0.12e-3, "D": 0.15e-3}  # m, the same with what was found, at most
+SAGS = ("A", "B", "D")  # series of many postures, which show that the second link bends; C leaves it unexplained
 GEOMETRY_FINDINGS = {"geometry_error", "joint_zero_offset"}  # geometry is refitted beforehand, so not in the rest
 
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
@@ -33,7 +34,7 @@ def _diagnose(cell_name: str, recording: str, test: str | None = None) -> Diagno
 
 
 def _ur10(series: str) -> Diagnosis:
-    return _diagnose(f"ur10_{series}", f"ur10_{series}")
+    return _diagnose(f"ur10_{series}", f"ur10_{series}", "ur10_C" if series == "B" else None)
 
 
 def _in_the_rest(found: Diagnosis) -> list[Finding]:
@@ -91,12 +92,25 @@ def test_ur10_what_is_named_first_on_a_holds_on_the_others() -> None:
     assert len(first) == 1
 
 
+def test_ur10_what_is_found_on_one_predicts_another() -> None:
+    """On another day, tracker pose and target fitted to it; of the robot, nothing is."""
+    test = _ur10("B").test
+    assert test is not None
+    (at_rest,) = test.parts
+    assert at_rest.mean_before > 0.4e-3
+    assert at_rest.mean < 0.6 * at_rest.mean_before
+
+
 @pytest.mark.parametrize("series", UR10)
-def test_ur10_a_compliance_is_of_plausible_size_and_predicts_blocks_left_out(series: str) -> None:
+def test_ur10_what_sags_is_its_second_link_and_no_joint(series: str) -> None:
+    """No stiffness of a joint is claimed where the bending of a tube explains more."""
     found = _ur10(series)
-    assert all(2e4 < value < 1e7 for value, _ in found.stiffness.values())
-    sag = [f for f in found.findings if f.effect == "joint_elasticity"]
-    assert all(f.held_out_gain > 0.1 for f in sag)
+    assert found.stiffness == {}
+    assert not [name for name in _named(found) if name[0] == "joint_elasticity"]
+    bends = [finding for finding in found.findings if finding.effect == "link_bending"]
+    assert [dict(finding.location) for finding in bends] == ([{"link": "link_2"}] if series in SAGS else [])
+    assert all(finding.held_out_gain > 0.2 for finding in bends)
+    assert found.verdict == ("missing_physics" if series in SAGS else "partly_explained")
 
 
 def test_ma1400_the_part_that_stands_apart_is_an_anomaly_and_no_physics() -> None:
@@ -105,6 +119,7 @@ def test_ma1400_the_part_that_stands_apart_is_an_anomaly_and_no_physics() -> Non
     assert moved.configurations in {(1, 79), (1, 80)}
     assert all(after < 0.275 * before for before, after in found.blocks.values())  # 0.267 with negative compliances
     compliances = [p for f in found.findings if f.family in {"structure", "absolute"} for p in f.parameters]
+    assert len(compliances) >= 20
     assert all(p.value >= 0 for p in compliances if "xy" not in p.name and "_12" not in p.name and p.unit != "rad")
     assert found.findings[0].effect in {
         "joint_elasticity",
