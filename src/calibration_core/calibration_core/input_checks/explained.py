@@ -19,6 +19,7 @@ from calibration_core.model.kinematics import Posture, linear_jacobian, posture
 from calibration_core.model.statics import Load, load_torque
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
+SCATTER = 12  # coordinates from which the noise can be told
 WILD = 5.0  # times the median residual
 DIRECTION = 0.2  # share of the largest pull: less across the others is no direction of its own
 
@@ -60,6 +61,24 @@ class Motion:
     def freedom(self) -> int:
         """Number of independent coordinates."""
         return 3 * (len(self.group) - int(self.group.max()) - 1)
+
+    @functools.cached_property
+    def noise(self) -> float:
+        """Sum of squares, m^2, that no response in proportion to the pull explains; that of the claimed noise at least.
+
+        A group of r directions of pull and k readings shows it in 3 (k - 1 - r) coordinates.
+        """
+        load = centred(self.force if np.any(self.force) else self.torque, self.group)
+        left, count = 0.0, 0
+        for rows in (np.flatnonzero(self.group == g) for g in range(int(self.group.max()) + 1)):
+            basis, size, _ = np.linalg.svd(load[rows], full_matrices=False)
+            pulled = basis[:, size > DIRECTION * size[0]]
+            free = 3 * (len(rows) - 1 - pulled.shape[1])
+            if free > 0:
+                left += float(np.sum((self.moved[rows] - pulled @ (pulled.T @ self.moved[rows])) ** 2))
+                count += free
+        variance = left / count if count >= SCATTER else 0.0
+        return self.freedom * max(variance, self.sigma**2)
 
     @functools.cached_property
     def independent(self) -> float:

@@ -19,7 +19,7 @@ from calibration_core.input_checks.explained import (
     posture_of,
     without_wild,
 )
-from calibration_core.input_checks.friction import fit_with_friction
+from calibration_core.input_checks.physics import fit_with_physics
 from calibration_core.input_checks.point_orders import other_points
 from calibration_core.input_checks.units import (
     SEEN_BY_PRIOR,
@@ -36,7 +36,7 @@ FAR = 0.5  # what is meant leaves less than this share of the rest that stands
 STATED = 0.95  # the same between the ways of reading a wrench that a cell file can state
 NO_BETTER = 1.05  # of the least rest: readings of the wrench that do equally well
 WELL = 0.7  # share of the motion explained
-OTHER_ROBOT = 0.8  # share explained by springs and friction: with the right robot file, other physics leaves less
+OTHER_ROBOT = 0.8  # share of what is no noise that springs, friction and bearings explain of the robot in the file
 LEAST_EVIDENCE = 30.0  # nats
 ZERO_FAR, ZERO_LEAST = 0.8, 0.025  # the same for the zero of a joint, and rad: less is no more than physics may mimic
 UNRELATED = 0.2  # share explained: motion far above the noise and less than this explained has no cause in the wrench
@@ -86,12 +86,18 @@ def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], f
     zero = [] if facts.positions else _zero_off(motion, stands, given)
     if zero:
         return zero
-    explained = 1.0 - stands.rest / motion.total
-    if explained < UNRELATED:
+    if 1.0 - stands.rest / motion.total < UNRELATED:
         return [_no_relation(motion, stands)]
-    if explained < OTHER_ROBOT and 1.0 - fit_with_friction(motion, given).rest / motion.total < OTHER_ROBOT:
-        return [_other_robot(motion, stands)]
+    if _share(motion, stands) < OTHER_ROBOT:
+        physics = fit_with_physics(motion, given)
+        if _share(motion, physics) < OTHER_ROBOT:
+            return [_other_robot(motion, physics)]
     return _unit(motion, given, facts) or _overstated(motion, stands)
+
+
+def _share(motion: Motion, explanation: Explanation) -> float:
+    """Return the share of the motion, noise taken off, that is explained; 1 where there is nothing but noise."""
+    return 1.0 - max(explanation.rest - motion.noise, 0.0) / max(motion.total - motion.noise, 1e-300)
 
 
 def _claimed(motion: Motion) -> InputAnomaly:
@@ -204,13 +210,24 @@ def _zero_off(motion: Motion, stands: Explanation, given: Reading) -> list[Input
         return fit(turned, columns_of(turned, posture_of(turned), motion.force, motion.torque, given)).rest
 
     zero = best_zero(rest, stands.rest, ~np.array(motion.chain.prismatic, dtype=bool), ZERO_LEAST)
-    if zero is None or not _evident(motion, stands.rest, zero.rest, ZERO_FAR):
+    if zero is None or zero.rest > ZERO_FAR * stands.rest:
+        return []
+    before, after = (_independent_squares(motion, one) for one in (stands.rest, zero.rest))
+    if 0.5 * motion.independent * np.log(before / after) < LEAST_EVIDENCE:
         return []
     name = motion.chain.joints[zero.joint]
     text = f"the zero of {name} is off by {zero.offset:+.3f} rad: with it, joint springs leave "
     text += f"{100 * zero.rest / stands.rest:.0f} % of what they leave as it stands"
     remedy = f"master {name} again, or add {zero.offset:+.3f} rad to its recorded angles"
     return [InputAnomaly("wrong_robot_file", text, remedy, zero.offset, unit="rad", joints=(name,))]
+
+
+def _independent_squares(motion: Motion, rest: float) -> float:
+    """Return the sum of squares, m^2, in the coordinates that physics leaves independent: what is no noise stays whole.
+
+    Other physics than a zero repeats itself in all readings of a pull, as the zero does; their noise averages out.
+    """
+    return max(rest - motion.noise, 0.0) + motion.noise * motion.independent / motion.freedom
 
 
 def quarter_turns() -> list[Float2D]:
@@ -253,14 +270,15 @@ def _no_relation(motion: Motion, stands: Explanation) -> InputAnomaly:
     return InputAnomaly("no_relation", text, remedy, stands.rest / motion.total)
 
 
-def _other_robot(motion: Motion, stands: Explanation) -> InputAnomaly:
-    share = 100 * (1 - stands.rest / motion.total)
+def _other_robot(motion: Motion, physics: Explanation) -> InputAnomaly:
+    share = 100 * max(_share(motion, physics), 0.0)
     text = (
-        f"joint springs of the robot in the file explain {share:.0f} % of the motion under load, with the right file "
-        "they explain more than 90 %: it describes another robot, or joints, signs or zeros are mixed up"
+        f"joints of the robot in the file explain {share:.0f} % of the motion under load as springs with friction and "
+        "bearings, with the right file more than 90 %: it describes another robot, or joints, signs or zeros are mixed "
+        "up"
     )
     remedy = "use the file of this robot, and check its joint zeros and signs"
-    return InputAnomaly("wrong_robot_file", text, remedy, stands.rest / motion.total)
+    return InputAnomaly("wrong_robot_file", text, remedy, physics.rest / motion.total)
 
 
 def _unit(motion: Motion, given: Reading, facts: CellSizes) -> list[InputAnomaly]:

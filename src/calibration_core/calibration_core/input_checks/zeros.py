@@ -49,16 +49,19 @@ def best_zero(rest: Callable[[Float1D], float], stands: float, revolute: Bool1D,
 
 def _lowest(rest: Callable[[Float1D], float], stands: float, joint: int, n: int) -> Zero:
     unit = np.eye(n)[joint]
-    at, value, step = 0.0, stands, STEP
+    at, value, step, move, farthest = 0.0, stands, STEP, 0.0, MOST
     for _ in range(ROUNDS):
         left, right = rest((at - step) * unit), rest((at + step) * unit)
         bend = left - 2 * value + right
         move = 0.5 * step * (left - right) / bend if bend > 0 else step * float(np.sign(left - right))
-        move = float(np.clip(move, -3 * step, 3 * step))
+        farthest = 3 * step
+        move = float(np.clip(move, -farthest, farthest))
         there = rest((at + move) * unit)
         if there < value:
             at, value = at + move, there
         step = max(0.3 * abs(move), 1e-3)
         if abs(move) < 2e-4 or abs(at) > MOST:
             break
+    if abs(move) >= farthest:  # still on its way: no lowest point was found
+        return Zero(joint, 0.0, stands)
     return Zero(joint, at, value)

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from absolute_cases import ELBOW, SEVEN, SIGMA, make_cell, make_readings, random_angles, truth_of
+from absolute_cases import ELBOW, POINTS, SEVEN, SIGMA, make_cell, make_readings, random_angles, truth_of
 
 from calibration_core.cell import Cell
 from calibration_core.identification.absolute.evaluate import identify_absolute
@@ -42,6 +42,21 @@ def test_springs_are_found_with_honest_intervals(rows: tuple, compliance: list[f
         elif not entry.identifiable:
             assert "not fitted" in entry.reason or "zero" in entry.reason or "hardly" in entry.reason
     assert "gravity turned by 90 degrees" in _stage(result).reason
+
+
+@pytest.mark.parametrize("count", [24, 30])
+def test_springs_that_hide_the_geometry_are_found_together_with_it(count: int) -> None:
+    """Large sag and small errors of the geometry: neither gains clearly without the other."""
+    cell = make_cell(ELBOW, tuple(POINTS))
+    truth = truth_of(cell, 1, geometry=1e-4).replace(compliance=np.array([0, 8e-7, 9e-7, 0, 0, 0]))
+    result = identify_absolute(make_readings(cell, truth, random_angles(21, count, 6)), cell)
+    assert _stage(result, "geometry").kept
+    assert "no clear gain by itself; with elasticity: " in _stage(result, "geometry").reason
+    assert _stage(result).kept
+    assert result.fit.rms_after < 1.05 * SIGMA
+    for joint in (1, 2):
+        entry = result.stiffness[joint]
+        assert abs(entry.compliance - truth.compliance[joint]) < 3 * entry.compliance_std
 
 
 def test_a_rigid_robot_claims_nothing() -> None:

@@ -103,7 +103,8 @@ def select_stages(
     """Add frames, geometry and elasticity, each kept only if held-out configurations gain clearly.
 
     The rule is `Improvement.clear`, for elasticity with the controls of `elasticity`; the frames are kept always,
-    because the cell file's are nominal (contract, section 4).
+    because the cell file's are nominal (contract, section 4).  Geometry that gains nothing clearly by itself is kept
+    where it does so together with elasticity, which may hide it.
 
     Args:
         case: Readings, folds.
@@ -126,14 +127,17 @@ def select_stages(
     geometry = case.fit_stage(frames.fit.parameters, [*frame_terms, choice.term])
     gain = case.improvement(frames, geometry)
     kept = gain.clear and geometry.fit.converged
-    counted = f"{len(choice.chosen)} identifiable parameters, {len(choice.nominal)} stay nominal"
     verdict = "kept" if kept else "not kept: no clear gain on configurations left out"
+    stage, elastic, joints = _elasticity(case, geometry)
+    if not kept and elastic is not None:  # what gives way under its weight may hide the geometry
+        both = case.improvement(frames, elastic)
+        kept, verdict = both.clear, f"no clear gain by itself; with elasticity: {both.text}"
+    counted = f"{len(choice.chosen)} identifiable parameters, {len(choice.nominal)} stay nominal"
     reason = f"{counted}; {gain.text}; {verdict}"
     stages.append(Stage("geometry", _size(geometry), geometry.rms, geometry.held_out_rms, kept, reason))
     if not kept:
         stages.append(_not_tried("elasticity", frames, NO_GEOMETRY))
         return StagedSelection(tuple(stages), frames, frames, ())
-    stage, elastic, joints = _elasticity(case, geometry)
     return StagedSelection((*stages, stage), frames, geometry if elastic is None else elastic, joints)
 
 
