@@ -162,7 +162,7 @@ def outlier_readings(excluded: Bool1D, size: float, readings: Readings) -> tuple
         return ()
     keys = [(int(readings.configuration[i]), int(readings.step[i]), readings.points[readings.point[i]]) for i in rows]
     numbers = readings.configuration[excluded]
-    text = outlier_text(keys, size, "the others of their configuration under the model of the diagnosis")
+    text = outlier_text(keys, size, "the others of the same configuration under the model of the diagnosis")
     where = {"tracker": "tracker"}
     return (Anomaly(OUTLIERS, where, (int(numbers.min()), int(numbers.max())), size, "m", text),)
 
