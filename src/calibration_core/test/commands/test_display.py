@@ -77,10 +77,10 @@ def test_findings_anomalies_and_the_light_are_described() -> None:
             "next_measurements": [{"why": "because"}],
         }
     )
-    assert lines[1:3] == ["Usable: with_reservations. A target moved.", "Next step: Measure again."]
-    assert "Stiffness of j: not identifiable. no load" in lines
+    assert lines[1:3] == ["Usable: with reservations. A target moved.", "Next step: Measure again."]
+    assert "Stiffness of j: not identifiable. No load." in lines
     assert "Finding: backlash at joint joint_4. It steps." in lines
-    assert "Anomaly: target_moved at point mp1. by 1 mm" in lines
+    assert "Anomaly: target moved at point mp1. by 1 mm" in lines
 
 
 @pytest.mark.parametrize(("wrong", "right"), [("identfy", "identify"), ("imprt", "import"), ("describ", "describe")])
@@ -150,3 +150,11 @@ def test_a_bar_is_drawn_on_a_terminal() -> None:
     assert run.returncode == 0
     assert b"diagnose: looking for missing physics" in seen
     assert b"left:" in seen
+
+
+def test_places_are_described_in_words() -> None:
+    finding = {"effect": "joint_coupling", "location": {"joints": ["joint_4", "joint_5"]}, "explanation": "It is so."}
+    everywhere = {"effect": "off_axis_compliance", "location": {"joints": "all"}, "explanation": "It is so."}
+    lines = describe({"command": "diagnose", "findings": [finding, everywhere]})
+    assert "Finding: joint coupling at joints joint_4 and joint_5. It is so." in lines
+    assert "Finding: off-axis compliance at all joints. It is so." in lines

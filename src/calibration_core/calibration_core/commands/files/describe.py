@@ -124,8 +124,8 @@ def _joint(joint: Mapping[str, Any]) -> str:
 
 
 def _sentence(text: Any) -> str:
-    """Return the start of a sentence in capitals; nothing for nothing."""
-    return f"{text[0].upper()}{text[1:]}." if isinstance(text, str) and text else ""
+    """Return a text as a sentence, with a capital and a full stop; nothing for nothing."""
+    return f"{text[0].upper()}{text[1:].removesuffix('.')}." if isinstance(text, str) and text else ""
 
 
 def _fit(fit: Any) -> list[str]:
