@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.result.estimate import Identification, JointStiffness
-from calibration_core.identification.result.stiffness_interval import TWO_SIDED, joint_stiffness
+from calibration_core.identification.result.stiffness_interval import TWO_SIDED, at_least, joint_stiffness
 
 EXPLAINED = "other effects that were found explain what its compliance would explain"
 
@@ -71,7 +71,7 @@ def _all_bias(joint: JointStiffness) -> JointStiffness:
     """Return the stiffness of a joint of which the extended model has no compliance: its least value is known alone."""
     half = joint.compliance + TWO_SIDED * joint.compliance_std
     wide = joint_stiffness(joint.joint, joint.compliance, half / TWO_SIDED, unit=joint.unit)
-    reason = f"{EXPLAINED}: the stiffness is at least {wide.interval[0]:.3g} {joint.unit}"
+    reason = f"{EXPLAINED}: {at_least(wide.interval[0], joint.unit)}"
     return dataclasses.replace(wide, identifiable=False, reason=reason)
 
 

@@ -16,7 +16,7 @@ from calibration_core.model.effects.candidate import Candidate, number_of
 from calibration_core.model.effects.recordings import in_each_recording
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.traits import Trait
-from calibration_core.model.effects.words import listed_location
+from calibration_core.model.effects.words import effect_sentence
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 WAVE, SAG = transmission_error.EFFECT.name, joint_elasticity.EFFECT.name
@@ -63,8 +63,8 @@ class Hypothesis:
 
     @property
     def words(self) -> str:
-        """Effect and place for people."""
-        return f"{self.effect} ({listed_location(self.location)})"
+        """Effect and place as a sentence without full stop."""
+        return effect_sentence(self.effect, self.location)
 
     @property
     def place(self) -> tuple[str, tuple[tuple[str, str | tuple[str, ...]], ...]]:

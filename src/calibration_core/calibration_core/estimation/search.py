@@ -20,7 +20,7 @@ import numpy as np
 from calibration_core.estimation.comparisons import POSITIONS, Comparisons, Demands
 from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
-from calibration_core.estimation.hypotheses import LAW
+from calibration_core.estimation.hypotheses import LAW, Hypothesis
 from calibration_core.estimation.leave_out import LEAST_NATS, Proof
 from calibration_core.estimation.likelihood.gains import Grouped, chance_gain
 from calibration_core.estimation.likelihood.restricted import Sizes
@@ -51,7 +51,7 @@ class Selection:
         sizes: Of all of them together.
         gain: (k,) nats, of each beside the others.
         proofs: Of each beside the others, per partition.
-        refused: Sentences on strong hypotheses that failed.
+        refused: Sentences on strong hypotheses that failed, one for each effect and place, none for accepted ones.
         level: Signal-to-noise ratio of the small effects beside them, each.
     """
 
@@ -72,7 +72,7 @@ class Search(Comparisons):
         """Prepare a search; limit: what chance gains, nats, as another search of the recording found it."""
         super().__init__(field, demands)
         self.control = control
-        self.refused: dict[str, None] = {}
+        self.refused: dict[object, str] = {}  # by effect and place, with the last reason
         self.objections: dict[tuple[Accepted, int], str] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
         if limit is None:
@@ -288,7 +288,15 @@ class Search(Comparisons):
         gain = tuple(self._beside(accepted, index) for index in accepted)
         proofs, sizes = tuple(trial.proofs for trial in trials), self.sizes(accepted)
         sizes = dataclasses.replace(sizes, size=sizes.size[np.argsort(np.argsort(accepted))])
-        return Selection(accepted, sizes, gain, proofs, tuple(self.refused), self.level(accepted))
+        named = {self.field.offered.hypotheses[index].place for index in accepted}
+        refused = tuple(text for place, text in self.refused.items() if place not in named)
+        return Selection(accepted, sizes, gain, proofs, refused, self.level(accepted))
+
+    def _stands(self, hypothesis: Hypothesis, why_not: str) -> bool:
+        """Say whether a hypothesis stands: nothing is said against it; keep what is."""
+        if why_not:
+            self.refused[hypothesis.place] = f"Rejected: “{hypothesis.words}”: {why_not}."
+        return not why_not
 
     def _beside(self, accepted: Accepted, index: int) -> float:
         """Return what one of the accepted hypotheses gains beside the others, nats."""
@@ -336,16 +344,12 @@ class Search(Comparisons):
 
     def _passes(self, accepted: Accepted, index: int) -> bool:
         trial = self.trial(accepted, index)
-        words = trial.hypothesis.words
         if not trial.proven:
-            self.refused[f"{words} does not improve blocks left out"] = None
-            return False
+            why = "it does not predict blocks of configurations left out any better"
+            return self._stands(trial.hypothesis, why)
         if self._one_does(accepted, trial):
             return False
-        why = self._hidden(accepted, trial) or self.objection(trial)
-        if why:
-            self.refused[f"{words}: {why}"] = None
-        return not why
+        return self._stands(trial.hypothesis, self._hidden(accepted, trial) or self.objection(trial))
 
     def _hidden(self, accepted: Accepted, trial: Trial) -> str:
         """Say why a hypothesis is none by itself: one of many small effects, far too large, or a matter of chance.
@@ -391,7 +395,4 @@ class Search(Comparisons):
     def _allowed(self, accepted: Accepted, index: int) -> bool:
         """Say whether physics allows a hypothesis beside the accepted ones."""
         trial = self.trial(accepted, index)
-        why = impossible(trial)
-        if why:
-            self.refused[f"{trial.hypothesis.words}: {why}"] = None
-        return not why
+        return self._stands(trial.hypothesis, impossible(trial))

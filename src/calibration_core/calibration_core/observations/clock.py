@@ -137,7 +137,8 @@ def corrected(recording: Streams, offset: ClockOffset | None) -> tuple[Streams, 
     size = (
         f"{abs(offset.seconds) * 1e3:.1f} ms (standard deviation {offset.std * 1e3:.1f} ms, {offset.ramps} load ramps)"
     )
-    text = f"tracker stamps {size} {'ahead of' if offset.seconds >= 0 else 'behind'} the force/torque sensor's"
+    side = "ahead of" if offset.seconds >= 0 else "behind"
+    text = f"the tracker's time stamps are {size} {side} the force/torque sensor's"
     if not offset.significant:
         return recording, [Note("clock_offset", "tracker", f"{text}: not significant, not corrected")]
     base = _lag(recording.joints)

@@ -28,7 +28,7 @@ from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.observations.same import refuse_same
 from calibration_core.outcomes.inputs import digest_of, look
-from calibration_core.report.rounding import significant
+from calibration_core.report.rounding import readable_unit, significant
 from calibration_core.report.writing.output import MAX_RESULT, RESULT
 from calibration_core.timeseries import Readings
 
@@ -239,17 +239,29 @@ def described(one: QuantityChange) -> str:
     if not math.isfinite(one.low):
         return f"{one.quantity} of {one.location}: cannot tell, not known in one of the two"
     if one.quantity == "stiffness":
-        size = f"{100 * one.change:+z.2f} % ({100 * one.low:+z.2f} to {100 * one.high:+z.2f} %)"
+        size = f"{100 * one.change:+z.1f} % ({100 * one.low:+z.1f} to {100 * one.high:+z.1f} %)"
     else:
-        ends = f"{significant(one.low)} to {significant(one.high)}"
-        size = f"{significant(one.change)} {one.unit.replace('*', '·')} ({ends})"
+        size = f"{_with_unit(one.unit, one.change)} ({_ends(one)})"
     text = f"{one.quantity} of {one.location}: {size}, {WORDS[one.verdict]}"
     if one.or_else:
         text += f"; the change may as well be at {' or '.join(one.or_else)}"
     if one.configurations is not None:
-        limit = f"{100 * one.limit:g} %" if one.quantity == "stiffness" else f"{significant(one.limit)} {one.unit}"
+        limit = f"{100 * one.limit:g} %" if one.quantity == "stiffness" else _with_unit(one.unit, one.limit)
         text += f"; {one.configurations} configurations each would tell a change of {limit}"
     return text
+
+
+def _in(unit: str, value: float) -> str:
+    """Return a value of an SI unit in the one in which it is read."""
+    return significant(readable_unit(unit).factor * value)
+
+
+def _with_unit(unit: str, value: float) -> str:
+    return f"{_in(unit, value)} {readable_unit(unit).name}"
+
+
+def _ends(one: QuantityChange | Trend) -> str:
+    return f"{_in(one.unit, one.low)} to {_in(one.unit, one.high)}"
 
 
 def described_trend(one: Trend) -> str:
@@ -257,5 +269,5 @@ def described_trend(one: Trend) -> str:
     if one.quantity == "stiffness":
         size = f"{100 * one.slope:+z.2f} % per year ({100 * one.low:+z.2f} to {100 * one.high:+z.2f} %)"
     else:
-        size = f"{significant(one.slope)} {one.unit} ({significant(one.low)} to {significant(one.high)})"
+        size = f"{_with_unit(one.unit, one.slope)} ({_ends(one)})"
     return f"trend of the {one.quantity} of {one.location}: {size}, {WORDS[one.verdict]}"

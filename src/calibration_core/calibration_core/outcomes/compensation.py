@@ -13,6 +13,7 @@ from calibration_core.compensation.requests import corrected_rates
 from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.compensation.tables import times_of
 from calibration_core.compensation.task import Task
+from calibration_core.model.effects.words import effect_words
 from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS, CalibratedModel
 from calibration_core.motion.speed import SAFETY_RATED_SPEED, Monitored, first_beyond
 from calibration_core.timeseries import Float1D, Float2D
@@ -133,7 +134,7 @@ def _nominal_geometry(model: CalibratedModel) -> list[str]:
 def _left_aside(found: Compensation) -> list[str]:
     if not found.aside:
         return []
-    names = sorted({effect.effect.replace("_", " ") for effect in found.aside})
+    names = sorted({effect_words(effect.effect) for effect in found.aside})
     return [f"Not compensated (of the measurement, or the task lacks path, time or temperature): {', '.join(names)}."]
 
 

@@ -31,7 +31,7 @@ class Simulated:
     Attributes:
         plan: What was measured, spares left out.
         made: Whether the plan was made here, because none was given.
-        parameters: The model that answered.
+        parameters: The simulated model.
         seed: Seed of the instrument noise; None: no noise.
         readings: The measurement table.
         recording: The streams of the bag.

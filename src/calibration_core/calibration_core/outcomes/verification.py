@@ -9,7 +9,7 @@ import numpy as np
 from calibration_core.acceptance.decision import guard_factor
 from calibration_core.acceptance.verification import Verification
 from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS
-from calibration_core.report.rounding import counted
+from calibration_core.report.rounding import counted, listed
 from calibration_core.timeseries import Float2D
 
 ELSEWHERE = 3.0  # so much smaller would the error be: tracker or robot stand elsewhere than in the model
@@ -59,8 +59,6 @@ def remarks(found: Verification) -> list[str]:
         )
     if found.outside.any():
         numbers = np.unique(found.readings.configuration[found.outside])
-        shown = ", ".join(map(str, numbers[:8])) + (" and more" if len(numbers) > 8 else "")
-        texts.append(
-            f"Outside the range that the model was identified in: {counted(len(numbers), 'configuration')}, {shown}."
-        )
+        named = f"{'configuration' if len(numbers) == 1 else 'configurations'} {listed([*map(str, numbers)], 8)}"
+        texts.append(f"Outside the range that the model was identified in: {named}.")
     return texts

@@ -39,7 +39,8 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
     for number, finding in enumerate(diagnosis.findings, start=1):
         lines.append(f"{number}. {finding.explanation}")
         lines.append(f"   held-out squared error falls by {100 * finding.held_out_gain:z.0f} %")
-    lines += [f"where: {sentence}" for sentence in diagnosis.located]
+    where = () if diagnosis.where is None else diagnosis.where.sentences
+    lines += [f"where: {sentence}" if sentence in where else sentence for sentence in diagnosis.located]
     lines.append(
         f"residual per coordinate {_um(diagnosis.rms_before)} -> {_um(diagnosis.rms_after)}, on configurations left "
         f"out {_um(diagnosis.held_out_before)} -> {_um(diagnosis.held_out_after)}, noise {_um(diagnosis.noise)}"

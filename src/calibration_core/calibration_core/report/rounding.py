@@ -33,6 +33,20 @@ MICROMETRE = Unit(1e6, "µm")
 MILLIMETRE = Unit(1e3, "mm")
 STIFFNESS = Unit(1e-5, "10⁵ N·m/rad")
 
+_READABLE = {
+    "rad": Unit(1e6, "µrad"),
+    "m": MICROMETRE,
+    "rad/(N*m)": Unit(1e9, "10⁻⁹ rad/(N·m)"),
+    "m/N": Unit(1e9, "10⁻⁹ m/N"),
+}
+
+
+def readable_unit(unit: str) -> Unit:
+    """Return the unit in which small quantities of an SI unit, or of one per year, are read: `rad` in µrad."""
+    base = unit.removesuffix("/year")
+    known = _READABLE.get(base, Unit(1.0, base.replace("*", "·")))
+    return Unit(known.factor, known.name + unit[len(base) :])
+
 
 def length_unit(typical: float) -> Unit:
     """Return the unit in which lengths of the size `typical` (m) are read best: µm below 0.5 mm, else mm."""
@@ -66,6 +80,11 @@ def significant(value: float, digits: int = 2) -> str:
 def spread(value: float) -> str:
     """Return the size of a deviation or uncertainty: two significant digits, whole numbers in full from 100 on."""
     return fixed(value, 0) if abs(value) >= 99.5 else significant(value)
+
+
+def interval_end(value: float, places: int) -> str:
+    """Return an end of an interval with the given decimals, or as many more as two significant digits need."""
+    return fixed(value, max(places, decimals(abs(value))) if value and math.isfinite(value) else places)
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:

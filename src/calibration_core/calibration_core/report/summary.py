@@ -7,7 +7,7 @@ import math
 from calibration_core.identification.result.estimate import Identification, JointStiffness, Stage
 from calibration_core.identification.result.tested import PARTS, TestResult
 from calibration_core.report.extent import configurations_text
-from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed
+from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed, interval_end
 from calibration_core.report.sections.together import together_lines
 
 
@@ -76,7 +76,7 @@ def _joint(joint: JointStiffness) -> str:
     places = decimals(STIFFNESS.factor * joint.std)
     value = fixed(STIFFNESS.factor * joint.value, places) if math.isfinite(joint.value) else DASH
     std = fixed(STIFFNESS.factor * joint.std, places) if math.isfinite(joint.std) else DASH
-    low, high = (fixed(STIFFNESS.factor * end, places) if math.isfinite(end) else "∞" for end in joint.interval)
+    low, high = (interval_end(STIFFNESS.factor * one, places) if math.isfinite(one) else "∞" for one in joint.interval)
     reason = f"   {joint.reason}" if joint.reason else ""
     name = joint.joint if joint.unit == "N*m/rad" else f"{joint.joint} [10⁵ N/m]"
     return f"{name:<24} {value + ' ± ' + std:>26}   {low} … {high}{_beside(joint)}{reason}"

@@ -8,7 +8,7 @@ from acceptance_cases import identified, small
 
 from calibration_core.acceptance.recheck import FEWEST, MOST, Recheck, changes_of
 from calibration_core.acceptance.verification import frame_columns, verify
-from calibration_core.commands.planning.recheck import plan_recheck
+from calibration_core.commands.planning.recheck import plan_recheck, recheck_question, recheck_summary
 from calibration_core.errors import PlanError
 from calibration_core.model.identified.named_values import value_of, with_values
 from calibration_core.model.simulation.simulate import simulate_plan
@@ -27,6 +27,8 @@ def test_few_poses_decide(planned: tuple[Plan, Recheck]) -> None:
     plan, found = planned
     assert FEWEST <= len(plan.primary) <= MOST
     assert found.missed == ()
+    question = f"{len(plan.primary)} poses for the question: does the calibration hold within 0.1 mm?"
+    assert recheck_summary(found)[0] == recheck_question(found) == question
     assert min(found.coverage.values()) >= 1.0
     assert all(len(one.steps) == 2 for one in plan.primary)
 

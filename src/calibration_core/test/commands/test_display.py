@@ -42,8 +42,7 @@ def test_describe_says_what_a_result_says(result: Path, capsys: pytest.CaptureFi
     for place in (result, result / "result.json"):
         assert main(["describe", str(place)]) == 0
         told = capsys.readouterr().out
-        assert "Stiffness of joint_1: 1.09e+05 ±" in told
-        assert "N·m/rad" in told
+        assert "Stiffness of joint_1: (1.090 ± 0.038)·10⁵ N·m/rad (95 %)" in told
         assert "Verdict: consistent." in told
     assert main(["describe", str(result), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["command"] == "identify"
@@ -78,10 +77,10 @@ def test_findings_anomalies_and_the_light_are_described() -> None:
             "next_measurements": [{"why": "because"}],
         }
     )
-    assert lines[1:3] == ["Usable: with_reservations. A target moved.", "Next step: Measure again."]
-    assert "Stiffness of j: not identifiable. no load" in lines
+    assert lines[1:3] == ["Usable: with reservations. A target moved.", "Next step: Measure again."]
+    assert "Stiffness of j: not identifiable. No load." in lines
     assert "Finding: backlash at joint joint_4. It steps." in lines
-    assert "Anomaly: target_moved at point mp1. by 1 mm" in lines
+    assert "Anomaly: target moved at point mp1. by 1 mm" in lines
 
 
 @pytest.mark.parametrize(("wrong", "right"), [("identfy", "identify"), ("imprt", "import"), ("describ", "describe")])
@@ -151,3 +150,11 @@ def test_a_bar_is_drawn_on_a_terminal() -> None:
     assert run.returncode == 0
     assert b"diagnose: looking for missing physics" in seen
     assert b"left:" in seen
+
+
+def test_places_are_described_in_words() -> None:
+    finding = {"effect": "joint_coupling", "location": {"joints": ["joint_4", "joint_5"]}, "explanation": "It is so."}
+    everywhere = {"effect": "off_axis_compliance", "location": {"joints": "all"}, "explanation": "It is so."}
+    lines = describe({"command": "diagnose", "findings": [finding, everywhere]})
+    assert "Finding: joint coupling at joints joint_4 and joint_5. It is so." in lines
+    assert "Finding: off-axis compliance at all joints. It is so." in lines

@@ -9,6 +9,7 @@ import pytest
 from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.data_checks.adequacy import against_noise
 from calibration_core.diagnosis.data_checks.noise import claimed, directions, scatter, with_noise
 from calibration_core.diagnosis.data_checks.step_direction import Jumps, jumps_along_a_joint
 from calibration_core.identification.statistics.offsets import whitened
@@ -137,3 +138,8 @@ def test_noise_that_steps_share_follows_no_joint(prepared: PreparedLoaded) -> No
 
 def test_a_load_that_is_not_followed_jumps_nowhere(prepared: PreparedLoaded) -> None:
     assert jumps(prepared, np.zeros((450, 3))) is None
+
+
+def test_what_the_residual_is_compared_with_is_named() -> None:
+    found = against_noise(1e-3, 100, 4.5e-5, np.inf, {7: 1e-3}, "1.5 times the stated noise")
+    assert "are more than 1.5 times the stated noise (45.0 µm) and not explained" in found.text

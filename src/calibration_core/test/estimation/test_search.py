@@ -111,7 +111,10 @@ def test_what_a_later_cause_turns_negative_goes() -> None:
         candidate("bending", "joint_2", "second", 1, positive=True),
     ]
     residual = truth + rng.standard_normal(3 * READINGS)
-    assert searched(residual, flat, np.column_stack([first, second]), candidates) == ["second"]
+    search = search_of(residual, flat, np.column_stack([first, second]), candidates)
+    found = search.run()
+    assert [search.field.offered.hypotheses[i].variant for i in found.accepted] == ["second"]
+    assert found.refused == ("Rejected: “bending at joint 1”: a compliance would be negative.",)
     free = [candidate("bending", f"joint_{k}", name, 1) for k, name in ((1, "first"), (2, "second"))]
     assert searched(residual, flat, np.column_stack([first, second]), free) == ["second", "first"]
 

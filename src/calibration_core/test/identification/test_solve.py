@@ -70,4 +70,13 @@ def test_intervals_are_reciprocal_and_finite_where_a_joint_may_be_rigid() -> Non
     np.testing.assert_allclose((first.value, first.std), (1e6, 1e5), rtol=1e-9)
     assert first.identifiable
     assert 1e7 < second.interval[1] < 1e9  # 1 sigma from zero: the normal distribution above zero
-    assert "hardly identifiable: relative standard deviation 100 %" in second.reason
+    np.testing.assert_allclose(second.compliance_std / second.compliance, 1.0, rtol=1e-9)
+    assert second.reason == (
+        "hardly identifiable: the standard deviation of its compliance exceeds a third of it (load 1 N·m rms)"
+    )
+
+
+def test_loads_of_sliding_joints_are_forces_and_large_ones_are_written_in_full() -> None:
+    solution = solve_non_negative(*_normal(np.eye(2), np.array([1e-6, 1e-7])), np.zeros(2))
+    _, second = stiffness_table(("a", "b"), solution, 1e-7, None, np.array([1.0, 1234.0]), (False, True))
+    assert second.reason.endswith("(load 1,230 N rms)")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from calibration_core.model.effects import catalogue
-from calibration_core.model.effects.words import effect_sentence, people_unit, plain_name
+from calibration_core.model.effects.words import effect_sentence, effect_words, people_unit, plain_name
 from calibration_core.report.sections.diagnosis import _parameter
 
 
@@ -34,6 +34,16 @@ def test_sentences(effect: str, location: dict[str, str | list[str]], sentence: 
 def test_names_and_units() -> None:
     assert plain_name("shoulder_pan_joint") == "shoulder_pan_joint"
     assert people_unit("N*m/rad") == "N·m/rad"
+
+
+def test_names_of_effects_are_written_as_words() -> None:
+    assert effect_words("off_axis_compliance") == "off-axis compliance"
+    assert effect_words("pose_dependent_stiffness") == "pose-dependent stiffness"
+    assert effect_words("link_bending") == "link bending"
+
+
+def test_a_harmonic_is_a_number_of_waves_without_an_interval() -> None:
+    assert _parameter("harmonic", 4.0, 0.0, "1") == ("harmonic", "4", "–", "per revolution")
 
 
 def test_a_compliance_is_printed_as_the_stiffness_that_it_is() -> None:

@@ -13,7 +13,7 @@ from calibration_core.identification.result.estimate import Identification, Nois
 from calibration_core.identification.stiffness.predict import references
 from calibration_core.report.content import build, date_of_test
 from calibration_core.report.document import Document, Facts, Items, Paragraph, Table
-from calibration_core.report.sections import procedure, residuals, stiffness, uncertainty
+from calibration_core.report.sections import procedure, records, residuals, stiffness, uncertainty
 from calibration_core.report.shown import shown
 
 DAY = dt.date(2026, 3, 5)
@@ -135,6 +135,33 @@ def test_a_joint_that_is_not_determined_is_named_with_its_reason(loaded: Identif
     assert dict(document.verdict.lines)["Not identifiable"] == "joint_6"
     assert table(document, 2).rows[5][2:4] == ("–", "≥ 0.90")
     assert "kθ₆ (joint_6): no torque acts" in text(document)
+
+
+def test_no_change_is_stated_of_a_stiffness_that_is_not_determined(loaded: Identification) -> None:
+    first = loaded.stiffness[0]
+    weak = dataclasses.replace(loaded.stiffness[5], value=7e7, std=6.4e8, interval=(2.84e6, 1.9e8), identifiable=False)
+    softer = dataclasses.replace(first, value=0.7 * first.value)
+    after = (softer, *loaded.stiffness[1:5], weak)
+    found = stiffness.extended_table(loaded.stiffness, after)
+    assert found.rows[0][-1] == "−30"
+    assert found.rows[1][-1] == "0"
+    assert found.rows[5][3] == "28 to 1900"
+    assert found.rows[5][-1] == "–"
+    assert found.note == stiffness.NO_CHANGE
+    assert stiffness.extended_table(loaded.stiffness[:1], after[:1]).note == ""
+
+
+def test_diamonds_are_explained_where_there_are_any(loaded: Identification, cell: Cell, absolute_cell: Cell) -> None:
+    assert "diamonds: cell file" in stiffness.drawing_of(loaded, cell).caption
+    assert "diamonds" not in stiffness.drawing_of(loaded, absolute_cell).caption
+
+
+def test_outliers_are_no_stretch_of_configurations(loaded: Identification) -> None:
+    (named,) = (one for one in loaded.anomalies if one.kind == "outlier_readings")
+    named = dataclasses.replace(named, configurations=(11, 17))
+    (remarks,) = records.remark_section(dataclasses.replace(loaded, anomalies=(named,)))
+    assert isinstance(remarks, Items)
+    assert f"outlier readings: {named.text}" in remarks.texts
 
 
 def test_an_absolute_recording_says_why_table_2_is_empty(absolute: Identification, absolute_cell: Cell) -> None:

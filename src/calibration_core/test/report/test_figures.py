@@ -13,11 +13,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull, QhullError
 
 from calibration_core.cell import Cell
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.report.document import Document
+from calibration_core.report.figures import style
+from calibration_core.report.figures.application import LEAST, errors_figure
 from calibration_core.report.figures.identification import (
     grouped,
     grouped_rms,
@@ -47,6 +50,7 @@ def test_well_formed_without_scripts_dates_or_outside_references(name: str, docu
     assert {figure.key for figure in figures} >= {"residuals", "prediction", "normality", "correlation", "space"}
     for svg in (figure.svg for figure in figures):
         root = ET.fromstring(svg)
+        assert b"$" not in svg  # a formula that the fonts of the report do not set
         assert root.tag == "{http://www.w3.org/2000/svg}svg"
         assert not [element for element in root.iter() if element.tag.endswith(("script", "foreignObject"))]
         images = [element for element in root.iter() if element.tag.endswith("}image")]
@@ -224,3 +228,15 @@ def test_diagrams_beside_each_other_are_one_drawing_and_can_be_shown_one_by_one(
     with drawing(1.0, 3.0) as (_, single):
         pass
     assert parts(single.getvalue()) == [(single.getvalue(), pytest.approx(3.0 / WIDTH))]
+
+
+def test_errors_stand_on_plain_numbers_and_whole_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What iteration leaves, 1e-9 mm, stretches no axis, and powers of ten are written in full."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(style, "Figure", lambda **sizes: drawn.append(Figure(**sizes)) or drawn[-1])
+    svg = errors_figure(np.full(3, 0.6), np.full(3, 1e-9), np.full(3, 0.006), ("row", "predicted with"))
+    assert b"$" not in svg
+    (axes,) = drawn[0].axes
+    assert axes.get_ylim()[0] > LEAST / 10
+    assert {label.get_text() for label in axes.get_yticklabels()} >= {"0.01", "0.1"}
+    assert all(float(at).is_integer() for at in axes.get_xticks())

@@ -115,3 +115,12 @@ def test_the_light_is_told_by_shape_and_word_too(documents: dict[str, Document])
     page = render_html(documents["loaded"], None).decode()
     assert f'class="verdict {light}"' in page
     assert {"yes": "●", "with_reservations": "▲", "no": "■"}[light] in page
+
+
+def test_short_tables_are_printed_on_one_page_and_clauses_are_counted(documents: dict[str, Document]) -> None:
+    page = render_html(documents["absolute"], None).decode()
+    rows = [part.count("<tr>") - 1 for part in page.split("<table>")[1:]]
+    short = ['"scroll short"' in part[-200:] for part in page.split("<table>")[:-1]]
+    assert short == [count <= 24 for count in rows]
+    assert "CWA 17384, clauses 7.1 to 7.5" in page
+    assert "CWA 17384, clause 8 d)" in page

@@ -15,9 +15,11 @@ from calibration_core.report.rounding import (
     counted,
     decimals,
     fixed,
+    interval_end,
     length_unit,
     listed,
     padded,
+    readable_unit,
     rms,
     shortened,
     significant,
@@ -112,3 +114,25 @@ def test_words() -> None:
 def test_rms_ignores_what_is_not_finite() -> None:
     assert rms(np.array([3.0, 4.0, np.nan])) == pytest.approx(math.sqrt(12.5))
     assert math.isnan(rms(np.array([])))
+
+
+@pytest.mark.parametrize(
+    ("value", "places", "text"),
+    [
+        (13.88, 2, "13.88"),
+        (28.4, -2, "28"),
+        (7.18, -2, "7.2"),
+        (1930.0, -2, "1900"),
+        (0.0, -2, "0"),
+        (0.004, 1, "0.0040"),
+    ],
+)
+def test_the_end_of_an_interval_is_never_rounded_to_nothing(value: float, places: int, text: str) -> None:
+    assert interval_end(value, places) == text
+
+
+def test_small_quantities_are_read_in_units_of_their_size() -> None:
+    assert (readable_unit("rad").factor, readable_unit("rad").name) == (1e6, "µrad")
+    assert readable_unit("rad/year").name == "µrad/year"
+    assert readable_unit("rad/(N*m)").name == "10⁻⁹ rad/(N·m)"
+    assert (readable_unit("N*m").factor, readable_unit("N*m").name) == (1.0, "N·m")

@@ -176,6 +176,6 @@ def verification_summary(found: Verification) -> str:
     text = f"{counted(len(found.size), 'reading')}: error mean {1e3 * after['mean']:.3f} mm"
     if found.before is not None:
         text += f" (cell file: {1e3 * error_sizes(found.before)['mean']:.3f} mm)"
-    lines.append(f"{text}, U = {1e3 * COVERAGE * float(found.uncertainty.max()):.3f} mm (k = {COVERAGE:g})")
+    lines.append(f"{text}, U at most {1e3 * COVERAGE * float(found.uncertainty.max()):.3f} mm (k = {COVERAGE:g})")
     lines += remarks(found)
     return "\n".join(lines)

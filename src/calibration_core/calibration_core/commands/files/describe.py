@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ from typing import Any
 from calibration_core.commands.files.describe_use import describe_use, records
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.regular import read_regular
+from calibration_core.model.effects.words import effect_words
 from calibration_core.report.results.result import SCHEMA
-from calibration_core.report.rounding import counted
+from calibration_core.report.rounding import STIFFNESS, counted, decimals, fixed, phrase, significant
 from calibration_core.report.writing.output import RESULT
 
 MOST = 1 << 28  # bytes of a result.json
@@ -61,7 +63,7 @@ def describe(result: Mapping[str, Any]) -> list[str]:
     lines += _recording(result) if result["command"] not in OF_ROWS else []
     lines += _recordings(result)
     if "usable" in result:
-        lines += [f"Usable: {result['usable']}. {result.get('reason', '')}".rstrip()]
+        lines += [f"Usable: {str(result['usable']).replace('_', ' ')}. {_sentence(result.get('reason'))}".rstrip()]
         lines += [f"Next step: {result['next_step']}"] if result.get("next_step") else []
     verdict = result.get("verdict")
     if isinstance(verdict, str) and verdict in VERDICTS and result["command"] in {"identify", "diagnose"}:
@@ -113,15 +115,23 @@ def _recordings(result: Mapping[str, Any]) -> list[str]:
 
 
 def _named(title: str, of: Mapping[str, Any], name: str, text: str) -> str:
-    return f"{title}: {of.get(name)} at {_place(of)}. {of.get(text) or ''}".rstrip()
+    return f"{title}: {effect_words(str(of.get(name)))} at {_place(of)}. {of.get(text) or ''}".rstrip()
 
 
 def _joint(joint: Mapping[str, Any]) -> str:
     value, std, unit = joint.get("value"), joint.get("std"), str(joint.get("unit", "")).replace("*", "·")
     if not isinstance(value, int | float) or not joint.get("identifiable", True):
-        return f"Stiffness of {joint.get('joint')}: not identifiable. {joint.get('reason') or ''}".rstrip()
-    spread = f" ± {1.96 * std:.3g} (95 %)" if isinstance(std, int | float) else ""
-    return f"Stiffness of {joint.get('joint')}: {value:.4g}{spread} {unit}"
+        return f"Stiffness of {joint.get('joint')}: not identifiable. {_sentence(joint.get('reason'))}".rstrip()
+    half = STIFFNESS.factor * 1.96 * std if isinstance(std, int | float) else math.nan
+    known = math.isfinite(half) and half > 0
+    size = STIFFNESS.factor * value
+    number = f"({fixed(size, decimals(half))} ± {fixed(half, decimals(half))})" if known else significant(size, 4)
+    return f"Stiffness of {joint.get('joint')}: {number}·10⁵ {unit}" + (" (95 %)" if known else "")
+
+
+def _sentence(text: Any) -> str:
+    """Return a text as a sentence, with a capital and a full stop; nothing for nothing."""
+    return f"{text[0].upper()}{text[1:].removesuffix('.')}." if isinstance(text, str) and text else ""
 
 
 def _fit(fit: Any) -> list[str]:
@@ -141,4 +151,10 @@ def _place(of: Mapping[str, Any]) -> str:
     location = of.get("location")
     if not isinstance(location, Mapping) or not location:
         return "the whole recording"
-    return ", ".join(f"{key} {value}" if value != key else str(key) for key, value in location.items())
+    return ", ".join(_at(str(key), value) for key, value in location.items())
+
+
+def _at(key: str, value: Any) -> str:
+    """Return a place: `joint joint_2`, `joints joint_2 and joint_3`, `all joints`, or what is there once, `tracker`."""
+    named = phrase([*map(str, value)]) if isinstance(value, list) else str(value)
+    return f"all {key}" if named == "all" else key if named == key else f"{key} {named}"

@@ -29,7 +29,7 @@ from calibration_core.report.document import (
     cleaned,
     numbered,
 )
-from calibration_core.report.rounding import DASH, counted, padded, significant
+from calibration_core.report.rounding import DASH, counted, fixed, padded, significant
 from calibration_core.report.writing.fleet_page import render_fleet_html
 from calibration_core.report.writing.output import REPORT_HTML, REPORT_PDF, Content
 from calibration_core.report.writing.pdf import render_pdf
@@ -206,8 +206,8 @@ def _laws(laws: Sequence[PooledQuantity], states: Sequence[JointState]) -> Table
         values = [s.raw for s in states if (s.kind, s.joint) == (one.quantity.kind, one.quantity.joint)]
         share = next(iter(one.shares.values()))
         rows.append((
-            one.quantity.kind, one.quantity.joint, f"{1e3 * sorted(values)[len(values) // 2]:.3f}",
-            f"{1e3 * max(values):.3f}", f"{100 * share:.1f} %",
+            one.quantity.kind, one.quantity.joint, fixed(1e3 * sorted(values)[len(values) // 2], 3),
+            fixed(1e3 * max(values), 3), f"{100 * share:.1f} %",
         ))  # fmt: skip
     columns = (
         Column("Quantity", "left"), Column("Joint", "left"), Column("Median [mrad]"), Column("Largest [mrad]"),

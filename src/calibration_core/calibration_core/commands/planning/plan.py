@@ -33,6 +33,7 @@ from calibration_core.commands.planning.protocols import judged_protocols, proto
 from calibration_core.commands.planning.recheck import (
     can_load,
     plan_recheck,
+    recheck_question,
     recheck_result,
     recheck_section,
     recheck_summary,
@@ -133,7 +134,15 @@ class Planned:
         sections = sections if self.again is None else (recheck_section(self.again),)
         sections = sections if self.sisters is None else (sisters_section(self.sisters), *sections)
         document = plan_document(
-            self.plan, self.cell, self.space, result, self.inputs, seed=self.seed, further=sections, notes=self.notes
+            self.plan,
+            self.cell,
+            self.space,
+            result,
+            self.inputs,
+            seed=self.seed,
+            further=sections,
+            purpose="" if self.again is None else recheck_question(self.again),
+            notes=self.notes,
         )
         return {**files, **rendered(document, space_view(self.space, self.cell))}
 

@@ -10,6 +10,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.diagnosis.proposals.protocol import PROTOCOLS, Pace, Worth, worth_of
+from calibration_core.model.effects.words import effect_words
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.planning.plans.measurement_queue import SequenceRules
@@ -68,7 +69,7 @@ def protocols_section(judged: Sequence[Worth]) -> tuple[Section, ...]:
                 DASH if one is base else f"{one.minutes - base.minutes:+z.0f}",
                 spread(100 * float(one.stiffness_std.max())),
                 f"{len(one.shown)} / {len(one.distinguished)}",
-                ", ".join(effect.replace("_", " ") for effect in new) or DASH,
+                ", ".join(effect_words(effect) for effect in new) or DASH,
                 _sharper(one, base),
             )
         )
@@ -100,4 +101,4 @@ def _sharper(one: Worth, base: Worth) -> str:
         if effect in base.apart and one.apart[effect] >= 2 * base.apart[effect]
     }
     best = sorted(gain, key=lambda effect: -gain[effect])[:3]
-    return ", ".join(f"{effect.replace('_', ' ')} {gain[effect]:.0f}" for effect in best) or DASH
+    return ", ".join(f"{effect_words(effect)} {gain[effect]:.0f}" for effect in best) or DASH

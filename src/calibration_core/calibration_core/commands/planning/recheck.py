@@ -146,11 +146,17 @@ def recheck_result(found: Recheck) -> dict[str, Any]:
     }
 
 
+def recheck_question(found: Recheck) -> str:
+    """Return what the poses are for."""
+    poses = counted(len(found.chosen), "pose")
+    return f"{poses} for the question: does the calibration hold within {1e3 * found.tolerance:g} mm?"
+
+
 def recheck_summary(found: Recheck) -> list[str]:
     """Return what the poses decide, in a few lines."""
     sure = f"{100 * (1 - found.risk):g} %"
     tolerance = f"{1e3 * found.tolerance:g} mm"
-    lines = [f"{counted(len(found.chosen), 'pose')} for: does the calibration hold within {tolerance}?"]
+    lines = [recheck_question(found)]
     if found.missed:
         worst = found.missed[0]
         reach = found.tolerance / max(found.coverage[worst], 1e-9)

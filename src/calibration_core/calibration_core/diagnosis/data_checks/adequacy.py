@@ -22,7 +22,9 @@ WORST = 5
 NOTHING = "The residual agrees with the noise."
 
 
-def against_noise(seen: float, freedom: float, noise: float, noise_freedom: float, per: Mapping[int, float]) -> Rest:
+def against_noise(
+    seen: float, freedom: float, noise: float, noise_freedom: float, per: Mapping[int, float], name: str = "noise"
+) -> Rest:
     """Compare a residual with the noise, and say where it is largest.
 
     Args:
@@ -31,6 +33,7 @@ def against_noise(seen: float, freedom: float, noise: float, noise_freedom: floa
         noise: Standard deviation of one coordinate of the noise, m.
         noise_freedom: Degrees of freedom from which it is known; infinity: it is stated.
         per: Number of a configuration -> rms of one coordinate of its residual, m.
+        name: What `noise` is, in words.
     """
     excess, significant = beyond_noise(seen, freedom, noise, noise_freedom)
     if not significant:
@@ -38,7 +41,7 @@ def against_noise(seen: float, freedom: float, noise: float, noise_freedom: floa
     worst = sorted(per, key=lambda number: -per[number])[:WORST]
     where = {"configurations": worst, "times_noise": [round(per[number] / noise, 2) for number in worst]}
     text = (
-        f"{1e6 * seen:.1f} µm per coordinate remain, of which {1e6 * excess:.1f} µm are more than noise "
+        f"{1e6 * seen:.1f} µm per coordinate remain, of which {1e6 * excess:.1f} µm are more than {name} "
         f"({1e6 * noise:.1f} µm) and not explained; they are largest in configurations {', '.join(map(str, worst))}."
     )
     return Rest(excess, True, where, text)
@@ -61,7 +64,9 @@ def what_remains(found: Estimate, readings: Readings, claimed: float) -> Rest:
     numbers, index = np.unique(readings.configuration, return_inverse=True)
     mean = np.bincount(index.reshape(-1), squares) / np.bincount(index.reshape(-1))
     per = dict(zip(numbers.tolist(), np.sqrt(mean / 3).tolist(), strict=True))
-    rest = against_noise(seen, freedom, *noise_floor(readings, used, claimed, shared), per)
+    floor, known = noise_floor(readings, used, claimed, shared)
+    name = "noise" if math.isfinite(known) else f"{MISSTATED:g} times the stated noise"
+    rest = against_noise(seen, freedom, floor, known, per, name)
     if not rest.significant:
         return rest
     return dataclasses.replace(rest, where={**rest.where, "joints": followed(found)})

@@ -161,7 +161,7 @@ def outlier_readings(excluded: Bool1D, size: float, readings: Readings) -> tuple
     if not len(rows):
         return ()
     keys = [(int(readings.configuration[i]), int(readings.step[i]), readings.points[readings.point[i]]) for i in rows]
-    text = outlier_text(keys, size, "the others of their configuration under the model of the diagnosis")
+    text = outlier_text(keys, size, "the others of the same configuration under the model of the diagnosis")
     where = {"tracker": "tracker"}
     return (Anomaly(OUTLIERS, where, (keys[0][0], keys[-1][0]), size, "m", text),)
 

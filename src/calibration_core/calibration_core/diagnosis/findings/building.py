@@ -9,7 +9,7 @@ import numpy as np
 from calibration_core.diagnosis.result.finding import Alternative, FoundParameter, Location
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.words import effect_sentence
+from calibration_core.model.effects.words import effect_sentence, effect_words
 from calibration_core.timeseries import Float1D, Float2D
 
 
@@ -47,4 +47,4 @@ def confounded_with(alternatives: Sequence[Alternative]) -> str:
 
 def separating(effects: Iterable[str]) -> str:
     """Return the measurements that would decide between effects, by name."""
-    return "; ".join(f"{name.replace('_', ' ')}: {effect_named(name).reveal}" for name in dict.fromkeys(effects))
+    return "; ".join(f"{effect_words(name)}: {effect_named(name).reveal}" for name in dict.fromkeys(effects))

@@ -118,6 +118,6 @@ class LoadedKnowledge(Knowledge):
     def inseparable(self, names: Sequence[str]) -> str:
         """Return a sentence on candidates that no load at the flange separates from their rivals."""
         return (
-            f"No load at the flange distinguishes “{'” and “'.join(names)}” from what does as well: a target "
-            "on the link before, another sensor or another place of the load is needed."
+            f"No load at the flange distinguishes “{'” and “'.join(names)}” from the explanations that do as well: a "
+            "target on the link before, another sensor or another place of the load is needed."
         )

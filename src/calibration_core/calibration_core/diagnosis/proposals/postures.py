@@ -22,7 +22,7 @@ from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.geometry.problem import problem_of
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.traits import Trait
-from calibration_core.model.effects.words import listed_location
+from calibration_core.model.effects.words import effect_sentence
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
 from calibration_core.timeseries import Float2D, Float3D
@@ -88,7 +88,7 @@ class _Postures(Knowledge):
 
     def name(self, index: int) -> str:
         one = self.known.of(index)
-        return f"{one.effect.replace('_', ' ')} ({one.variant}) at {listed_location(one.location)}"
+        return f"{effect_sentence(one.effect, one.location)} ({one.variant})"
 
     def posterior(self, chosen: Sequence[int]) -> HypothesisPosterior:
         field, f = self.known.field, self.known.field.flat_count
@@ -139,4 +139,4 @@ class _Postures(Knowledge):
         return []
 
     def inseparable(self, names: Sequence[str]) -> str:
-        return f"No posture alone separates {' and '.join(names)} from what does as well."
+        return f"No posture alone distinguishes “{'” and “'.join(names)}” from the explanations that do as well."

@@ -138,22 +138,22 @@ def rejects(check: NoiseCheck, claimed: float) -> bool:
 
 
 def _text(claimed: float, rest: NoiseCheck, model_free: list[NoiseCheck], rejected: set[str]) -> str:
-    claim = f"claimed {claimed * 1e6:.1f} µm per coordinate"
+    claim = f"The cell file states {claimed * 1e6:.1f} µm per coordinate"
     seen = "; ".join(f"{check.source} {check.seen * 1e6:.1f} µm" for check in (*model_free, rest))
     if not rejected:
-        return f"{claim}, seen: {seen}. The claim stands."
+        return f"{claim}; the recording shows: {seen}. What is stated holds."
     if rejected == {"residual"} and model_free:
         return (
-            f"{claim}, seen: {seen}. The instrument is as good as stated; the model leaves a residual that noise does "
-            "not explain, and the uncertainties are widened by it."
+            f"{claim}; the recording shows: {seen}. The instrument is as good as stated; the model leaves a "
+            "residual that noise does not explain, and the uncertainties are widened by it."
         )
     if rejected == {"residual"}:
         return (
-            f"{claim}, seen: {seen}. The claimed noise does not explain the residual: the noise is larger than "
-            "claimed, or the model leaves something out; one point without repeats cannot show which. The "
-            "uncertainties are widened by it."
+            f"{claim}; the recording shows: {seen}. The claimed noise does not explain the residual: the "
+            "noise is larger than claimed, or the model leaves something out; one point without repeats cannot show "
+            "which. The uncertainties are widened by it."
         )
-    return f"{claim}, seen: {seen}. The noise is larger than claimed."
+    return f"{claim}; the recording shows: {seen}. The noise is larger than claimed."
 
 
 def _laid_on(shape: Float2D, table: Float3D) -> Float3D:

@@ -131,7 +131,7 @@ def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
     rated = cell.robot.rated_load * (float(np.linalg.norm(cell.gravity)) or STANDARD_GRAVITY)
     sensor = cell.instruments.force_torque
     expanded = 2 * np.sqrt(3) * (0.0 if sensor is None else sensor.sigma_force)  # k = 2, three axes
-    found = f"largest force {largest:.0f} N, {100 * largest / rated:.1f} %"
+    found = f"largest force {largest:,.0f} N, {100 * largest / rated:.1f} %"
     if rated < largest <= rated + expanded:
         found = (
             f"largest reading {largest:.0f} N, above the limit by {largest - rated:.1f} N, which is within the "
@@ -139,7 +139,7 @@ def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
         )
     return Precondition(
         "5.1",
-        f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:.0f} N)",
+        f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:,.0f} N)",
         f"{found} (torques are not part of this check)",
         bool(largest <= rated + expanded),
         "rated_load",

@@ -42,6 +42,7 @@ def stiffness_table(
         std = scale * float(np.sqrt(solution.covariance[i, i]))
         relative = std / value if value > 0 else np.inf
         stated_rigid = bool(rigid) and rigid[i]
+        slides = bool(prismatic) and prismatic[i]
         table.append(
             joint_stiffness(
                 joint,
@@ -52,20 +53,24 @@ def stiffness_table(
                 identifiable=bool(solution.determined[i]) and relative <= HARDLY,
                 reason="declared rigid in the cell file: not asked for"
                 if stated_rigid
-                else _reason(solution, i, relative, float(torque_rms[i])),
-                unit="N/m" if prismatic and prismatic[i] else "N*m/rad",
+                else _reason(solution, i, relative, _load(float(torque_rms[i]), slides=slides)),
+                unit="N/m" if slides else "N*m/rad",
             )
         )
     return tuple(table)
 
 
-def _reason(solution: Solution, i: int, relative: float, torque: float) -> str:
+def _load(size: float, *, slides: bool) -> str:
+    return f"load {float(f'{size:.3g}'):,g} {'N' if slides else 'N·m'}"
+
+
+def _reason(solution: Solution, i: int, relative: float, load: str) -> str:
     if not solution.determined[i]:
-        return f"not identifiable: no load on this joint that another joint does not share ({torque:.3g} N·m rms)"
+        return f"not identifiable: no load on this joint that another joint does not share ({load} rms)"
     if solution.at_bound[i]:
-        return f"not distinguishable from a rigid joint: the best compliance is zero ({torque:.3g} N·m rms)"
+        return f"not distinguishable from a rigid joint: the best compliance is zero ({load} rms)"
     if relative > HARDLY:
-        return f"hardly identifiable: relative standard deviation {100 * relative:.0f} % ({torque:.3g} N·m rms)"
+        return f"hardly identifiable: the standard deviation of its compliance exceeds a third of it ({load} rms)"
     return ""
 
 

@@ -56,8 +56,15 @@ def joint_stiffness(
         spread = math.inf
     if std > 0 and compliance <= DETERMINED * std:
         identifiable = False
-        reason = reason or f"its compliance may be zero: the stiffness is at least {interval[0]:.3g} {unit}"
+        reason = reason or f"its compliance may be zero: {at_least(interval[0], unit)}"
     return JointStiffness(joint, value, spread, interval, compliance, std, identifiable, reason, unit)
+
+
+def at_least(stiffness: float, unit: str) -> str:
+    """Return in words, in the unit of Table 2, that a stiffness (N*m/rad or N/m) is not below a value."""
+    size = 1e-5 * stiffness
+    places = max(1 - math.floor(math.log10(size)), 0) if 0 < size < math.inf else 0
+    return f"the stiffness is at least {size:,.{places}f}·10⁵ {unit.replace('*', '·')}"
 
 
 def positive_quantile(mean: float, std: float, probability: float) -> float:

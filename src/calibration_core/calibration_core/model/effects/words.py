@@ -25,8 +25,13 @@ def effect_sentence(effect: str, location: Mapping[str, str | Sequence[str]]) ->
     own = (known.sentence for known in catalogue() if known.name == effect)
     sentence = UNNAMED.get(effect) or next(own, "")
     if not sentence:
-        return f"{effect.replace('_', ' ')} at {place}"
+        return f"{effect_words(effect)} at {place}"
     return sentence.format(place=place) + ("" if within is None else f" in recording {within}")
+
+
+def effect_words(effect: str) -> str:
+    """Return the name of an effect or anomaly as one writes it: `off_axis_compliance` is off-axis compliance."""
+    return effect.replace("off_axis", "off-axis").replace("pose_dependent", "pose-dependent").replace("_", " ")
 
 
 def listed_location(location: Mapping[str, str | Sequence[str]]) -> str:

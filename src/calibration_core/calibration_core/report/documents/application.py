@@ -33,7 +33,7 @@ from calibration_core.report.document import (
 )
 from calibration_core.report.figures.application import errors_figure
 from calibration_core.report.figures.deflection_map import map_figure
-from calibration_core.report.rounding import fixed, padded
+from calibration_core.report.rounding import counted, fixed, padded
 from calibration_core.report.sections.records import traceability_section
 from calibration_core.report.writing.rendering import document_number
 from calibration_core.timeseries import Float2D
@@ -55,14 +55,14 @@ def compensation_document(applied: Applied, cell: Cell, inputs: Inputs, result: 
     lines = []
     if ok.any():
         lines.append(
-            ("Without", f"error at the tool {before[ok].mean():.3f} mm on average, {before[ok].max():.3f} mm at worst")
+            ("Without", f"Error at the tool {before[ok].mean():.3f} mm on average, {before[ok].max():.3f} mm at worst")
         )
         known = bound[ok][np.isfinite(bound[ok])]
         if len(known):
             text = f"at most {known.mean():.3f} mm on average, {known.max():.3f} mm at worst (95 %)"
             lines.append(("With", f"Error to be expected {text}"))
     counts = Counter(status for status in found.status if status != OK)
-    lines += [("Refused", f"{number} rows: {why}") for why, number in counts.most_common()]
+    lines += [("Refused", f"{counted(number, 'row')}: {why}") for why, number in counts.most_common()]
     rows = [
         (str(k + 1), *(fixed(float(x), 3) for x in (before[k], after[k], bound[k])), found.status[k])
         for k in range(min(len(ok), MOST_ROWS))
@@ -78,7 +78,10 @@ def compensation_document(applied: Applied, cell: Cell, inputs: Inputs, result: 
     verdict = Verdict(f"{int(ok.sum()):,} of {len(ok):,} targets corrected", tuple(lines))
     front: tuple[Block, ...] = (Table("Targets", columns, padded(rows), note),)
     if ok.any():
-        caption = "Errors at the tool, row by row: without the correction, and what is to be expected with it."
+        caption = (
+            "Errors at the tool, row by row: without the correction, and what is to be expected with it; below 0.1 µm "
+            "drawn at 0.1 µm."
+        )
         drawn = errors_figure(before, after, bound, ("row", "predicted with"))
         front = (*front, Figure("errors", caption, caption, drawn))
     texts = (*_beyond(applied.outside), *applied.remarks) or ("Every row lies within the model's valid range.",)
@@ -139,7 +142,9 @@ def deflection_document(done: Deflected, cell: Cell, inputs: Inputs, result: byt
 
 
 def _beyond(outside: Mapping[str, Sequence[int]]) -> list[str]:
-    return [f"{key}: {len(numbers):,} rows beyond what the recording covered" for key, numbers in outside.items()]
+    return [
+        f"{key}: {counted(len(numbers), 'row')} beyond what the recording covered" for key, numbers in outside.items()
+    ]
 
 
 def _bounded(value: float, bound: float) -> str:

@@ -25,7 +25,7 @@ from calibration_core.report.document import (
     cleaned,
     numbered,
 )
-from calibration_core.report.rounding import DASH, counted, fixed, listed, padded, shortened, significant
+from calibration_core.report.rounding import DASH, counted, fixed, listed, padded, readable_unit, shortened, significant
 from calibration_core.report.sections.records import traceability_section
 from calibration_core.report.view3d.space import space_view
 from calibration_core.report.writing.output import Content
@@ -117,7 +117,7 @@ def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
             padded([
                 (
                     shortened(one.location), significant(1e-5 * one.first, 4), significant(1e-5 * one.second, 4),
-                    fixed(100 * one.change, 2), f"{fixed(100 * one.low, 2)} … {fixed(100 * one.high, 2)}", _words(one),
+                    fixed(100 * one.change, 1), f"{fixed(100 * one.low, 1)} … {fixed(100 * one.high, 1)}", _words(one),
                     DASH if one.configurations is None else str(one.configurations),
                 )
                 for one in stiffness
@@ -137,8 +137,9 @@ def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
                 ),
                 padded([
                     (
-                        one.quantity, shortened(one.location), significant(one.first), significant(one.second),
-                        f"{significant(one.low)} … {significant(one.high)}", one.unit.replace("*", "·"), _words(one),
+                        one.quantity, shortened(one.location), _in(one.unit, one.first), _in(one.unit, one.second),
+                        f"{_in(one.unit, one.low)} … {_in(one.unit, one.high)}", readable_unit(one.unit).name,
+                        _words(one),
                         DASH if one.configurations is None else str(one.configurations),
                     )
                     for one in others
@@ -147,6 +148,10 @@ def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
             )
         )  # fmt: skip
     return tuple(blocks)
+
+
+def _in(unit: str, value: float) -> str:
+    return significant(readable_unit(unit).factor * value)
 
 
 NEEDED = "Configurations: so many in each measurement would tell a change of the limit; a dash: these are enough."

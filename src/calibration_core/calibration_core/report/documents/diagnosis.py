@@ -123,7 +123,7 @@ def _verdict(found: Diagnosis, light: Light) -> Verdict:
         ("Result", sentence[0].upper() + sentence[1:]),
         ("Residual", f"{_um(found.rms_before)} per coordinate without the findings, {_um(found.rms_after)} with them"),
         ("Left out", f"configurations not in the fit: {_um(found.held_out_before)} to {_um(found.held_out_after)}"),
-        ("Noise", f"{_um(found.noise)} per coordinate, as seen in the recording"),
+        ("Noise", f"{_um(found.noise)} per coordinate are taken for noise"),
     ]
     if found.anomalies:
         kinds = dict.fromkeys(anomaly.kind.replace("_", " ") for anomaly in found.anomalies)

@@ -72,6 +72,7 @@ def plan_document(
     day: dt.date | None = None,
     further: Sequence[Section] = (),
     notes: Sequence[Note] = (),
+    purpose: str = "",
 ) -> Document:
     """Build the report of a plan.
 
@@ -83,8 +84,9 @@ def plan_document(
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
         seed: Seed of the search.
         day: Date of planning; today (UTC) if not given.
+        purpose: What the plan is for, where it is no calibration; the headline.
         further: Sections after the loads: what other load steps would reveal, or what is promised of the geometry.
-        notes: What must be told of the given model.
+        notes: What must be said of the given model.
     """
     day = day or dt.datetime.now(dt.UTC).date()
     demands = plan_requirements(plan, cell, space)
@@ -110,7 +112,7 @@ def plan_document(
         title="Measurement plan",
         subtitle="Elastostatic compliance calibration according to CWA 17384",
         facts=_facts(plan, cell, day),
-        verdict=_verdict(plan, cell, space, demands),
+        verdict=_verdict(plan, cell, space, demands, purpose),
         front=front,
         sections=tuple(sections),
         signatures=("Planned by", "Approved by"),
@@ -136,7 +138,7 @@ def _facts(plan: Plan, cell: Cell, day: dt.date) -> Facts:
     return Facts(tuple(rows))
 
 
-def _verdict(plan: Plan, cell: Cell, space: OperatingSpace, demands: tuple[Precondition, ...]) -> Verdict:
+def _verdict(plan: Plan, cell: Cell, space: OperatingSpace, demands: tuple[Precondition, ...], purpose: str) -> Verdict:
     expected = plan.expected
     headline = f"{counted(len(plan.primary), 'configuration')} and {counted(len(plan.spares), 'spare')} planned"
     lines = []
@@ -167,7 +169,7 @@ def _verdict(plan: Plan, cell: Cell, space: OperatingSpace, demands: tuple[Preco
             f"{spread(1e3 * float(size.min()))} to {spread(1e3 * float(size.max()))} mm at {shortened(cell.points[0])}"
         )
         lines.append(("Deflection", f"expected under the full pull: {text}"))
-    return Verdict(headline, tuple((label, text[0].upper() + text[1:]) for label, text in lines))
+    return Verdict(purpose or headline, tuple((label, text[0].upper() + text[1:]) for label, text in lines))
 
 
 def _motion(plan: Plan) -> str:
@@ -277,7 +279,7 @@ def _loads(plan: Plan, cell: Cell) -> tuple[Block, ...]:
         pull = one.steps[int(np.argmax(np.linalg.norm(one.steps[:, :3], axis=1))), :3]
         size = float(np.linalg.norm(pull))
         angle = DASH if size == 0.0 else f"{np.degrees(np.arccos(np.clip(pull @ down / size, -1.0, 1.0))):.1f}"
-        rows.append((str(one.number), *(fixed(float(part), 0) for part in pull), f"{size:,.0f}", angle))
+        rows.append((str(one.number), *(fixed(float(part), 0) for part in pull), fixed(size, 0), angle))
     first = plan.primary[0].steps[:, :3]
     full = first[int(np.argmax(np.linalg.norm(first, axis=1)))]
     if not full.any():

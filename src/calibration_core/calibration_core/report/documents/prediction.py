@@ -135,7 +135,7 @@ def _verdict(found: Prediction, light: Light) -> Verdict:
         )
     lines.append(
         (
-            "Noise",
+            "Residual",
             (
                 f"{_size(found.error.rms, unit)} rms per coordinate, against {_size(expected, length_unit(expected))} "
                 "stated for one reading of the tracker"

@@ -51,8 +51,8 @@ def plan_requirements(plan: Plan, cell: Cell, space: OperatingSpace) -> tuple[Pr
             f"mean distance from a place of the operating space to the nearest configuration: {apart}", None,
         ),
         Precondition(
-            "5.1", f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:.0f} N)",
-            f"largest force {largest.max():.0f} N, {100 * largest.max() / rated:.1f} %",
+            "5.1", f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:,.0f} N)",
+            f"largest force {largest.max():,.0f} N, {100 * largest.max() / rated:.1f} %",
             bool(largest.max() <= 1.0001 * rated),
         ),
         Precondition(

@@ -66,7 +66,7 @@ def simulation_document(simulated: Simulated, cell: Cell, result: bytes, day: dt
         subtitle="Simulation for a calibration according to CWA 17384, no measurement",
         facts=_facts(simulated, cell, day),
         verdict=_verdict(simulated),
-        front=(model_table(simulated.parameters, cell, "The model that answered", EQUILIBRIUM),),
+        front=(model_table(simulated.parameters, cell, "The simulated model", EQUILIBRIUM),),
         sections=sections,
         signatures=("Simulated by",),
         statement=STATEMENT,

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
-from calibration_core.report.figures.style import ACCENT, GREY, INK, NARROW, drawing, thinned
+from calibration_core.report.figures.style import ACCENT, GREY, INK, NARROW, drawing, plain_numbers, thinned
 from calibration_core.timeseries import Float1D
+
+LEAST = 1e-4  # mm, drawn at least: what is left of a solution found by iteration is no error of a robot
 
 
 def errors_figure(
     before: Float1D | None, error: Float1D, bound: Float1D, labels: tuple[str, str], tolerance: float | None = None
 ) -> bytes:
-    """Draw sizes of errors row by row, logarithmic.
+    """Draw sizes of errors row by row, logarithmic; those below `LEAST` at it.
 
     Args:
         before: (m,) mm, without the calibration; None: not known.
@@ -24,6 +27,7 @@ def errors_figure(
     """
     row = np.arange(1, len(error) + 1)
     seen = thinned(np.nan_to_num(error))
+    error = np.maximum(error, LEAST)
     with drawing(2.6, NARROW) as (figure, buffer):
         axes = figure.add_subplot()
         if before is not None:
@@ -34,6 +38,8 @@ def errors_figure(
         if tolerance is not None:
             axes.axhline(tolerance, color=INK, linewidth=0.6, linestyle="--", label="tolerance")
         axes.set(yscale="log", xlabel=labels[0], ylabel="error [mm]")
+        plain_numbers(axes.yaxis)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return buffer.getvalue()
 

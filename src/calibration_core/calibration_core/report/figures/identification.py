@@ -10,11 +10,22 @@ import numpy as np
 from matplotlib import cbook
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 from scipy.special import ndtri
 
 from calibration_core.identification.result.estimate import JointStiffness, Residuals
-from calibration_core.report.figures.style import ACCENT, AXES, GREY, INK, PALE, drawable, drawing, panels, thinned
+from calibration_core.report.figures.style import (
+    ACCENT,
+    AXES,
+    GREY,
+    INK,
+    PALE,
+    drawable,
+    drawing,
+    panels,
+    plain_numbers,
+    thinned,
+)
 from calibration_core.report.rounding import STIFFNESS, Unit, length_unit, rms
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
 
@@ -302,6 +313,4 @@ def _within(values: Sequence[object], most: float) -> tuple[float, float]:
 
 def _log_axis(axes: Axes) -> None:
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    plain_numbers(axes.xaxis, (1.0, 2.0, 5.0))

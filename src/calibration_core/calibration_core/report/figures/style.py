@@ -13,9 +13,11 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib import font_manager
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
@@ -214,6 +216,18 @@ def drawable(text: str, limit: int = 22) -> str:
         c if c.isprintable() and any(font.get_char_index(ord(c)) for font in _fonts()) else "□" for c in text
     )
     return kept if len(kept) <= limit else kept[: limit - 1] + "…"
+
+
+def plain_numbers(axis: Axis, subs: Sequence[float] = (1.0,)) -> None:
+    """Write the numbers of a logarithmic axis in full: powers of ten are formulae, which these fonts do not set.
+
+    Args:
+        axis: The axis, logarithmic already.
+        subs: Which multiples of powers of ten have a number.
+    """
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def thinned(size: Float1D, most: int = MOST_MARKS) -> Int1D:

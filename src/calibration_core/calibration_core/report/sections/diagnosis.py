@@ -15,11 +15,12 @@ from calibration_core.model.effects.words import effect_sentence, people_unit
 from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table
 from calibration_core.report.figures.diagnosis import before_after_figure, comparison_figure, where_figure
 from calibration_core.report.results.diagnosis import extended_joints
-from calibration_core.report.rounding import counted, fixed, padded, significant
+from calibration_core.report.rounding import DASH, counted, fixed, padded, significant
 from calibration_core.report.sections.procedure import joint_columns, joint_values
 from calibration_core.report.sections.stiffness import extended_table
 
 MOST_ROWS = 12
+MOST_OTHERS = 5
 STIFFNESS_OF = {"rad/(N*m)": "N·m/rad", "m/N": "N/m"}
 CONCERNED = {
     "structure": "the structure (bearings, links, base, tool)",
@@ -87,7 +88,7 @@ def where_blocks(found: Diagnosis) -> tuple[Block, ...]:
         right = (
             "the residual along its direction at full load, by load (line: in proportion)."
             if len(where.levels) > 2
-            else "what it follows from configuration to configuration."
+            else "what the residual follows from configuration to configuration."
         )
         caption = left + right if left else right[0].upper() + right[1:]
         blocks.append(Figure("where", caption, "Where the residual is", where_figure(where)))
@@ -121,6 +122,8 @@ def _law(finding: Finding) -> str:
 
 def _parameter(name: str, value: float, std: float, unit: str) -> tuple[str, str, str, str]:
     """Return a parameter as printed: name, value, 95 % interval, unit; a compliance as the stiffness that it is."""
+    if std == 0.0:
+        return name, f"{value:g}", DASH, "per revolution" if name.startswith("harmonic") else people_unit(unit)
     low, high = value - 1.96 * std, value + 1.96 * std
     if unit not in STIFFNESS_OF or not value > 0:
         return name, _number(value), _interval(value, std), people_unit(unit)
@@ -147,7 +150,7 @@ def gain_blocks(found: Diagnosis) -> tuple[Block, ...]:
         ]
     body = tuple((name, significant(1e6 * b, 3), significant(1e6 * a, 3)) for name, b, a in rows)
     reason = "" if found.test is None or not found.test.reason else f" The second recording: {found.test.reason}."
-    note = f"Noise as seen: {1e6 * found.noise:.1f} µm per coordinate.{reason}"
+    note = f"Taken for noise: {1e6 * found.noise:.1f} µm per coordinate.{reason}"
     blocks: list[Block] = [Table("Gain", columns, padded(body), note)]
     readings = found.identification.readings
     before, after = found.residual_before, found.residual
@@ -164,7 +167,7 @@ def next_blocks(found: Diagnosis, prismatic: Sequence[bool]) -> tuple[Block, ...
     if found.next_text:
         blocks.append(Paragraph(found.next_text))
     if not found.next_measurements:
-        return (*blocks, Paragraph("No configuration is proposed for this kind of recording."))
+        return tuple(blocks) or (Paragraph("No configuration is proposed for this kind of recording."),)
     columns = (
         Column("No"),
         *joint_columns(prismatic),
@@ -180,7 +183,7 @@ def next_blocks(found: Diagnosis, prismatic: Sequence[bool]) -> tuple[Block, ...
     )
     note = (
         "Force F at the full step, base axes, at the wrench point; the steps stand below. The same stands in "
-        "next.yaml, which `calibration simulate` and the sequencer read as a plan."
+        "next.yaml, which calibration simulate and the sequencer read as a plan."
     )
     blocks.append(Table("Proposed measurements", columns, padded(rows), note))
     proposals = (f"No {k}: {p.why}. {_steps_of(p)}" for k, p in enumerate(found.next_measurements, start=1))
@@ -216,8 +219,9 @@ def story(found: Diagnosis) -> Facts:
     rows = [("Where", where or "No pattern stands out of the noise.")]
     rows.append(("What", _what(found)))
     if first is not None:
-        others = [other for finding in found.findings for other in finding.cannot_be_told_from]
-        named = "; ".join(effect_sentence(o.effect, o.location) for o in others[:5])
+        every = (other for finding in found.findings for other in finding.cannot_be_told_from)
+        others = list(dict.fromkeys(effect_sentence(other.effect, other.location) for other in every))
+        named = "; ".join(others[:MOST_OTHERS]) + (" and others" if others[MOST_OTHERS:] else "")
         rows.append(
             (
                 "Why not something else",

@@ -67,11 +67,7 @@ USE_ALL = "All of them are used with --no-robust."
 
 def remark_section(result: Identification) -> tuple[Block, ...]:
     """Return anomalies of the data and remarks on reading them."""
-    texts = [
-        f"{item.kind.replace('_', ' ')}: {item.text}"
-        + (f" (configurations {item.configurations[0]} to {item.configurations[1]})" if item.configurations else "")
-        for item in result.anomalies
-    ]
+    texts = [f"{item.kind.replace('_', ' ')}: {item.text}" for item in result.anomalies]
     texts += [f"{note.kind.replace('_', ' ')}, {note.place}: {note.text}" for note in result.notes[:MOST_ROWS]]
     if len(result.notes) > MOST_ROWS:
         texts.append(f"{len(result.notes) - MOST_ROWS:,} further remarks stand in result.json.")

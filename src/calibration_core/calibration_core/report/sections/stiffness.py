@@ -21,6 +21,7 @@ from calibration_core.report.rounding import (
     counted,
     decimals,
     fixed,
+    interval_end,
     length_unit,
     padded,
     phrase,
@@ -127,7 +128,7 @@ def extended_table(standard: Sequence[JointStiffness], extended: Sequence[JointS
                 interval,
                 std,
                 relative,
-                fixed(change, 1) if math.isfinite(change) else DASH,
+                _signed(change) if before.identifiable and after.identifiable else DASH,
             )
         )
     columns = (
@@ -139,7 +140,16 @@ def extended_table(standard: Sequence[JointStiffness], extended: Sequence[JointS
         Column("Relative [%]"),
         Column("Change [%]"),
     )
-    return Table("Joint stiffness", columns, padded(rows))
+    note = "" if all(joint.identifiable for joint in (*standard, *extended)) else NO_CHANGE
+    return Table("Joint stiffness", columns, padded(rows), note)
+
+
+NO_CHANGE = "No change is stated where the recording does not determine the stiffness with and without the findings."
+
+
+def _signed(percent: float) -> str:
+    """Return a change in whole percent with its sign."""
+    return ("+" if round(percent) > 0 else "") + fixed(percent, 0)
 
 
 def _beside(joint: JointStiffness) -> str:
@@ -173,7 +183,7 @@ def drawing_of(result: Identification, cell: Cell) -> Figure:
     return Figure(
         "stiffness",
         "a) Joint stiffness, logarithmic; b) its 95 % interval relative to the value. Dots: identified, hollow "
-        "where this recording does not determine the joint; diamonds: cell file.",
+        f"where this recording does not determine the joint{'; diamonds: cell file' if cell.robot.stiffness else ''}.",
         "Dot plot of the stiffness of every joint with 95 percent intervals",
         stiffness_figure(result.stiffness, cell.robot.stiffness),
     )
@@ -262,7 +272,7 @@ def rest_text(rest: ResidualVerdict) -> str:
 
 def _cells(joint: JointStiffness) -> tuple[str, str, str, str]:
     places, scale = _places(joint), STIFFNESS.factor
-    low, high = (fixed(end * scale, places) for end in joint.interval)
+    low, high = (interval_end(one * scale, places) for one in joint.interval)
     interval = (
         f"{low} to {high}" if math.isfinite(joint.interval[1]) else (f"≥ {low}" if joint.interval[0] > 0 else DASH)
     )

@@ -263,11 +263,10 @@
     }
 
     function lined() {
-      [].concat(lines.places || [], lines.arrows ? [lines.arrows.force, lines.arrows.deflection] : [], lines.floor, lines.hull).forEach(forget);
+      [].concat(lines.places || [], lines.arrows ? [lines.arrows.force, lines.arrows.deflection] : [], lines.floor).forEach(forget);
       lines.places = Object.keys(scene.places).map(function (name) { return strip(scene.places[name]); });
       lines.arrows = { force: strip(shafts("force")), deflection: strip(shafts("deflection")) };
       lines.floor = strip(grid());
-      lines.hull = strip([]);
     }
 
     function forget(one) {
@@ -437,7 +436,7 @@
         labels.forEach(function (one) {
           var p = one.at, w = view[3] * p[0] + view[7] * p[1] + view[11] * p[2] + view[15], s = apply(view, p), x, y, node;
           if (w <= 0) { return; }
-          x = Math.round((s[0] / w + 1) * wide / 2 + 7);
+          x = Math.round((s[0] / w + 1) * wide / 2 + 12);
           y = Math.round((1 - s[1] / w) * high / 2 - 7);
           while (taken.some(function (t) { return Math.abs(t[0] - x) < 90 && Math.abs(t[1] - y) < 14; })) { y += 14; }
           if (x < 0 || y < 0 || x > wide - 10 || y > high - 10) { return; }

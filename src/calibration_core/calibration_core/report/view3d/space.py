@@ -40,7 +40,7 @@ def space_view(space: OperatingSpace, cell: Cell) -> View:
     if space.force is not None:
         start = space.flange if space.wrench_point is None else space.wrench_point
         arrows += _arrows("force", start, np.asarray(space.force) * force_scale(space), rows)
-        notes["force"] = f"largest {float(np.nanmax(np.linalg.norm(space.force, axis=1), initial=0.0)):.3g} N"
+        notes["force"] = f"largest {float(np.nanmax(np.linalg.norm(space.force, axis=1), initial=0.0)):,.0f} N"
     if space.deflection is not None:
         factor = deflection_scale(space)
         first = next(iter(space.points.values()), space.flange)
