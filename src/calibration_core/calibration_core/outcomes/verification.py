@@ -9,7 +9,7 @@ import numpy as np
 from calibration_core.acceptance.decision import guard_factor
 from calibration_core.acceptance.verification import Verification
 from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS
-from calibration_core.report.rounding import counted, listed
+from calibration_core.report.rounding import listed
 from calibration_core.timeseries import Float2D
 
 ELSEWHERE = 3.0  # so much smaller would the error be: tracker or robot stand elsewhere than in the model
