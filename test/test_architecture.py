@@ -42,7 +42,7 @@ FAMILIES = {
     ),
     "diagnosis": (
         "location", "comparison", "result", "data_checks", "evidence", "empirical", "findings", "proposals",
-        "model_estimate", "bias", "loaded", "positions", "simulated", "diagnose", "parts",
+        "model_estimate", "bias", "loaded", "positions", "simulated", "diagnose",
     ),
 }  # fmt: skip
 FOR_ALL = {"errors", "files", "cell", "loading"}

@@ -248,7 +248,9 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
         attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
         extended = attempt.extended
         rows = with_noise(linear.rows, problem.readings, seen, axes)
-        kept = sound[readings_to_use(rows.select(sound), extended.raw[sound])] if options.robust else sound
+        kept = sound
+        if options.robust:
+            kept = sound[readings_to_use(rows.select(sound), extended.raw[sound], problem.readings.step[sound])]
         again = _seen(linear.rows, extended.raw, problem, axes, kept) if noise_seen else _left(attempt)
         moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)

@@ -6,6 +6,7 @@ import numpy as np
 
 from calibration_core.identification.statistics.distributions import chi2_limit
 from calibration_core.identification.statistics.offsets import Rows, deleted, deletion_limit
+from calibration_core.identification.stiffness.outlier_rejection import worst_of_each
 from calibration_core.timeseries import Float2D, Float3D, Int1D, Readings
 
 MOST = 0.05  # never more than this share of the readings
@@ -14,7 +15,7 @@ SHAPE = 3  # points, of which the shape is known
 OUT_OF_SHAPE = 0.01  # probability that noise alone changes the shape of a step more
 
 
-def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
+def readings_to_use(rows: Rows, residual: Float2D, step: Int1D) -> Int1D:
     """Return the indices of the readings that are no gross errors.
 
     Every reading is predicted from the others of its configuration and the model; the worst of every configuration
@@ -23,19 +24,15 @@ def readings_to_use(rows: Rows, residual: Float2D) -> Int1D:
     Args:
         rows: Grouping and noise of all m readings.
         residual: (m, 3) m, measured - model.
+        step: (m,) number of each reading's step.
     """
     m = len(residual)
     used, some = np.arange(m), rows
     for _ in range(ROUNDS):
         squared, _, _ = deleted(some, residual[used])
-        suspects = np.flatnonzero(squared > deletion_limit(squared, m))
-        if not len(suspects):
-            break
-        order = suspects[np.argsort(-squared[suspects], kind="stable")]
-        groups = np.column_stack([some.configuration, some.offset])[order]
-        _, first = np.unique(groups, axis=0, return_index=True)
+        groups = np.column_stack([some.configuration, some.offset])
         room = int(MOST * m) - (m - len(used))
-        worst = order[np.sort(first)][: max(room, 0)]
+        worst = worst_of_each(squared, deletion_limit(squared, m), groups, step[used])[: max(room, 0)]
         if not len(worst):
             break
         used, some = np.delete(used, worst), some.without(worst)

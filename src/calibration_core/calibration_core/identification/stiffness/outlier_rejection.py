@@ -75,9 +75,7 @@ def reject_outliers(
             squared, error, _ = deleted(rows, linear.residual[index])
             size, threshold = np.linalg.norm(error, axis=1), deletion_limit(squared, m)
             squared[kept[index]] = 0.0
-            worst = _worst_per_configuration(
-                squared, problem.configuration[index], threshold, problem.readings.step[index]
-            )
+            worst = worst_of_each(squared, threshold, problem.configuration[index], problem.readings.step[index])
             if not len(worst):
                 break
             worst = worst[: budget - len(exclusions)]
@@ -112,11 +110,18 @@ def reject_outliers(
     return OutlierRejection(fit, used, tuple(exclusions[row] for row in sorted(exclusions)))
 
 
-def _worst_per_configuration(squared: Float1D, configuration: Int1D, threshold: float, step: Int1D) -> Int1D:
-    """Return the worst suspicious row of every configuration, worst first; of two equal ones the loaded one."""
+def worst_of_each(squared: Float1D, threshold: float, group: Int1D, step: Int1D) -> Int1D:
+    """Return the worst suspicious reading of every group, worst first; of two equal ones the later step.
+
+    Args:
+        squared: (m,) squared deletion residuals of the readings.
+        threshold: Those above it are suspicious.
+        group: (m,) or (m, k) which readings judge each other.
+        step: (m,) their steps; where a group has two, each is as far from the other, and the loaded one is named.
+    """
     suspects = np.flatnonzero(squared > threshold)
     order = suspects[np.lexsort((-step[suspects], -np.round(squared[suspects] / threshold, 9)))]
-    _, first = np.unique(configuration[order], return_index=True)
+    _, first = np.unique(group[order], axis=0, return_index=True)
     return order[np.sort(first)]
 
 
