@@ -8,193 +8,39 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import functools
 import math
-import re
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from invariance_cases import (
+    RECORDINGS,
+    Content,
+    Recorded,
+    answers_to,
+    called,
+    compare_answers,
+    expected_answers,
+    recorded_as,
+    unchanged_answers,
+)
 
-from calibration_core.cell import Cell, load_cell
-from calibration_core.commands.evaluation import diagnose, identify
-from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.chain import rotation_x, rotation_z, rpy_of
-from calibration_core.timeseries import Readings
 from calibration_sim.mechanics.transforms import rotation_vector
-from calibration_sim.scenarios.generate import generate
-from calibration_sim.scenarios.grid import Planned, Scenario
-from calibration_sim.scenarios.measure import Noise
 from calibration_sim.scenarios.names import renamed
 
-RELATIVE = 1e-9
-NOISE = Noise(1.1, correlated=True, spherical_claim=True)
-COMMANDS = {"identify": identify.evaluate_all, "diagnose": diagnose.evaluate_all}
 SLOW = pytest.mark.slow
-
-Content = dict[str, Any]
-# (robot, protocol, seed, effects): under load, at rest, both in one recording, and a recording in two halves
-RECORDINGS: Mapping[str, tuple[str, str, int, tuple[Planned, ...]]] = {
-    "loaded": ("heavy", "R8", 11, (Planned("backlash", 3.0, 0), Planned("nonlinear_stiffness", 4.0, 2))),
-    "loaded, small robot": ("tiny", "L8", 12, (Planned("off_axis_compliance", 3.0, 1),)),
-    "displacements": ("tiny", "L8", 12, (Planned("off_axis_compliance", 3.0, 1),)),
-    "at rest": ("light", "A40", 13, (Planned("transmission_error", 2.0, 1),)),
-    "loaded and at rest": ("middle", "L8A24", 14, (Planned("base_compliance", 1.5), Planned("backlash", 2.0, 2))),
-    "loaded and at rest, small robot": ("tiny", "L4A14", 15, (Planned("off_axis_compliance", 4.0, 1),)),
-    "two recordings": ("tiny", "L10", 12, (Planned("off_axis_compliance", 3.0, 1),)),
-}
 LONG = {"loaded", "loaded and at rest"}
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Recorded:
-    """A recording, its cell file, and what became of its names and of the numbers of configurations and steps."""
-
-    readings: Readings
-    content: Content
-    names: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    numbers: Mapping[int, int] = dataclasses.field(default_factory=dict)
-    steps: Mapping[int, int] = dataclasses.field(default_factory=dict)
-
-    def changed(self, *, content: Content | None = None, **values: object) -> Recorded:
-        """Return it with other columns."""
-        readings = dataclasses.replace(self.readings, **values)
-        return dataclasses.replace(self, readings=readings, content=content or self.content)
-
-
 Change = Callable[[Recorded, np.random.Generator], Recorded]
-
-
-@functools.cache
-def _recorded(name: str) -> tuple[Recorded, ...]:
-    robot, protocol, seed, planned = RECORDINGS[name]
-    made = generate(Scenario(0, "any", robot, protocol, seed, planned, 0.0, NOISE, second=True))
-    content, readings = copy.deepcopy(made.cell), made.readings
-    content["robot"]["gravity"] = [0.01, -0.02, -9.8066]  # a floor that is not level
-    if name == "displacements":
-        content["measurements"] = {**content.get("measurements", {}), "points": "displacement"}
-        content["instruments"]["tracker"] = {"sigma": 1e-5}  # a displacement shows no range
-        slipped = (readings.configuration == 3) & (readings.step >= 4)  # of which no physics says anything
-        moved = readings.position + slipped[:, None] * np.array([6e-5, -4e-5, 5e-5])
-        readings = dataclasses.replace(
-            readings, position=_since_step_zero(dataclasses.replace(readings, position=moved))
-        )
-    if name != "two recordings":
-        return (Recorded(readings, content),)
-    later = readings.configuration > np.median(readings.configuration)
-    return tuple(Recorded(_of_a_day(readings.select(rows), day), content) for day, rows in ((1, ~later), (2, later)))
-
-
-def _of_a_day(readings: Readings, day: int) -> Readings:
-    source = dataclasses.replace(readings.provenance, path=f"{day}.csv", start=f"2026-01-0{day}T08:00:00", sha256={})
-    return dataclasses.replace(readings, provenance=source)
-
-
-def _since_step_zero(readings: Readings) -> np.ndarray:
-    moved = np.empty_like(readings.position)
-    for row in range(len(readings)):
-        same = (readings.configuration == readings.configuration[row]) & (readings.point == readings.point[row])
-        (first,) = np.flatnonzero(same & (readings.step == 0))
-        moved[row] = readings.position[row] - readings.position[first]
-    return moved
-
-
-# --- what is answered -------------------------------------------------------------------------------------------------
-
-
-def _cell(content: Content) -> Cell:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "cell.yaml"
-        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        return load_cell(path)
-
-
-def _answers(several: Sequence[Recorded]) -> Content:
-    """Return what `identify` and `diagnose` find, without the words that are said about it."""
-    readings, cells = [one.readings for one in several], [_cell(one.content) for one in several]
-    return {name: _without_words(evaluate(readings, cells, Options()).content) for name, evaluate in COMMANDS.items()}
-
-
-@functools.cache
-def _unchanged(name: str) -> Content:
-    return _answers(_recorded(name))
-
-
-def _without_words(result: Content) -> Content:
-    places = ("effect", "location")
-    rest = result.get("unexplained", {})
-    return {
-        "verdict": result["verdict"],
-        "usable": result["usable"],
-        "stiffness": result["stiffness"],
-        "fit": result["fit"],
-        "findings": [
-            {k: one[k] for k in ("effect", "family", "location", "evidence")}
-            | {"parameters": [{k: p[k] for k in ("name", "value", "std")} for p in one["parameters"]]}
-            | {"beside": [{k: other[k] for k in places} for other in one["cannot_be_told_from"]]}
-            for one in result.get("findings", ())
-        ],
-        "anomalies": [{k: one[k] for k in ("kind", "location", "configurations")} for one in result["anomalies"]],
-        "rest": {k: rest.get(k) for k in ("rms", "significant", "where")},
-        "aliases": result.get("aliases"),
-    }
-
-
-def _expected(answers: Content, several: Sequence[Recorded]) -> Content:
-    """Return the unchanged recording's answers in the names and numbers of the changed one."""
-    names, numbers, steps = several[0].names, several[0].numbers, several[0].steps
-    found: Content = _called(answers, names)
-    if len(several) == 1:
-        for answer in found.values():
-            for one in (*answer["anomalies"], answer["rest"]["where"] or {}):
-                if one.get("configurations"):
-                    one["configurations"] = [numbers.get(k, k) for k in one["configurations"]]
-                place = one.get("location", {})
-                place |= {
-                    key: counted.get(place[key], place[key])
-                    for key, counted in (("configuration", numbers), ("step", steps))
-                    if key in place
-                }
-    return found
-
-
-def _called(value: Any, names: Mapping[str, str]) -> Any:
-    """Return plain content with names replaced, keys and words within texts included."""
-    if isinstance(value, str):
-        return re.sub(r"\w+", lambda word: names.get(word[0], word[0]), value)
-    if isinstance(value, Mapping):
-        return {_called(key, names): _called(item, names) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_called(item, names) for item in value]
-    return value
-
-
-def _same(one: Any, other: Any, place: str = "") -> None:
-    """Compare two answers, numbers to rounding."""
-    if isinstance(one, Mapping):
-        assert isinstance(other, Mapping), place
-        assert one.keys() == other.keys(), place
-        for key, value in one.items():
-            _same(value, other[key], f"{place}.{key}")
-    elif isinstance(one, list | tuple):
-        assert len(one) == len(other), (place, one, other)
-        for k, (a, b) in enumerate(zip(one, other, strict=True)):
-            _same(a, b, f"{place}[{k}]")
-    elif isinstance(one, float) and isinstance(other, float):
-        assert math.isclose(one, other, rel_tol=RELATIVE, abs_tol=1e-15), (place, one, other)
-    else:
-        assert one == other, place
 
 
 # --- what is changed --------------------------------------------------------------------------------------------------
 
 
 def _renamed(recorded: Recorded, names: Mapping[str, str]) -> Recorded:
-    content = _called({k: v for k, v in recorded.content.items() if k not in {"name", "source"}}, names)
+    content = called({k: v for k, v in recorded.content.items() if k not in {"name", "source"}}, names)
     points = tuple(names[point] for point in recorded.readings.points)
     return dataclasses.replace(
         recorded.changed(points=points, content={**recorded.content, **content}), names={**recorded.names, **names}
@@ -341,7 +187,7 @@ AT_ONCE = [change for change in CHANGES if not change.startswith("names ")]
 
 def _changed(recording: str, changes: Sequence[str], seed: int) -> list[Recorded]:
     several = []
-    for member, recorded in enumerate(_recorded(recording)):
+    for member, recorded in enumerate(recorded_as(recording)):
         for change in changes:
             own = 0 if change in OF_THE_ROBOT else member
             recorded = CHANGES[change](recorded, np.random.default_rng([seed, list(CHANGES).index(change), own]))
@@ -354,10 +200,10 @@ def _of_the_base(recording: str) -> bool:
 
 
 def _check(recording: str, several: Sequence[Recorded]) -> None:
-    expected = _expected(copy.deepcopy(_unchanged(recording)), several)
+    expected = expected_answers(copy.deepcopy(unchanged_answers(recording)), several)
     assert expected["diagnose"]["findings"] or expected["diagnose"]["rest"]["where"]["configurations"]
     assert any(np.isfinite(row["value"]) for row in expected["identify"]["stiffness"]) or recording == "at rest"
-    _same(_answers(several), expected)
+    compare_answers(answers_to(several), expected)
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=SLOW) for k in (2, 3, 4))])
@@ -404,7 +250,7 @@ def _urdf(content: Content, links: Sequence[str], rng: np.random.Generator | Non
 
 
 def test_names_of_links_and_the_order_of_a_urdf_do_not_matter(tmp_path: Path) -> None:
-    (recorded,) = _recorded("at rest")
+    (recorded,) = recorded_as("at rest")
     robot = recorded.content["robot"]
     found = []
     for seed in (None, 5):
@@ -415,6 +261,6 @@ def test_names_of_links_and_the_order_of_a_urdf_do_not_matter(tmp_path: Path) ->
         (tmp_path / f"{seed}.urdf").write_text(_urdf(recorded.content, links, rng))
         own = {k: v for k, v in robot.items() if k not in {"dh", "modified_dh", "inertials", "joint_limits"}}
         own |= {"urdf": str(tmp_path / f"{seed}.urdf"), "base_link": links[0], "flange": links[-1]}
-        found.append(_answers([recorded.changed(content={**recorded.content, "robot": own})]))
+        found.append(answers_to([recorded.changed(content={**recorded.content, "robot": own})]))
     assert found[0]["diagnose"]["findings"][0]["location"] == {"joint": "joint_2"}
-    _same(found[1], found[0])
+    compare_answers(found[1], found[0])

@@ -12,6 +12,7 @@ from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.data_checks.outlier_readings import whole_steps
+from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
 from calibration_core.input_checks.check import check_inputs
@@ -208,3 +209,31 @@ def test_frames_that_the_file_has_wrong_are_said(tmp_path: Path) -> None:
     size = np.linalg.norm([p.value for p in found.findings[0].parameters])
     assert size == pytest.approx(4e-3, rel=0.05)
     np.testing.assert_allclose([1 / v for v, _ in found.stiffness.values()], TRUE, rtol=0.05)
+
+
+def test_frames_are_not_called_wrong_where_the_tracker_moved(tmp_path: Path) -> None:
+    """Absolute positions of two set-ups in one recording show no registration."""
+    readings = loaded_readings(write_cell(tmp_path), 41, 18)
+    other = write_cell(tmp_path, frames={"tracker": {"xyz": [4.0, 1.0, 1.2], "rpy": [0.014, -0.02, -2.9]}})
+    later = (readings.configuration >= 10)[:, None]
+    moved = dataclasses.replace(readings, position=readings.position + later * np.array([1e-3, 2e-3, -1e-3]))
+    found = diagnose_loaded(moved, other)
+    assert "tracker_moved" in {anomaly.kind for anomaly in found.anomalies}
+    assert found.findings == ()
+
+
+def test_a_residual_that_is_large_everywhere_is_never_consistent(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the search says: what is left in the middle of the readings is held against the noise once more."""
+    readings = loaded_readings(cell, 1)
+    found = diagnose_loaded(readings, cell)
+    assert found.verdict == "consistent"
+    assert found.compliance_covariance is not None
+    left = dataclasses.replace(found, residual=3.0 * found.residual)
+    monkeypatch.setattr("calibration_core.diagnosis.diagnose._with_location", lambda *_: left)
+    judged = diagnose(readings, cell)
+    assert judged.verdict == "unexplained"
+    assert judged.rest.significant
+    assert judged.rest.rms == pytest.approx(np.sqrt(8.0) * found.noise, rel=0.2)
+    assert judged.compliance_covariance is not None
+    wider = np.sqrt(np.diag(judged.compliance_covariance) / np.diag(found.compliance_covariance))
+    assert np.all((wider > 2.4) & (wider < 3.6))

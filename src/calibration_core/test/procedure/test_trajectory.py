@@ -261,3 +261,15 @@ def test_plan_can_be_driven(demo_cell: Cell, plan: Plan) -> None:
     way = [plan.reference.q, *plan.startup_cycle, *(c.q for c in plan.configurations)]
     total = sum(plan_motion(monitored, a, b, LIMITS).duration for a, b in pairwise(way))
     assert 0 < total < 3600
+
+
+def test_the_tool_is_watched_besides_flange_and_points(demo_cell: Cell) -> None:
+    """A tool that reaches farther than all else is faster under a turn of the first joint, by its distance."""
+    chain, parameters, tool = chain_of(demo_cell), nominal_parameters(demo_cell), np.array([0.0, 0.0, 2.0])
+    monitored, without = (Monitored.of(chain, parameters, one) for one in (tool, None))
+    assert set(monitored.names) - set(without.names) == {"tool"}
+    q, rate = np.zeros((1, chain.n)), np.eye(1, chain.n) * 0.1
+    speed = dict(zip(monitored.names, monitored.speeds(q, rate)[0], strict=True))
+    place = posture(chain, q).point(tool)[:, 0]
+    assert speed["tool"] == pytest.approx(0.1 * np.hypot(*place[:2]), rel=1e-9)
+    assert speed["tool"] == max(speed.values())

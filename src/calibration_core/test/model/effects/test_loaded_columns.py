@@ -141,6 +141,17 @@ def test_rocking_of_the_base_is_an_off_axis_compliance_of_the_first_joint(chain:
     np.testing.assert_allclose(base, first, atol=1e-9)
 
 
+def test_the_base_slides_along_its_own_axes_in_the_order_of_their_names(chain: Chain, readings: tuple) -> None:
+    here = state(chain, *readings, STIFF)
+    candidate = chosen(here, "base_compliance", "six springs")
+    columns = dict(
+        zip((p.name for p in candidate.parameters), np.moveaxis(candidate.columns(here), -1, 0), strict=True)
+    )
+    for k, axis in enumerate("xyz"):
+        expected = here.force[k][:, None] * np.eye(3)[k]
+        np.testing.assert_allclose(columns[f"translation_{axis}"], expected, atol=1e-6)
+
+
 def test_tool_springs_turn_the_flange(chain: Chain, readings: tuple) -> None:
     q, wrench = readings
     here = state(chain, q, wrench, STIFF)
