@@ -1,8 +1,9 @@
 """What a hypothesis must pass besides likelihood and blocks left out.
 
 Compliances are positive.  Sag under the robot's own weight resembles what geometry and gears do to a posture: it is
-believed only if gravity turned by 90 degrees explains far less.  Noise that lasts resembles a drift, of the tracker or
-of the sensor.  A step must matter.
+believed only if gravity turned by 90 degrees explains far less.  Waves of many orders at all joints follow whatever
+goes with the posture where configurations are few: they must say something of configurations left out.  Noise that
+lasts resembles a drift, of the tracker or of the sensor.  A step must matter.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.estimation.field import Trial
-from calibration_core.estimation.hypotheses import SAG, physics, typical_sizes
+from calibration_core.estimation.hypotheses import SAG, WAVE, physics, typical_sizes
 from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
@@ -24,6 +25,7 @@ from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
 SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness and turned levers
+FOLLOWS, SAID = 2.0, 0.75  # times the noise, share of the squares: waves that leave more and save less foretell nothing
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
 CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
 LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
@@ -49,6 +51,8 @@ class Controls:
             return "it is no larger than what second order leaves of larger effects"
         if one.effect in effects_with(Trait.DRIFT):
             return _lasting(trial)
+        if one.effect == WAVE and one.everywhere:
+            return _following(trial)
         return self._turned(trial) if one.effect == SAG else ""
 
     def _turned(self, trial: Trial) -> str:
@@ -75,6 +79,14 @@ def controls(model: NullModel, rows: Int1D, whitening: Whitening) -> Controls:
     joints = ((name, state.chain.joints.index(name)) for name in typicals)
     moved = {name: turned_columns(state, joint)[rows] * typicals[name] for name, joint in joints}
     return Controls({name: whitening(weighted(part, model.parameters, one)) for name, one in moved.items()})
+
+
+def _following(trial: Trial) -> str:
+    noise = FOLLOWS**2 * trial.sizes.variance * len(trial.field.residual)
+    for after, proof in zip(trial.left_out[1], trial.proofs, strict=True):
+        if after.sum() > noise and proof.share < SAID:
+            return f"it follows the readings, and leaves {100 * (1 - proof.share):z.0f} % of configurations left out"
+    return ""
 
 
 def _small(trial: Trial) -> str:

@@ -1,0 +1,31 @@
+"""Waves of many orders at all joints follow whatever goes with the posture: few configurations do not prove them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from several_cases import measured, setup
+
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.estimation import controls
+
+SHIFT = 6e-5  # m
+
+
+@pytest.mark.parametrize(("proven", "found"), [(True, []), (False, ["joint_3", "joint_5"])])
+def test_something_else_that_follows_the_posture_is_not_called_a_gear(
+    proven: bool, found: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Thirteen configurations, and a shift of the points that is no physics of the catalogue; as without the control."""
+    cell = setup(tmp_path, 0, sigma=2e-5)
+    geometry = 4e-4 * np.random.default_rng(3).standard_normal((6, 6))
+    readings = measured(cell, 0, 33, configurations=12, rest=1, geometry=geometry)
+    q = readings.q.T
+    shift = SHIFT * np.stack([np.sin(2 * q[0] + q[1]), np.cos(q[1] - q[2]), np.sin(q[2] + 2 * q[4])], axis=1)
+    if not proven:
+        monkeypatch.setattr(controls, "_following", lambda _: "")
+    answer = diagnose(dataclasses.replace(readings, position=readings.position + shift), cell)
+    assert sorted(str(one.location["joint"]) for one in answer.findings) == found
