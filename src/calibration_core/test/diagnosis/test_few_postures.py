@@ -19,7 +19,7 @@ SHIFT = 6e-5  # m
 def test_something_else_that_follows_the_posture_is_not_called_a_gear(
     proven: bool, found: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Thirteen configurations, and a shift of the points that is no physics of the catalogue; as without the control."""
+    """Thirteen configurations, and a shift that is no physics of the catalogue; then the same without the control."""
     cell = setup(tmp_path, 0, sigma=2e-5)
     geometry = 4e-4 * np.random.default_rng(3).standard_normal((6, 6))
     readings = measured(cell, 0, 33, configurations=12, rest=1, geometry=geometry)
