@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime as dt
-import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -26,7 +25,6 @@ from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.model_file import read_calibrated
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
-from calibration_core.observations.same import refuse_same
 from calibration_core.outcomes.inputs import digest_of, look
 from calibration_core.report.rounding import readable_unit, significant
 from calibration_core.report.writing.output import MAX_RESULT, RESULT
@@ -86,11 +84,7 @@ def compared_sources(
         sources: Two or more.
         cells: One for each.
         dates: What stands in for the measurements' own dates; None: nothing.
-
-    Raises:
-        InputError: A measurement is named twice.
     """
-    _refuse_same(sources)
     with_laws, remarks = _with_laws(sources, cells)
     measurements = tuple(
         dataclasses.replace(one.measurement, date=dates[k] or one.measurement.date) for k, one in enumerate(with_laws)
@@ -106,15 +100,6 @@ def compared_sources(
         {name: digest for one in sources for name, digest in one.digests.items()},
         tuple(remarks),
     )
-
-
-def _refuse_same(sources: Sequence[ComparedSource]) -> None:
-    refuse_same(one.recorded[0] for one in sources if one.recorded is not None)
-    for one, other in itertools.combinations((one for one in sources if one.recorded is None), 2):
-        if one.digests == other.digests:
-            label = other.measurement.label
-            found = f"the same content as in {one.measurement.label}"
-            raise InputError(label, "", found, "every measurement once")
 
 
 def refuse_other_robots(cells: Sequence[Cell]) -> None:

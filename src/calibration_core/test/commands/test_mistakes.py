@@ -191,7 +191,7 @@ def test_a_bag_without_the_wrench_topic_that_the_cell_file_names(
     assert words in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("command", ["identify", "diagnose", "compare"])
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
 def test_the_same_readings_twice_are_one_recording(
     command: str, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -202,10 +202,3 @@ def test_the_same_readings_twice_are_one_recording(
     assert f"{tmp_path / 'copy.csv'}: found" in line or f"{table}: found" in line
     assert "readings that are those of" in line
     assert line.endswith("expected every recording once\n")
-
-
-def test_an_output_folder_twice_is_no_comparison(
-    identified: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = refused(capsys, tmp_path, "compare", identified, identified, "--cell", CELL)
-    assert line == f"{identified}: found the same content as in {identified}, expected every measurement once\n"

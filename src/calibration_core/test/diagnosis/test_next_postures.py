@@ -57,7 +57,7 @@ def test_a_finding_is_made_more_certain_by_as_much_as_is_promised(cell: Cell, tm
     assert [(f.effect, dict(f.location)) for f in found.findings] == [("transmission_error", {"joint": "joint_2"})]
     assert len(found.next_measurements) == 3
     for proposal in found.next_measurements:
-        assert "transmission error" in proposal.why
+        assert "makes “the gear of joint 2 runs unevenly (order 2)” more certain" in proposal.why
         assert proposal.gain > proposal.gain_at_random > 0
         assert (proposal.wrench, proposal.steps) == ((0.0,) * 6, ((0.0,) * 6,))
     now, then = shares(found.next_measurements[0].why)
@@ -106,7 +106,7 @@ def test_what_no_posture_parts_is_said(cell: Cell) -> None:
     offers = offers_for(readings, cell)
     assert offers
     found = propose_postures(known, cell, offers)
-    assert "transmission error (order 2) at joint_2" in found.text
+    assert "“the gear of joint 2 runs unevenly (order 2)”" in found.text
     assert [m.gain_unit for m in found.measurements] == ["%"] * 3
 
 

@@ -281,7 +281,7 @@ def test_a_finding_of_several_terms_names_what_explains_as_much() -> None:
         readings, stated = with_ripple(size)
         found = estimate(readings, stated, evaluate_absolute(readings, stated))
         search, hypotheses = found.search, found.offered.hypotheses
-        waves = [i for i in search.judged if hypotheses[i].words == "transmission_error (joint_3)"]
+        waves = [i for i in search.judged if hypotheses[i].place == ("transmission_error", (("joint", "joint_3"),))]
         low = {hypotheses[i].variant: i for i in waves}
         members = tuple(low[f"order {n}"] for n in (1, 2, 3, 4))
         together = search.sizes(members).value - search.sizes(()).value

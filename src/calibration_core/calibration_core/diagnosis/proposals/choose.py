@@ -265,7 +265,7 @@ class _Choice:
         if now - then < self.known.worth * now:
             return None
         why = (
-            f"makes {worst.words} more certain: its standard deviation falls from {100 * now:.2f} % to "
+            f"makes {worst.words} more certain: the standard deviation falls from {100 * now:.2f} % to "
             f"{100 * then:.2f} % (a configuration taken at random: {100 * usual:.2f} %)"
         )
         return _measurement(offer, why, 100 * (now - then), 100 * (now - usual), "%")

@@ -108,7 +108,7 @@ class LoadedKnowledge(Knowledge):
     def parameters(self, index: int) -> list[tuple[str, tuple[int, ...]]]:
         """Return words and place of every parameter of a candidate: each is judged by itself."""
         several = self.extended.design.candidates[index].parameters
-        return [(f"{one.name.replace('_', ' ')} ({self.name(index)})", (k,)) for k, one in enumerate(several)]
+        return [(f"{one.name.replace('_', ' ')} of “{self.name(index)}”", (k,)) for k, one in enumerate(several)]
 
     def otherwise(self) -> list[Uncertain]:
         """Return the stiffnesses of the joints that give way in this recording."""

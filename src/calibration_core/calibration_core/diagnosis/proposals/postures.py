@@ -133,7 +133,7 @@ class _Postures(Knowledge):
 
     def parameters(self, index: int) -> list[tuple[str, tuple[int, ...]]]:
         width = len(self.known.of(index).columns)
-        return [(self.name(index), tuple(range(width)))] if self.known.by_posture(index) else []
+        return [(f"“{self.name(index)}”", tuple(range(width)))] if self.known.by_posture(index) else []
 
     def otherwise(self) -> list[Uncertain]:
         return []
