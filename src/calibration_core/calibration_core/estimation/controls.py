@@ -25,7 +25,7 @@ from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
 SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness and turned levers
-FOLLOWS, SAID = 2.0, 0.75  # times the noise, share of the squares: waves that leave more and save less predict nothing
+FOLLOWS, SAVED = 2.0, 0.75  # times the noise, share of the squares: waves that leave more and save less predict nothing
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
 CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
 LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
@@ -84,7 +84,7 @@ def controls(model: NullModel, rows: Int1D, whitening: Whitening) -> Controls:
 def _following(trial: Trial) -> str:
     noise = FOLLOWS**2 * trial.sizes.variance * len(trial.field.residual)
     for after, proof in zip(trial.left_out[1], trial.proofs, strict=True):
-        if after.sum() > noise and proof.share < SAID:
+        if after.sum() > noise and proof.share < SAVED:
             share = 100 * (1 - proof.share)
             return f"it follows the readings, and leaves {share:z.0f} % of the squared error of those left out"
     return ""
