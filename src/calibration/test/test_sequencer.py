@@ -160,7 +160,7 @@ def test_a_silent_guard_stops_a_motion_even_while_a_disk_is_slow(
     node.runner.post(Call(slow_disk.wait))  # what a disk does that others keep busy
     time.sleep(0.1)
     world.timer.cancel()
-    until(trace.exists)
+    until(lambda: trace.exists() and trace.read_text())  # it is made first, and written then
     slow_disk.set()
     assert "stop" in trace.read_text()
     handle.cancel_goal_async()
@@ -194,7 +194,7 @@ def test_a_lost_instrument_stops_a_motion_even_while_a_disk_is_slow(
     node.runner.post(Call(slow_disk.wait))
     time.sleep(0.1)
     check.publish(SampleCheck(name="mp1", problem=SampleCheck.TWO_SOURCES, text="two publishers"))
-    until(trace.exists)
+    until(lambda: trace.exists() and trace.read_text())
     time.sleep(0.2)
     assert trace.read_text().count("stop") == 1
     check.publish(SampleCheck(name="mp1", problem=SampleCheck.FINE))
