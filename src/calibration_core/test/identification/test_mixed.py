@@ -86,7 +86,12 @@ def interleaved(readings: Readings) -> Readings:
 
 @pytest.mark.parametrize(
     ("loaded", "rest", "effects", "mix"),
-    [(14, 40, (), True), (14, 12, (), False), (2, 40, (), False), (12, 30, (TILT,), True)],
+    [
+        (14, 40, (), True),
+        pytest.param(14, 12, (), False, marks=pytest.mark.slow),
+        (2, 40, (), False),
+        (12, 30, (TILT,), True),
+    ],
 )
 def test_one_file_and_two_files_give_the_same_answer(
     loaded: int, rest: int, effects: tuple[AppliedEffect, ...], mix: bool, tmp_path: Path
@@ -221,7 +226,7 @@ def test_a_further_recording_is_predicted(tmp_path: Path) -> None:
     assert names == ("mp1@1", "mp2@1", "mp3@1", "mp1@2", "mp2@2", "mp3@2")
 
 
-@pytest.mark.parametrize("effects", [(), (TILT,), (LARGE,)])
+@pytest.mark.parametrize("effects", [(), pytest.param((TILT,), marks=pytest.mark.slow), (LARGE,)])
 def test_identify_and_diagnose_say_the_same_of_one_file(effects: tuple[AppliedEffect, ...], tmp_path: Path) -> None:
     cell = cell_in(tmp_path)
     readings = mixed(cell, 14, 40, effects=effects)
