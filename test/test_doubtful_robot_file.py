@@ -1,4 +1,4 @@
-"""Displacements of few configurations, of a robot on soft bearings: no robot file and no zero is accused on doubt.
+"""Few displacements of a robot on soft bearings: no robot file and no zero is accused without evidence.
 
 The plant is of its own: rigid lines of joints, each a spring that also tilts in its bearing, and a first joint whose
 base rocks more easily to one side.

@@ -207,10 +207,10 @@ def test_a_cut_behind_a_joint_carries_what_the_joint_and_those_that_mimic_it_car
     state = state_at(chain, postures_of(chain), load_on(4, turns=False))
     whole = state.at.whole
     assert whole is not None
-    carried = np.stack([
+    acting = np.stack([
         work(np.concatenate(whole.screw(k)), state.virtual.wrench(behind_joint(k))) for k in range(chain.whole.n)
     ])  # fmt: skip
-    np.testing.assert_allclose(chain.matrix.T @ carried, state.torque, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(chain.matrix.T @ acting, state.torque, rtol=1e-10, atol=1e-10)
 
 
 def test_a_wrong_zero_moves_what_mimics_the_joint_too(chain: Chain) -> None:

@@ -36,7 +36,7 @@ class ExportedRobot:
         parameters: The model.
         folded: Effects of the model that became part of the chain.
         further: Its other effects.
-        notes: What must be told of the model.
+        notes: What must be stated of the model.
     """
 
     cell: Cell

@@ -19,7 +19,7 @@ from calibration_core.model.kinematics import Posture, linear_jacobian, posture
 from calibration_core.model.statics import Load, load_torque
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
-SCATTER = 12  # coordinates from which the noise can be told
+SCATTER = 12  # coordinates from which the noise shows
 WILD = 5.0  # times the median residual
 DIRECTION = 0.2  # share of the largest pull: less across the others is no direction of its own
 

@@ -37,7 +37,7 @@ class Simulated:
         recording: The streams of the bag.
         space: The operating space, with the deflections under the largest load.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
-        notes: What must be told of the given model.
+        notes: What must be stated of the given model.
     """
 
     plan: Plan

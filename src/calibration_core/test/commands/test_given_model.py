@@ -266,9 +266,9 @@ def test_every_command_says_once_and_alike_that_a_model_has_no_intervals(
         assert run(*asked, "--cell", cell_path, "--model", model, "--out", out) == 0, capsys.readouterr().err
         said, result = capsys.readouterr().out, json.loads((out / "result.json").read_text())
         assert said.lower().count(SCHEMA_1) == times, said
-        told = [
+        stated = [
             note["text"] if isinstance(note, dict) else note
             for key in ("notes", "remarks")
             for note in result.get(key, ())
         ]
-        assert sum(SCHEMA_1 in text.lower() for text in told) == times
+        assert sum(SCHEMA_1 in text.lower() for text in stated) == times

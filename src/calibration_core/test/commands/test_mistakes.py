@@ -16,7 +16,7 @@ TASK = "q1,q2,q3,q4,q5,q6,fx,fy,fz,tx,ty,tz\n0.1,0.5,0.2,0.3,0.7,0.1,50,0,-60,0,
 
 
 def refused(capsys: pytest.CaptureFixture[str], tmp_path: Path, *arguments: object) -> str:
-    """Run a command that cannot be carried out; return its line."""
+    """Run a command that cannot be done; return its line."""
     out = tmp_path / "out"
     before = names(tmp_path)
     capsys.readouterr()

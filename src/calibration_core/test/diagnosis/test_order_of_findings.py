@@ -1,4 +1,4 @@
-"""Findings stand by their size, largest first; what cannot be told from one stands by how near it comes."""
+"""Findings stand by their size, largest first; what is confounded with one stands by how near it comes."""
 
 from __future__ import annotations
 

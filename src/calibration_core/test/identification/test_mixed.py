@@ -206,10 +206,10 @@ def test_a_reading_is_named_and_taken_back_as_in_the_recording(tmp_path: Path) -
     keys = {(int(readings.configuration[k]), int(readings.step[k]), readings.points[readings.point[k]]) for k in rows}
     found = identify(wrong, cell)
     assert {(one.configuration, one.step, one.point) for one in found.exclusions} == keys
-    (told,) = [one for one in found.anomalies if one.kind == "outlier_readings"]
-    assert all("/".join(map(str, key)) in told.text for key in keys)
-    assert told.text.startswith("2 readings do not fit the others (")
-    assert told.magnitude == max(one.size for one in found.exclusions)
+    (stated,) = [one for one in found.anomalies if one.kind == "outlier_readings"]
+    assert all("/".join(map(str, key)) in stated.text for key in keys)
+    assert stated.text.startswith("2 readings do not fit the others (")
+    assert stated.magnitude == max(one.size for one in found.exclusions)
     assert set(np.flatnonzero(found.residuals.excluded)) == set(rows)
     taken = identify(wrong, cell, Options(readmit=frozenset(keys)))
     assert not taken.exclusions

@@ -85,7 +85,7 @@ class Planned:
         geometry: What is promised of frames and geometry; None for a plan for stiffness.
         again: What is promised of a re-check; None for a plan to calibrate by.
         sisters: What robots of the same type are worth; None where none are known.
-        notes: What must be told of the given model.
+        notes: What must be stated of the given model.
     """
 
     plan: Plan

@@ -95,7 +95,7 @@ def traceability_section(
         cell: The cell.
         provenance: The recording; None if none was read.
         further: Role -> file -> SHA-256 of further input files.
-        notes: What must be told of them.
+        notes: What must be stated of them.
     """
     files = digests(cell, provenance, further)
     counts = {} if provenance is None else provenance.messages
