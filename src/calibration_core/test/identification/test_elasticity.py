@@ -61,8 +61,8 @@ def test_springs_that_hide_the_geometry_are_found_together_with_it(count: int) -
         assert abs(entry.compliance - truth.compliance[joint]) < 3 * entry.compliance_std
 
 
-@pytest.mark.parametrize(("seed", "stated"), [(0, False), (2, True)])
-def test_a_residual_that_unproven_parameters_would_explain_is_stated(seed: int, stated: bool) -> None:
+@pytest.mark.parametrize(("seed", "noted"), [(0, False), (2, True)])
+def test_a_residual_that_unproven_parameters_would_explain_is_stated(seed: int, noted: bool) -> None:
     """Few postures of a robot a fifth softer than stated: nothing is missing, and the fit is proven or is not."""
     stated = [2e6, 1.25e6, 1.1e6, 5e5, 4e5, 3e5]
     cell = make_cell(ELBOW, tuple(POINTS), robot={"stiffness": stated})
@@ -71,8 +71,8 @@ def test_a_residual_that_unproven_parameters_would_explain_is_stated(seed: int, 
     assert isinstance(answer, Identified)
     texts = [note["text"] for note in answer.content["notes"] if note["kind"] == "unproven"]
     assert answer.content["verdict"] == "consistent"
-    assert (answer.content["fit"]["rms_after"] > 10 * SIGMA) is stated
-    assert [text.startswith("it leaves 468 µm per coordinate, the noise is 21 µm") for text in texts] == [True] * stated
+    assert (answer.content["fit"]["rms_after"] > 10 * SIGMA) is noted
+    assert [text.startswith("it leaves 468 µm per coordinate, the noise is 21 µm") for text in texts] == [True] * noted
 
 
 def test_a_rigid_robot_claims_nothing() -> None:
