@@ -33,7 +33,7 @@ from calibration_core.timeseries import Float1D, Readings
 from calibration_sim.cell.protocol import Configuration, Protocol
 from calibration_sim.scenarios.grid import Scenario, grid, sample
 
-SEEDS = (31, 32, 3, 11, 5, 2)  # for development; neither that of make prove nor that of the small proof
+SEEDS = (31, 32, 3, 11, 5, 2, 13, 17, 41, 43)  # for development; neither that of make prove nor that of the small proof
 EFFECTS = (  # often ambiguous
     "off_axis_compliance",
     "link_bending",

@@ -25,7 +25,8 @@ from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
 SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness and turned levers
-FOLLOWS, SAVED = 2.0, 0.75  # times the noise, share of the squares: waves that leave more and save less predict nothing
+FOLLOWS = 2.0  # times the noise: waves of all joints that leave more of blocks left out, and
+SAVED = 2 / 3  # save less of their squares, follow the readings; other causes may yet be missing beside them
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
 CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
 LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
