@@ -23,7 +23,7 @@ from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.observations.kinds import holds_single_steps, is_loaded
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import Bool1D, Readings
 
 NO_PHYSICS = Rest(
     0.0,
@@ -83,7 +83,8 @@ def _judged(found: Diagnosis) -> Diagnosis:
 
 def _not_noise(found: Diagnosis) -> Diagnosis:
     """Call a residual that is more than noise unexplained; compliances are then as much more doubtful."""
-    seen = MEDIAN * float(np.median(np.abs(found.residual))) if len(found.residual) else 0.0
+    residual = found.residual[_of_firm_targets(found)]
+    seen = MEDIAN * float(np.median(np.abs(residual))) if len(residual) else 0.0
     known = max((a.magnitude for a in found.anomalies if a.kind == "noise_understated"), default=found.noise)
     noise = max(found.noise, known)
     if found.verdict != "consistent" or seen <= NOT_NOISE * noise:
@@ -100,6 +101,15 @@ def _not_noise(found: Diagnosis) -> Diagnosis:
         rest=Rest(excess, True, {}, text),
         compliance_covariance=None if covariance is None else covariance * (seen / noise) ** 2,
     )
+
+
+def _of_firm_targets(found: Diagnosis) -> Bool1D:
+    """Return the (m,) residuals of targets that do not sit loose: the others show no misfit of the model."""
+    readings = found.identification.readings
+    if len(found.residual) != len(readings):
+        return np.ones(len(found.residual), dtype=bool)
+    loose = [anomaly.location["point"] for anomaly in found.anomalies if anomaly.kind == "loose_target"]
+    return np.array([readings.points[point] not in loose for point in readings.point], dtype=bool)
 
 
 def _with_location(

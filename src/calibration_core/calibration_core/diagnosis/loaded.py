@@ -15,7 +15,7 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter, claimed, directions, scatter, with_noise
 from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_use, whole_steps
-from calibration_core.diagnosis.data_checks.step_direction import jumps_along_a_joint
+from calibration_core.diagnosis.data_checks.step_direction import Jumps, jumps_along_a_joint
 from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
 from calibration_core.diagnosis.evidence.aliases import aliases
@@ -105,8 +105,9 @@ def diagnose_loaded(
         rest = dataclasses.replace(rest, significant=True, text=f"{size} {sentences}")
     rest = _with_whole_steps(rest, extended, checked)
     law = empirical_law(extended) if rest.significant else None
-    rest = _with_jumps(rest, prepared, extended, seen)
-    anomalies = _anomalies(checked, attempt, identification)
+    jumps = _jumps(prepared, extended, seen)
+    rest = _with_jumps(rest, prepared, jumps)
+    anomalies = _anomalies(checked, attempt, identification, jumps)
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
         registered = registration_findings(prepared, extended.state, readings)
@@ -171,17 +172,21 @@ def _with_whole_steps(rest: Rest, extended: ExtendedLoadedModel, checked: Checke
     return rest.also(text, dict(rest.where) or {"configurations": sorted({number for number, _ in steps})})
 
 
-def _with_jumps(rest: Rest, prepared: PreparedLoaded, extended: ExtendedLoadedModel, seen: Scatter) -> Rest:
-    """Say of jumps from step to step that follow one joint that they are no noise."""
+def _jumps(prepared: PreparedLoaded, extended: ExtendedLoadedModel, seen: Scatter) -> Jumps | None:
+    """Return the joint that jumps from step to step follow, if they follow one."""
     if not seen.freedom:
-        return rest
+        return None
     problem, used, axes = prepared.problem, extended.used, _axes(prepared)
     rows, answer = problem.linearise(extended.compliance).rows, extended.state.answer.transpose(2, 0, 1)
     readings = problem.readings.select(used)
-    found = jumps_along_a_joint(rows.select(used), extended.raw[used], readings, axes[used], answer[used], seen)
+    return jumps_along_a_joint(rows.select(used), extended.raw[used], readings, axes[used], answer[used], seen)
+
+
+def _with_jumps(rest: Rest, prepared: PreparedLoaded, found: Jumps | None) -> Rest:
+    """Say of jumps from step to step that follow one joint that they are no noise."""
     if found is None:
         return rest
-    name = problem.chain.joints[found.joint]
+    name = prepared.problem.chain.joints[found.joint]
     text = (
         f"From step to step the points jump by {1e6 * found.rms:.1f} µm rms more in the direction in which {name} "
         "moves them than in the others. The noise of the tracker has no such direction: the cause is at this joint, "
@@ -209,7 +214,9 @@ def _held_out_lengths(extended: ExtendedLoadedModel, cell: Cell) -> dict[str, fl
     return figures
 
 
-def _anomalies(checked: Checked, attempt: Attempt, identification: Identification) -> tuple[Anomaly, ...]:
+def _anomalies(
+    checked: Checked, attempt: Attempt, identification: Identification, jumps: Jumps | None
+) -> tuple[Anomaly, ...]:
     extended = attempt.extended
     readings = extended.problem.readings
     aside = checked.sound.copy()
@@ -217,7 +224,10 @@ def _anomalies(checked: Checked, attempt: Attempt, identification: Identificatio
     length = np.linalg.norm(_without_offsets(extended, extended.raw), axis=1)
     size = float(length[aside].max(initial=0.0))
     kinds = {anomaly.kind for anomaly in checked.anomalies}
-    noise = () if kinds & {"loose_target"} else noise_understated(attempt.seen, identification.noise.claimed)
+    seen = attempt.seen
+    if jumps is not None:  # what a joint does is no noise of the tracker; of one point alone nothing else is seen
+        seen = dataclasses.replace(seen, shared=0.0, freedom=seen.freedom if len(readings.points) > 1 else 0)
+    noise = () if kinds & {"loose_target"} else noise_understated(seen, identification.noise.claimed)
     notes = tuple(anomaly for anomaly in identification.anomalies if anomaly.kind == "unsettled")
     return (*checked.anomalies, *noise, *outlier_readings(aside, size, readings), *notes)
 

@@ -23,7 +23,7 @@ from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings, numbers_in_time
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 LOOSE = 4.0  # times the variance of the other points
 SWINGING = 4.0  # times the variance that the other configurations have
@@ -220,18 +220,23 @@ def _loose_target(prepared: PreparedLoaded, state: State, shape: Shape) -> tuple
 def _unsettled(
     prepared: PreparedLoaded, state: State, loose: tuple[Anomaly, int] | None
 ) -> tuple[Anomaly, np.ndarray] | None:
-    """See configurations in which all points move together from step to step, beyond what the others show."""
+    """See configurations in which all points move together from step to step, beyond what the others show.
+
+    A swing has no direction; what jumps along the line of one joint, the same in all of them, is that joint's law.
+    """
     steady = np.ones(state.m, dtype=bool) if loose is None else prepared.problem.readings.point != loose[1]
     groups = left_over(prepared.problem, state, prepared.rejection.used & steady)
     if len(groups) < 4:
         return None
     common = [np.median(rest, axis=1) for rest in groups.values()]  # one wild reading of three points does not count
     power = np.array([float((rest**2).mean()) for rest in common])
-    freedom = np.array([rest.size for rest in common])
     quiet = float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)]))
-    ratio = power / quiet
-    chance = np.array([f_tail(r, f, float(freedom.sum()) / 2) for r, f in zip(ratio, freedom, strict=True)])
-    restless = (ratio > SWINGING) & (chance * len(groups) < CERTAIN)
+    freedom = np.array([rest.size for rest in common])
+    restless = _beyond(power, freedom, quiet)
+    if restless.any():
+        across = _across_joints(common, list(groups), prepared.problem.readings.configuration, state)
+        left = [restless & _beyond(one * 3 / 2, freedom * 2 / 3, quiet) for one in across.T]
+        restless = min(left, key=np.count_nonzero)
     if not restless.any():
         return None
     known = numbers_in_time(prepared.problem.readings.configuration)
@@ -244,3 +249,29 @@ def _unsettled(
     )
     span = (int(numbers[0]), int(numbers[-1]))
     return Anomaly("unsettled", {"robot": "robot"}, span, size, "m", text), numbers
+
+
+def _beyond(power: Float1D, freedom: Float1D, quiet: float) -> Bool1D:
+    """Return which configurations move more than what is quiet, by their mean squares and degrees of freedom."""
+    ratio = power / quiet
+    chance = np.array([f_tail(r, f, float(freedom.sum()) / 2) for r, f in zip(ratio, freedom, strict=True)])
+    return np.asarray((ratio > SWINGING) & (chance * len(power) < CERTAIN))
+
+
+def _across_joints(common: list[Float2D], numbers: list[int], configuration: Int1D, state: State) -> Float2D:
+    """Return the mean squares per coordinate, (k, n), of movements less what lies along the line of each joint.
+
+    Args:
+        common: Per configuration (l, 3) m, flange axes.
+        numbers: Those configurations.
+        configuration: (m,) of all readings.
+        state: Their state.
+    """
+    found = []
+    for rest, number in zip(common, numbers, strict=True):
+        inside = np.flatnonzero(configuration == number)
+        lines = np.einsum("iam,anm->in", state.at.flange[:, :, inside], state.answer[:, :, inside])
+        length = np.linalg.norm(lines, axis=0)
+        lines = lines / np.where(length > 0, length, 1.0)
+        found.append((rest**2).mean() - ((rest @ lines) ** 2).sum(axis=0) / rest.size)
+    return np.array(found)

@@ -1,0 +1,68 @@
+"""Physics that a model leaves out makes no arm restless and no tracker noisy."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from loaded_cases import shifted, true_state
+from robots import loaded_readings, write_cell
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.timeseries import Float2D, Readings
+
+JOINT, WIDTH = 1, 1.5e-4  # rad, from one side of the friction to the other
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    return write_cell(tmp_path_factory.mktemp("cell"))
+
+
+def with_friction(cell: Cell, seed: int) -> Readings:
+    """Return a recording in which joint 2 lags by Dahl's law, and stood anywhere when it arrived."""
+    readings = loaded_readings(cell, seed, 18)
+    state = true_state(readings, cell)
+    largest = state.largest_torque(JOINT)
+    begun = np.random.default_rng(seed).uniform(-1.0, 1.0, 1 + int(state.configuration.max()))
+    lag = np.empty(state.m)
+    for index in state.sequences:
+        torque, sliding = state.torque[JOINT][index], begun[state.configuration[index[:, 0]]]
+        for k in range(index.shape[1]):
+            change = torque[:, k] - torque[:, max(k - 1, 0)]
+            sliding = np.sign(change) + (sliding - np.sign(change)) * np.exp(-np.abs(change) / (0.2 * largest))
+            lag[index[:, k]] = sliding
+    return shifted(readings, cell, state.joint_column(JOINT, -WIDTH * lag))
+
+
+def moved(readings: Readings, shift: Float2D) -> Readings:
+    return dataclasses.replace(readings, position=readings.position + shift)
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_friction_is_no_restless_arm_and_no_noise(cell: Cell, seed: int) -> None:
+    found = diagnose(with_friction(cell, seed), cell)
+    assert [(one.effect, dict(one.location)) for one in found.findings] == [("hysteresis", {"joint": "joint_2"})]
+    assert not {one.kind for one in found.anomalies} & {"unsettled", "noise_understated"}
+
+
+def test_an_arm_that_swings_is_restless_beside_friction(cell: Cell) -> None:
+    readings = with_friction(cell, 6)
+    keys = np.column_stack([readings.configuration, readings.step])
+    _, step = np.unique(keys, axis=0, return_inverse=True)
+    swing = 4e-4 * np.random.default_rng(1).standard_normal((step.max() + 1, 3))[step.reshape(-1)]
+    swinging = np.isin(readings.configuration, [9, 13, 14])
+    found = diagnose(moved(readings, swing * swinging[:, None]), cell)
+    (text,) = (anomaly.text for anomaly in found.anomalies if anomaly.kind == "unsettled")
+    assert text.startswith("in configurations 9, 13, 14 all points move together")
+
+
+@pytest.mark.parametrize("size", [8e-5, 1.2e-4])
+def test_a_loose_target_alone_leaves_nothing_unexplained(cell: Cell, size: float) -> None:
+    readings = loaded_readings(cell, 32, 18)
+    shake = size * np.random.default_rng(3).standard_normal((len(readings), 3))
+    found = diagnose(moved(readings, shake * (readings.point == 1)[:, None]), cell)
+    assert [(one.kind, dict(one.location)) for one in found.anomalies] == [("loose_target", {"point": "mp2"})]
+    assert (found.verdict, found.findings) == ("consistent", ())
