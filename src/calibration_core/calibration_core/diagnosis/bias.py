@@ -25,8 +25,8 @@ def with_bias(found: Identification, searched: Diagnosis) -> Identification:
     """Return the identification with intervals that include the bias, and the extended model's stiffness beside.
 
     Nothing changes where the search knows no covariance of the compliances, at joints that neither model determines or
-    that are declared rigid, and for positions at rest of which nothing is left out: there the search
-    refits every stated stiffness, and not only those that the recording tells.
+    that are declared rigid, and for positions at rest of which nothing is left out: there both models
+    fit every stated stiffness.
 
     Args:
         found: What the standard's model says of a recording.

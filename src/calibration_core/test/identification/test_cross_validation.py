@@ -8,7 +8,8 @@ from absolute_cases import make_cell, make_problem, make_readings, random_angles
 from calibration_core.identification.absolute.prediction_error import LinearModel, compare, folds, held_out
 from calibration_core.identification.geometry.fit import GeometryFit, fit, normal_equations
 from calibration_core.identification.geometry.identifiability import candidates, select_frames, select_identifiable
-from calibration_core.identification.geometry.terms import ElasticityTerm
+from calibration_core.identification.geometry.prior import GaussianPrior
+from calibration_core.identification.geometry.terms import ElasticityTerm, names_of
 from calibration_core.model.nominal import nominal_parameters
 
 POINTS = ("mp1", "mp2")
@@ -41,6 +42,24 @@ def test_held_out_equals_fits_without_the_fold() -> None:
         rows = np.flatnonzero(fold == k)
         np.testing.assert_allclose(fast[:, rows], problem.select(rows).residual(alone.parameters), atol=1e-9)
     assert np.mean(fast**2) > np.mean(problem.residual(whole.parameters) ** 2)
+
+
+def test_what_was_known_before_is_known_to_every_fold() -> None:
+    cell = make_cell()
+    truth = nominal_parameters(cell).replace(compliance=np.array([0, 8e-7, 5e-7, 0, 0, 0]))
+    readings = make_readings(cell, truth, random_angles(2, 12, 6))
+    problem, start = make_problem(cell, readings), nominal_parameters(cell)
+    terms = (*select_frames(problem, start)[0], ElasticityTerm((1, 2), ("C2", "C3")))
+    known = np.zeros(len(names_of(terms)))
+    known[-2:] = 1e-8**-2.0  # about as much as the readings say, about zero
+    prior = GaussianPrior(start, terms, np.diag(known))
+    whole, fold = fit(problem, start, terms, prior), folds(readings.configuration)
+    assert whole.parameters.compliance[2] < 0.7 * truth.compliance[2]
+    fast = held_out(problem, whole, fold, np.ones(12, dtype=bool))
+    for k in range(12):
+        alone = fit(problem.select(np.flatnonzero(fold != k)), start, terms, prior)
+        rows = np.flatnonzero(fold == k)
+        np.testing.assert_allclose(fast[:, rows], problem.select(rows).residual(alone.parameters), atol=2e-8)
 
 
 def test_nothing_fitted_has_nothing_to_hold_out() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from absolute_cases import make_cell, make_problem, make_readings, random_angles, truth_of
 
+from calibration_core.identification.geometry.fit import fit, normal_equations
 from calibration_core.identification.geometry.identifiability import candidates, select_frames, select_identifiable
 from calibration_core.identification.geometry.prior import GaussianPrior, difference, learn
 from calibration_core.identification.geometry.problem import start_parameters
@@ -62,6 +63,24 @@ def test_understated_noise_widens_what_is_left() -> None:
     widened = learn(louder, nothing)
     assert widened.scale == pytest.approx(3.0, rel=0.1)
     np.testing.assert_allclose(np.diag(widened.covariance), np.diag(honest.covariance), rtol=0.25)
+
+
+def test_louder_readings_leave_the_prior_as_good_as_it_was() -> None:
+    """Noise three times the stated one: the spread of solutions drawn by chance is the covariance."""
+    problem, nothing = _case()
+    terms, p = nothing.terms, len(nothing.names)
+    seen = normal_equations(problem, nothing.parameters, terms)
+    prior = dataclasses.replace(nothing, information=np.diag(0.5 * np.diag(seen.matrix)))
+    found = fit(problem, nothing.parameters, terms, prior)
+    rng, root = np.random.default_rng(3), np.linalg.cholesky(found.seen.matrix)
+    read = 3.0 * root @ rng.standard_normal((p, 20_000))
+    pull = np.sqrt(prior.information) @ rng.standard_normal((p, 20_000))
+    drawn = np.linalg.solve(found.normal.matrix, read + pull).std(axis=1)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance(3.0))), drawn, rtol=0.03)
+    own = np.sqrt(np.diag(found.covariance()))
+    np.testing.assert_allclose(own, np.sqrt(np.diag(np.linalg.inv(found.normal.matrix))), rtol=1e-6)
+    assert np.all(drawn < 2.9 * own)
+    assert 3 * len(problem) - p < found.freedom < 3 * len(problem)
 
 
 def test_compliances_are_left_aside_as_a_marginal() -> None:

@@ -29,6 +29,7 @@ class ElasticityVerdict:
 
     Attributes:
         joints: Joints whose compliance improves held-out configurations clearly, counted from 0, best first.
+        loaded: Joints that gravity loads.
         believed: Whether the claim survives both controls.
         reason: Why, with figures.
         rms: 3-d root mean square of the linearised model with these compliances, m.
@@ -36,6 +37,7 @@ class ElasticityVerdict:
     """
 
     joints: tuple[int, ...]
+    loaded: tuple[int, ...]
     believed: bool
     reason: str
     rms: float
@@ -71,15 +73,16 @@ def judge_elasticity(
     base = list(range(len(geometry.names)))
     real = len(base)
     before = model.held_out(base)
-    chosen, after = _choose_joints(model, base, real, n, before, configuration)
+    loaded = tuple(_loaded(model, real, n))
+    chosen, after = _choose_joints(model, base, real, loaded, before, configuration)
     if not chosen:
-        chosen = tuple(column - real for column in _sound(model, base, [real + j for j in _loaded(model, real, n)]))
+        chosen = tuple(column - real for column in _sound(model, base, [real + j for j in loaded]))
         after = model.held_out([*base, *(real + j for j in chosen)])
     main = compare(before, after, configuration)
     fitted = rms_length(model.fitted([*base, *(real + j for j in chosen)]).T)
     if not chosen or not main.clear:
         reason = f"no joint's compliance helps clearly; all together: {main.text}"
-        return ElasticityVerdict(chosen, believed=False, reason=reason, rms=fitted, held_out_rms=main.after)
+        return ElasticityVerdict(chosen, loaded, believed=False, reason=reason, rms=fitted, held_out_rms=main.after)
     others = [_sound(model, base, [real + (k + 1) * n + j for j in chosen]) for k in range(len(turned))]
     controls = [model.held_out([*base, *columns]) for columns in others]
     gains = [compare(before, control, configuration).gain for control in controls]
@@ -100,14 +103,14 @@ def judge_elasticity(
         reason = f"{reason}: the gain does not collapse, so it is not gravity's"
     elif not beyond.clear:
         reason = f"{reason}: it cannot be distinguished from a harmonic of the transmission"
-    return ElasticityVerdict(chosen, collapses and beyond.clear, reason, fitted, main.after)
+    return ElasticityVerdict(chosen, loaded, collapses and beyond.clear, reason, fitted, main.after)
 
 
 def _choose_joints(
-    model: LinearModel, base: list[int], real: int, n: int, before: Float2D, configuration: Int1D
+    model: LinearModel, base: list[int], real: int, loaded: Sequence[int], before: Float2D, configuration: Int1D
 ) -> tuple[tuple[int, ...], Float2D]:
     """Return the joints that gain clearly, one after another, and the held-out residuals with them."""
-    open_joints = _loaded(model, real, n)
+    open_joints = list(loaded)
     chosen: list[int] = []
     current = before
     while open_joints:

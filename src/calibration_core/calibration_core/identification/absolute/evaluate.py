@@ -26,7 +26,7 @@ from calibration_core.identification.geometry.identifiability import (
     select_frames,
     select_identifiable,
 )
-from calibration_core.identification.geometry.named_estimate import named_estimate
+from calibration_core.identification.geometry.named_estimate import COMPLIANCE, named_estimate
 from calibration_core.identification.geometry.parameter_table import Uncertainty, parameter_table, uncertainty_of
 from calibration_core.identification.geometry.problem import absolute_problem, nominal_with_tracker, start_parameters
 from calibration_core.identification.geometry.terms import AXES, Term, names_of
@@ -45,6 +45,7 @@ from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.statistics.solve import Solution
 from calibration_core.identification.stiffness.outlier_rejection import Key
 from calibration_core.identification.stiffness.tested import tested_on
+from calibration_core.model.effects.priors import typical
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -54,6 +55,7 @@ from calibration_core.observations.covariance import coordinate_std, position_co
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Note, Readings
 
 UNLOADED_TORQUE = 1e-6  # N*m
+STATED = "stated_compliance"  # in the table of typical magnitudes: how far it is off, relative to its value
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -124,7 +126,7 @@ def identification_of(
     result = case.staged.final.fit
     parameters = result.parameters
     noise = _audit(case, readings, covariance)
-    uncertainty = uncertainty_of(parameters, result.names, result.covariance, noise.scale)
+    uncertainty = uncertainty_of(parameters, result.names, result.covariance(noise.scale))
     space = operating_space(chain.corrected(parameters.geometry), parameters, readings)
     figures = _figures(case, covariance, result)
     exclusions = _exclusions(case, readings)
@@ -179,21 +181,23 @@ def evaluate_absolute(
     if robust:
         rejection = reject_gross_errors(problem, start, terms, used, protected)
         start, used = rejection.fit.parameters, rejection.used
+    uncertainty = np.zeros(len(nominal.joints))
+    if believed is None:  # what was given was measured
+        uncertainty = typical(STATED, cell.robot.rated_load) * nominal.compliance
     choice = select_identifiable(problem.select(np.flatnonzero(used)), start, terms, candidates(cell))
     if robust and choice.chosen:
         rejection = reject_gross_errors(problem, start, [*terms, choice.term], used, protected)
         used = rejection.used
     stated = nominal_with_tracker(problem, nominal, start, known=known)
     fold = folds(readings.configuration)
-    staged = select_stages(SelectionCase(problem, used, fold, readings.configuration), stated, start, terms, choice)
+    selected = SelectionCase(problem, used, fold, readings.configuration, uncertainty)
+    staged = select_stages(selected, stated, start, terms, choice)
     if robust:
         final = staged.final.fit
-        rejection = reject_gross_errors(problem, final.parameters, final.terms, used, protected)
+        rejection = reject_gross_errors(problem, final.parameters, final.terms, used, protected, final.prior)
         if not np.array_equal(rejection.used, used):
             used = rejection.used
-            staged = select_stages(
-                SelectionCase(problem, used, fold, readings.configuration), stated, start, terms, choice
-            )
+            staged = select_stages(dataclasses.replace(selected, used=used), stated, start, terms, choice)
     return Evaluated(problem, stated, terms, hidden, choice, staged, used, rejection)
 
 
@@ -220,7 +224,7 @@ def _audit(case: Evaluated, readings: Readings, covariance: Float3D) -> NoiseAud
         readings.q[used], case.staged.final.residual[:, used], readings.point[used], readings.configuration[used]
     )
     checks = (rigid_triangle(readings.position, readings, used), window_scatter(readings, used))
-    return audit_absolute(covariance[used], checks, neighbours, result.normal.cost, result.freedom)
+    return audit_absolute(covariance[used], checks, neighbours, result.seen.cost, result.freedom)
 
 
 def _stiffness(
@@ -230,10 +234,9 @@ def _stiffness(
     if not case.staged.elastic:
         return ()
     n = len(joints)
-    determined = np.isin(np.arange(n), case.staged.elastic)
-    variance = np.full(n, np.inf)
-    for j in case.staged.elastic:
-        variance[j] = (uncertainty.std(f"C {joints[j]}") / noise.scale) ** 2
+    spread = np.array([uncertainty.std(f"{COMPLIANCE}{joint}") for joint in joints])
+    determined = np.isfinite(spread)
+    variance = np.where(determined, (spread / noise.scale) ** 2, np.inf)
     value = result.parameters.compliance
     solution = Solution(
         value=value,
@@ -251,15 +254,18 @@ def _stiffness(
     freedom = result.freedom if noise.scale > 1.0 else None
     table = stiffness_table(joints, solution, noise.scale, freedom, torque_rms, chain.prismatic, chain.rigid)
     return tuple(
-        entry if j in case.staged.elastic else dataclasses.replace(entry, reason=_not_fitted(float(torque_rms[j])))
+        entry
+        if j in case.staged.elastic
+        else dataclasses.replace(entry, identifiable=False, reason=_unproven(float(torque_rms[j]), determined[j]))
         for j, entry in enumerate(table)
     )
 
 
-def _not_fitted(torque: float) -> str:
+def _unproven(torque: float, fitted: bool) -> str:
     if torque < UNLOADED_TORQUE:
         return "not fitted: gravity does not load this joint"
-    return f"not fitted: it does not clearly improve configurations left out (gravity torque {torque:.2g} N·m rms)"
+    how = "fitted beside the others, from the stated value on" if fitted else "not fitted"
+    return f"{how}: it does not clearly improve configurations left out (gravity torque {torque:.2g} N·m rms)"
 
 
 def _condition(result: GeometryFit) -> float:
@@ -280,7 +286,7 @@ def _figures(case: Evaluated, covariance: Float3D, result: GeometryFit) -> Fit:
         held_out_mean_after=float(lengths.mean()),
         held_out_max_after=float(lengths.max()),
         rms_used=rms(after.residual[:, case.used]),
-        chi2=result.normal.cost,
+        chi2=result.seen.cost,
         degrees_of_freedom=result.freedom,
     )
 

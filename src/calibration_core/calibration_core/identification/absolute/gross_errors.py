@@ -15,6 +15,7 @@ from calibration_core.identification.geometry.fit import (
     AbsoluteProblem,
     GeometryFit,
     NormalEquations,
+    Prior,
     bounded_step,
     fit,
     lower_steps,
@@ -59,6 +60,7 @@ def reject_gross_errors(
     terms: Sequence[Term],
     used: Bool1D,
     protected: Bool1D,
+    prior: Prior | None = None,
 ) -> GrossErrorRejection:
     """Fit, take out gross errors one at a time, refit, and take back what fits after all.
 
@@ -74,25 +76,26 @@ def reject_gross_errors(
         terms: What is fitted.
         used: (m,) readings to begin with.
         protected: (m,) readings that must be used whatever they look like.
+        prior: What is known of the terms already.
     """
     budget = max(1, int(MAX_SHARE * len(problem)))
     used = used | protected
-    result, squared, threshold, linear = _judge(problem, start, terms, used)
+    result, squared, threshold, linear = _judge(problem, start, terms, used, prior)
     for _ in range(ROUNDS):
         found = _exclude(linear, result, used, protected, budget)
         back = ~used & (squared < RETURN * threshold)
         if not found.any() and not back.any():
             break
         used = (used & ~found) | back
-        result, squared, threshold, linear = _judge(problem, result.parameters, terms, used)
+        result, squared, threshold, linear = _judge(problem, result.parameters, terms, used, prior)
     return GrossErrorRejection(result, used, squared, threshold, full=int(np.sum(~used)) >= budget)
 
 
 def _judge(
-    problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term], used: Bool1D
+    problem: AbsoluteProblem, start: ModelParameters, terms: Sequence[Term], used: Bool1D, prior: Prior | None
 ) -> tuple[GeometryFit, Float1D, float, Linearised]:
     """Fit the readings used and judge all of them; return what they are linear in, too."""
-    result = fit(problem.select(np.flatnonzero(used)), start, terms)
+    result = fit(problem.select(np.flatnonzero(used)), start, terms, prior)
     columns, residual = _linearised(problem, result)
     squared = np.empty(len(problem))
     squared[used] = _deletion(columns[:, :, used], residual[:, used], result.normal, sign=-1.0)

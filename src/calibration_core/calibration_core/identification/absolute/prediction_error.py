@@ -126,7 +126,7 @@ def held_out(problem: AbsoluteProblem, whole: GeometryFit, fold: Int1D, used: Bo
         normal_equations(problem.select(np.flatnonzero(used & (fold == k))), whole.parameters, whole.terms)
         for k in range(count)
     ]
-    total = _sum(parts)
+    total = _sum(parts if whole.prior is None else [*parts, whole.prior.normal(whole.parameters)])
     residual = np.empty((3, len(problem)))
     for k in range(count):
         training = problem.select(np.flatnonzero(used & (fold != k)))
@@ -142,7 +142,8 @@ def _without(training: AbsoluteProblem, whole: GeometryFit, normal: NormalEquati
     try:
         again = normal_equations(training, first, whole.terms)
     except EquilibriumError:  # far from linear: these compliances do not even carry the robot
-        return fit(training, whole.parameters, whole.terms).parameters
+        return fit(training, whole.parameters, whole.terms, whole.prior).parameters
+    again = again if whole.prior is None else again + whole.prior.normal(first)
     return moved(first, whole.terms, bounded_step(again, lower_steps(whole.terms, first)))
 
 

@@ -9,13 +9,14 @@ import numpy as np
 from calibration_core.errors import EquilibriumError
 from calibration_core.identification.absolute.elasticity import judge_elasticity
 from calibration_core.identification.absolute.prediction_error import Improvement, compare, held_out
-from calibration_core.identification.geometry.fit import AbsoluteProblem, GeometryFit, fit, normal_equations
+from calibration_core.identification.geometry.fit import AbsoluteProblem, GeometryFit, Prior, fit, normal_equations
 from calibration_core.identification.geometry.identifiability import ParameterSelection
+from calibration_core.identification.geometry.prior import GaussianPrior
 from calibration_core.identification.geometry.terms import ElasticityTerm, Term
 from calibration_core.identification.result.estimate import Stage
 from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Bool1D, Float2D, Int1D
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 NO_GEOMETRY = "the geometry is not identified"
 
@@ -71,18 +72,20 @@ class SelectionCase:
         used: (m,) readings that may be fitted.
         fold: (m,) fold of every reading.
         configuration: (m,) its configuration.
+        uncertainty: (n,) rad/(N*m), standard uncertainty of the compliances that are stated; 0: taken as they are.
     """
 
     problem: AbsoluteProblem
     used: Bool1D
     fold: Int1D
     configuration: Int1D
+    uncertainty: Float1D
 
-    def fit_stage(self, start: ModelParameters, terms: list[Term]) -> FittedStage:
+    def fit_stage(self, start: ModelParameters, terms: list[Term], prior: Prior | None = None) -> FittedStage:
         """Fit the terms to the readings used, and predict every configuration from the others."""
         used = self.problem.select(np.flatnonzero(self.used))
         if terms:
-            result = fit(used, start, terms)
+            result = fit(used, start, terms, prior)
         else:
             result = GeometryFit(start, (), normal_equations(used, start, ()), 0, converged=True)
         residual = self.problem.residual(result.parameters)
@@ -142,7 +145,6 @@ def select_stages(
 
 
 def _elasticity(case: SelectionCase, geometry: FittedStage) -> tuple[Stage, FittedStage | None, tuple[int, ...]]:
-    chain = case.problem.chain
     if not case.problem.loaded:
         unknown = "the cell file states no inertials, so gravity's torques are unknown"
         return _not_tried("elasticity", geometry, unknown), None, ()
@@ -152,17 +154,28 @@ def _elasticity(case: SelectionCase, geometry: FittedStage) -> tuple[Stage, Fitt
     if not verdict.believed:
         return Stage("elasticity", size, verdict.rms, verdict.held_out_rms, kept=False, reason=verdict.reason), None, ()
     joints = tuple(sorted(verdict.joints))
-    term = ElasticityTerm(joints, tuple(f"C {chain.joints[j]}" for j in joints))
+    stated = tuple(j for j in verdict.loaded if case.uncertainty[j] > 0 and j not in joints)
     try:
-        elastic = case.fit_stage(geometry.fit.parameters, [*geometry.fit.terms, term])
+        elastic = case.fit_stage(geometry.fit.parameters, _bending(geometry, joints))
+        kept = elastic.fit.converged and case.improvement(geometry, elastic).clear
+        if kept and stated:  # what no gain proves is uncertain all the same, and so are the others by it
+            terms = _bending(geometry, (*joints, *stated))
+            known = np.concatenate([np.zeros(size), case.uncertainty[list(stated)] ** -2.0])
+            prior = GaussianPrior(geometry.fit.parameters, tuple(terms), np.diag(known))
+            elastic = case.fit_stage(elastic.fit.parameters, terms, prior)
+            kept = elastic.fit.converged
     except EquilibriumError as error:
         reason = f"{verdict.reason}; but the springs do not carry the robot: {error}"
         return Stage("elasticity", size, verdict.rms, verdict.held_out_rms, kept=False, reason=reason), None, ()
-    kept = elastic.fit.converged and case.improvement(geometry, elastic).clear
     remark = "" if kept else "; but with the equilibrium on the deformed geometry no clear gain is left"
     reason = verdict.reason + remark
-    stage = Stage("elasticity", size, elastic.rms, elastic.held_out_rms, kept, reason)
+    stage = Stage("elasticity", _size(elastic), elastic.rms, elastic.held_out_rms, kept, reason)
     return (stage, elastic, joints) if kept else (stage, None, ())
+
+
+def _bending(geometry: FittedStage, joints: tuple[int, ...]) -> list[Term]:
+    names = geometry.fit.parameters.joints
+    return [*geometry.fit.terms, ElasticityTerm(joints, tuple(f"C {names[j]}" for j in joints))]
 
 
 def _not_tried(name: str, current: FittedStage, reason: str) -> Stage:

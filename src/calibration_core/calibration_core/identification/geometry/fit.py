@@ -173,9 +173,10 @@ class GeometryFit:
     Attributes:
         parameters: All values, fitted or not.
         terms: What was fitted.
-        normal: Whitened normal equations at the solution.
+        normal: Whitened normal equations at the solution, the prior included.
         iterations: Gauss-Newton steps.
         converged: Whether the sum of squares stopped falling.
+        prior: What was known of the terms before; None: nothing.
     """
 
     parameters: ModelParameters
@@ -183,6 +184,7 @@ class GeometryFit:
     normal: NormalEquations
     iterations: int
     converged: bool
+    prior: Prior | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -190,14 +192,31 @@ class GeometryFit:
         return names_of(self.terms)
 
     @property
-    def freedom(self) -> int:
-        """Coordinates minus parameters."""
-        return 3 * self.normal.readings - len(self.normal.gradient)
+    def seen(self) -> NormalEquations:
+        """What the readings alone say at the solution."""
+        return self.normal if self.prior is None else self.normal - self.prior.normal(self.parameters)
 
     @property
-    def covariance(self) -> Float2D:
-        """(p, p) covariance of the parameters for the stated noise, SI units."""
-        return scaled_inverse(self.normal.matrix)
+    def freedom(self) -> int:
+        """Coordinates minus the number of parameters that the readings determine."""
+        if self.prior is None:
+            return 3 * self.normal.readings - len(self.normal.gradient)
+        return freedom_beside(self.seen, self.normal.matrix)
+
+    def covariance(self, scale: float = 1.0) -> Float2D:
+        """Return the (p, p) covariance of the parameters, SI units.
+
+        With the information S of the readings as they were weighed and P of the prior, the solution has the covariance
+        (S + P)^-1 (scale^2 S + P) (S + P)^-1: the prior is as good as it was, however large the noise is.
+
+        Args:
+            scale: Factor by which the noise exceeds the stated one.
+        """
+        inverse = scaled_inverse(self.normal.matrix)
+        if self.prior is None:
+            return scale**2 * inverse
+        known = inverse @ (self.normal.matrix - self.seen.matrix) @ inverse
+        return scale**2 * inverse - (scale**2 - 1) * (known + known.T) / 2
 
 
 def fit(
@@ -224,7 +243,7 @@ def fit(
         step = bounded_step(normal, lower_steps(terms, parameters), damping)
         if float(normal.gradient @ step) <= CONVERGED * (normal.cost + 1.0):
             last = moved(parameters, terms, step) if not np.any(parameters.compliance) else parameters
-            return GeometryFit(last, tuple(terms), normal, iteration, converged=True)
+            return GeometryFit(last, tuple(terms), normal, iteration, converged=True, prior=prior)
         trial = moved(parameters, terms, step)
         after = _attempt(linearised, trial)
         if after is not None and after.cost <= normal.cost:
@@ -234,7 +253,22 @@ def fit(
             break
         else:
             damping = max(10 * damping, 1e-4)
-    return GeometryFit(parameters, tuple(terms), normal, ITERATIONS, converged=False)
+    return GeometryFit(parameters, tuple(terms), normal, ITERATIONS, converged=False, prior=prior)
+
+
+def freedom_beside(seen: NormalEquations, total: Float2D) -> int:
+    """Return coordinates less the number of parameters that the readings determine beside what is known already.
+
+    Source: trace of (S + P)^-1 S, with the information S of the readings and P of the prior.
+
+    Args:
+        seen: What the readings say.
+        total: (p, p) their information with that of the prior.
+    """
+    scale = column_scale(total)
+    weighted, whole = (matrix * np.outer(scale, scale) for matrix in (seen.matrix, total))
+    share = float(np.trace(np.linalg.lstsq(whole, weighted, rcond=None)[0]))
+    return 3 * seen.readings - round(share)
 
 
 def _attempt(

@@ -12,10 +12,16 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.identification.geometry.fit import AbsoluteProblem, NormalEquations, fit, normal_equations
+from calibration_core.identification.geometry.fit import (
+    AbsoluteProblem,
+    NormalEquations,
+    fit,
+    freedom_beside,
+    normal_equations,
+)
 from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm, Term, TrackerTerm, names_of
 from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
-from calibration_core.identification.statistics.normal_matrix import column_scale, scaled_inverse
+from calibration_core.identification.statistics.normal_matrix import scaled_inverse
 from calibration_core.model.chain import rotation_vector
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
@@ -123,7 +129,7 @@ def learn(problem: AbsoluteProblem, known: GaussianPrior) -> GaussianPrior:
     """
     found = fit(problem, known.parameters, known.terms, known)
     seen = normal_equations(problem, found.parameters, known.terms)
-    freedom = _freedom(seen, known)
+    freedom = freedom_beside(seen, seen.matrix + known.information)
     ratio = float(np.sqrt(seen.cost / freedom)) if freedom > 0 else 1.0
     scale = ratio if freedom > 0 and seen.cost > chi2_limit(LEVEL, freedom) and ratio > 1.0 else 1.0
     if scale > 1.0:
@@ -137,15 +143,6 @@ def learn(problem: AbsoluteProblem, known: GaussianPrior) -> GaussianPrior:
         both = normal_equations(problem, found.parameters, (*known.terms, held.term)).matrix
         held = dataclasses.replace(held, across=held.across + both[:p, p:])
     return GaussianPrior(found.parameters, known.terms, known.information + seen.matrix, scale, freedom, held)
-
-
-def _freedom(seen: NormalEquations, known: GaussianPrior) -> int:
-    """Coordinates less the number of parameters that the readings determine: trace of (N + P^-1)^-1 N."""
-    total = seen.matrix + known.information
-    scale = column_scale(total)
-    weighted, whole = (matrix * np.outer(scale, scale) for matrix in (seen.matrix, total))
-    share = float(np.trace(np.linalg.lstsq(whole, weighted, rcond=None)[0]))
-    return 3 * seen.readings - round(share)
 
 
 def difference(terms: tuple[Term, ...], first: ModelParameters, second: ModelParameters) -> Float1D:
