@@ -213,7 +213,10 @@ def test_one_proposed_configuration_tells_as_much_as_four_random_ones(cases: lis
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="15 of 21: four random ones part tilting joints and tools about as well", strict=True)
+@pytest.mark.xfail(
+    reason="15 of 21 cases: four random configurations tell as much where a joint or the tool tilts (measured.yaml)",
+    strict=True,
+)
 def test_it_does_so_in_four_of_five_cases(cases: list[Case]) -> None:
     good = [case.proposed >= case.at_random - AS_GOOD for case in cases]
     print(f"at least as good in {sum(good)} of {len(good)} ambiguous cases")

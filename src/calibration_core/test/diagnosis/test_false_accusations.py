@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from loaded_cases import shifted, true_state
+from loaded_cases import dahl, friction, shifted, true_state
 from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
@@ -25,15 +25,7 @@ def with_friction(cell: Cell, seed: int) -> Readings:
     """Return a recording in which joint 2 lags by Dahl's law, and stood anywhere when it arrived."""
     readings = loaded_readings(cell, seed, 18)
     state = true_state(readings, cell)
-    largest = state.largest_torque(JOINT)
-    begun = np.random.default_rng(seed).uniform(-1.0, 1.0, 1 + int(state.configuration.max()))
-    lag = np.empty(state.m)
-    for index in state.sequences:
-        torque, sliding = state.torque[JOINT][index], begun[state.configuration[index[:, 0]]]
-        for k in range(index.shape[1]):
-            change = torque[:, k] - torque[:, max(k - 1, 0)]
-            sliding = np.sign(change) + (sliding - np.sign(change)) * np.exp(-np.abs(change) / (0.2 * largest))
-            lag[index[:, k]] = sliding
+    lag = friction(state, JOINT, seed, lambda sliding, change: dahl(sliding, change / 0.2))
     return shifted(readings, cell, state.joint_column(JOINT, -WIDTH * lag))
 
 
