@@ -10,10 +10,13 @@ import pytest
 from independent_robots import Played, play
 
 from calibration_core.commands.evaluation.identify import Identified, evaluate
+from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.identification.absolute.evaluate import identify_absolute
 from calibration_core.identification.result.estimate import JointStiffness
 from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.report.document import Paragraph
 from calibration_core.report.results.diagnosis import extended_joints
+from calibration_core.report.sections.diagnosis import stiffness_blocks
 
 MANY = int(os.environ.get("PROVE_COVERAGE", "150"))
 WORST = (3060, 3208, 3257)  # with the other joints as stated: 5 to 8 standard deviations off
@@ -48,6 +51,17 @@ def test_what_stays_unproven_is_fitted_and_stands_in_the_one_covariance(tmp_path
         assert one.compliance_std < 1 / played.cell.robot.stiffness[j]  # the readings say more than the prior
     upright = found.stiffness[0]  # its axis is vertical: nothing is known but what is stated
     assert (upright.value, upright.std) == (pytest.approx(played.cell.robot.stiffness[0]), np.inf)
+
+
+def test_the_report_of_a_diagnosis_denies_no_stiffness_that_is_identified(tmp_path: Path) -> None:
+    played = play(tmp_path, WORST[0])
+    found = diagnose(played.readings, played.cell)
+    determined = [one.joint for one in found.identification.stiffness if one.identifiable]
+    (block,) = stiffness_blocks(found)
+    assert determined
+    assert block == Paragraph(
+        f"The findings leave the stiffness of {', '.join(determined)} as the identification states it."
+    )
 
 
 @pytest.mark.slow

@@ -208,7 +208,9 @@ def _steps_of(proposal: ProposedMeasurement) -> str:
 def stiffness_blocks(found: Diagnosis) -> tuple[Block, ...]:
     """Return the stiffnesses without and with the findings."""
     if not found.stiffness:
-        return (Paragraph("This recording determines no joint stiffness."),)
+        determined = [one.joint for one in found.identification.stiffness if one.identifiable]
+        text = f"The findings leave the stiffness of {', '.join(determined)} as the identification states it."
+        return (Paragraph(text if determined else "This recording determines no joint stiffness."),)
     return (extended_table(found.identification.stiffness, extended_joints(found)),)
 
 
