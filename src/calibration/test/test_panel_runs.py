@@ -125,6 +125,47 @@ def test_a_run_begins_where_the_sequencer_is_found_late(panel: Any, spinning: An
     assert len(runs) == 1
 
 
+def test_a_run_that_is_rejected_says_why(panel: Any, spinning: Any, tmp_path: Path) -> None:
+    """A rejected goal carries no words; the sequencer's event of it does, and no other event is taken for it."""
+    from calibration_interfaces.action import RunPlan
+    from calibration_interfaces.msg import SessionEvent
+    from rclpy.action import ActionServer, GoalResponse
+
+    from calibration.topics import EVENT
+
+    node = spinning.plain("sequencer")
+    events = node.create_publisher(EVENT.message, EVENT.relative, EVENT.qos)
+
+    def publish(kind: int, text: str) -> None:
+        events.publish(SessionEvent(kind=kind, source="sequencer", text=text))
+
+    def judge(request: Any) -> GoalResponse:
+        if request.session.endswith("one"):
+            publish(SessionEvent.REJECTED, "found a session")
+        else:
+            publish(SessionEvent.OPERATOR_ACTION, "nothing of this run")
+        return GoalResponse.REJECT
+
+    spinning.executor.create_task(
+        lambda: ActionServer(node, RunPlan, "sequencer/run", lambda _: RunPlan.Result(), goal_callback=judge)
+    )
+    (tmp_path / "plan.yaml").write_text("x", "utf-8")
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token)
+            await one.ask("control_ask")
+            while events.get_subscription_count() < 1:
+                await asyncio.sleep(0.05)
+            publish(SessionEvent.REJECTED, "an earlier run")
+            for session, why in (("one", "found a session"), ("two", "the goal is rejected")):
+                answer = await one.ask("run", plan="plan.yaml", session=session, resume=False)
+                assert answer == (200, {"done": False, "text": why})
+
+    run(asyncio.wait_for(work(), 30.0))
+
+
 def test_what_fails_in_the_executor_is_answered(panel: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A request that cannot be carried out ends, and does not keep the page waiting for ever."""
 

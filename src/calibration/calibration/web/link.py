@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from calibration_interfaces.action import Identify, RunPlan
-from calibration_interfaces.msg import Outcome
+from calibration_interfaces.msg import Outcome, SessionEvent
 from calibration_interfaces.srv import (
     ConfirmMode,
     LoadApplied,
@@ -29,11 +29,13 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from calibration.background import in_executor, in_loop
+from calibration.topics import EVENT
 
 ANSWER = 5.0  # s of wall time, that a service may take
 ACCEPT = 10.0  # s of wall time, that an action may take to accept a goal
 FOUND = 10.0  # s, for a server that the graph shows: a lost datagram of the discovery is sent again after 3 s
 ABSENT = 2.0  # s, for a server that the graph does not show
+REASON = 1.0  # s, that the reason of a rejection may take to come
 LOOK = 0.05  # s between two looks
 SERVICES: dict[str, tuple[Any, str, float]] = {
     "stop": (Trigger, "sequencer/stop", 2.0),
@@ -102,6 +104,8 @@ class CellLink:
         """Make the clients of the services; those of actions are there only while one is under way."""
         self._node = node
         self._clients = {key: node.create_client(kind, name) for key, (kind, name, _) in SERVICES.items()}
+        reliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+        self._event = Latest(node, EVENT.message, EVENT.relative, reliable)
         self._run: asyncio.Task[None] | None = None  # held: a task that nobody holds may be collected
         self._beginning = False
         self._evaluation: Any = None
@@ -142,12 +146,23 @@ class CellLink:
         client = await self._client(RunPlan, "sequencer/run")
         if client is None:
             return Answer(done=False, text="sequencer/run is not there")
+        self._event.take()  # what was said before the goal
         handle = await self._goal(client, RunPlan.Goal(**fields))
         if handle is None:
             await self._spun(client.destroy)
-            return Answer(done=False, text="the goal is rejected")
+            return Answer(done=False, text=await self._rejection())
         self._run = asyncio.get_running_loop().create_task(self._until(client, handle, ended))
         return Answer(done=True)
+
+    async def _rejection(self) -> str:
+        """Return why a run was rejected: a rejected goal carries no words, an event of the sequencer does."""
+        end = time.monotonic() + REASON
+        while time.monotonic() < end:
+            event = self._event.take()
+            if event is not None and event.kind == SessionEvent.REJECTED:
+                return str(event.text)
+            await asyncio.sleep(LOOK)
+        return "the goal is rejected"
 
     def leave(self) -> None:
         """Wait no longer for the end of a run; in the thread of its loop."""

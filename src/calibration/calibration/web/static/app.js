@@ -14,7 +14,8 @@ const foot = document.getElementById("foot");
 let parts = null;
 let shown = "";
 let chosen = false;
-state.follow = () => { chosen = false; };
+let begun = false;  // a run was begun here, and no state shows it yet: the last one may still show the run before
+state.follow = () => { chosen = false; begun = true; show("during"); };
 state.open = (name) => { chosen = true; show(name); };
 
 async function start() {
@@ -95,7 +96,8 @@ function page() {
         return;
       }
       rows(faults, view.faults, fault);
-      if (!chosen) show(view.running ? "during" : view.procedure.state === "finished" ? "after" : "before");
+      if (view.running) begun = false;
+      if (!chosen && !begun) show(view.running ? "during" : view.procedure.state === "finished" ? "after" : "before");
       for (const one of Object.values(parts)) if (!one.node.hidden) one.update();
       const cue = `${view.load.awaited} ${view.permission.permitted}`;
       if (cue !== last && last) sound.play(view.load.awaited || !view.permission.permitted);
