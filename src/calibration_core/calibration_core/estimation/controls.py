@@ -1,9 +1,10 @@
 """What a hypothesis must pass besides likelihood and blocks left out.
 
 Compliances are positive.  Sag under the robot's own weight resembles what geometry and gears do to a posture: it is
-believed only if gravity turned by 90 degrees explains far less.  Waves of many orders at all joints follow whatever
-goes with the posture where configurations are few: they must say something of configurations left out.  Noise that
-lasts resembles a drift, of the tracker or of the sensor.  A step must matter.
+believed only if gravity turned by 90 degrees explains far less.  A spring takes weight off its joint; waves that do so,
+and are far larger than those of gears, are a spring.  Waves of many orders at all joints follow whatever goes with the
+posture where configurations are few: they must say something of configurations left out.  Noise that lasts resembles a
+drift, of the tracker or of the sensor.  A step must matter.
 """
 
 from __future__ import annotations
@@ -17,9 +18,13 @@ from calibration_core.estimation.hypotheses import SAG, WAVE, physics, typical_s
 from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
+from calibration_core.estimation.springs.compensator_geometry import SMOOTH, SPRING
+from calibration_core.estimation.springs.relief import Relief, Weighed, without_springs
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
+from calibration_core.model.effects.candidate import number_of
 from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
+from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float2D, Int1D
 
@@ -39,9 +44,11 @@ class Controls:
 
     Attributes:
         turned: Joint -> (r, 2) whitened columns of sag with gravity turned, per typical size.
+        weighed: What the weight does at joints that a spring could help; None: nobody asks for springs.
     """
 
     turned: dict[str, Float2D]
+    weighed: Weighed | None = None
 
     def __call__(self, trial: Trial) -> str:
         """Return why a hypothesis is refused beside the accepted ones; empty if it is not."""
@@ -52,9 +59,38 @@ class Controls:
             return "it is no larger than what second order leaves of larger effects"
         if one.effect in effects_with(Trait.DRIFT):
             return _lasting(trial)
-        if one.effect == WAVE and one.everywhere:
-            return _following(trial)
+        if one.effect == SPRING:
+            return self._as_spring(trial)
+        if one.effect == WAVE:
+            return self._as_gear(trial) or (_following(trial) if one.everywhere else "")
         return self._turned(trial) if one.effect == SAG else ""
+
+    def _as_spring(self, trial: Trial) -> str:
+        others = (trial.field.offered.hypotheses[i] for i in trial.accepted)
+        beside_gear = any(one.effect == WAVE and one.location == trial.hypothesis.location for one in others)
+        for relief in self._relief(trial):
+            if relief.share < 0:
+                return (
+                    f"it would put {-100 * relief.share:z.0f} % more weight on its joint, and springs take weight off"
+                )
+            if (trial.hypothesis.variant == OPEN or beside_gear) and not relief.of_spring:
+                return (
+                    f"it would take {100 * relief.share:z.0f} % of the weight off its joint, no more than gears seem to"
+                )
+        return ""
+
+    def _as_gear(self, trial: Trial) -> str:
+        low = min(number_of(trial.field.offered.candidates[k]) for k in trial.hypothesis.members) <= SMOOTH
+        for relief in self._relief(without_springs(trial) if low else trial):
+            if relief.of_spring:
+                return (
+                    f"it takes {100 * relief.share:z.0f} % of the weight off its joint, as a spring does, "
+                    f"and {relief.amplitudes:.0f} times as much as a gear usually does"
+                )
+        return ""
+
+    def _relief(self, trial: Trial) -> tuple[Relief, ...]:
+        return () if self.weighed is None else self.weighed.by(trial)
 
     def _turned(self, trial: Trial) -> str:
         joints = [str(trial.field.offered.candidates[k].location["joint"]) for k in trial.hypothesis.members]
@@ -74,12 +110,14 @@ class Controls:
 def controls(model: NullModel, rows: Int1D, whitening: Whitening) -> Controls:
     """Return the controls of some readings of a recording."""
     if model.fitted_compliances:  # sag is part of the null model, no hypothesis
-        return Controls({})
+        return Controls({}, Weighed.of(model))
     state, part = model.state, model.problem.select(rows)
     typicals = {str(c.location["joint"]): c.parameters[0].typical for c in physics(state, sag=True) if c.effect == SAG}
     joints = ((name, state.chain.joints.index(name)) for name in typicals)
     moved = {name: turned_columns(state, joint)[rows] * typicals[name] for name, joint in joints}
-    return Controls({name: whitening(weighted(part, model.parameters, one)) for name, one in moved.items()})
+    return Controls(
+        {name: whitening(weighted(part, model.parameters, one)) for name, one in moved.items()}, Weighed.of(model)
+    )
 
 
 def _following(trial: Trial) -> str:

@@ -20,7 +20,11 @@ from calibration_core.estimation.refit import Extended, Part, refit
 from calibration_core.estimation.rows import NullModel, sample, state_at, weighted
 from calibration_core.estimation.search import Search, Selection
 from calibration_core.estimation.shifts import FAMILY, shifts, spacing
-from calibration_core.estimation.springs.compensator_geometry import SPRING, fit_compensator_geometry
+from calibration_core.estimation.springs.compensator_geometry import (
+    SPRING,
+    fit_compensator_geometry,
+    gears_beside_springs,
+)
 from calibration_core.estimation.springs.in_question import spring_in_question
 from calibration_core.identification.absolute.evaluate import Evaluated
 from calibration_core.identification.absolute.prediction_error import compare
@@ -238,14 +242,16 @@ def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
             np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(k - reach, k + reach + 1) for k in near)])
         )
         helped = {c.location["joint"] for c in more}
-        physical = [field.offered.hypotheses[i] for i in selection.accepted if i not in steps]
+        gears = gears_beside_springs(selection.accepted, field.offered.hypotheses, model.state)
+        physical = {i: field.offered.hypotheses[i] for i in selection.accepted if i not in steps}
         limit = search.limit
         del search  # hundreds of megabytes beside the next one
         field = field.offering(
             offer((*more, *catalogue, *shifts(readings, fine))), lambda new: _whitened(model, new, whitening)
         )
-        begin = [_find(field.offered, one) for one in physical if one.location.get("joint") not in helped]
-        sprung = {one.location["joint"] for one in physical if one.effect == SPRING}
+        kept = [one for i, one in physical.items() if i in gears or one.location.get("joint") not in helped]
+        begin = [_find(field.offered, one) for one in kept]
+        sprung = {one.location["joint"] for one in physical.values() if one.effect == SPRING}
         springs = _these(field.offered, [one for one in more if one.location["joint"] in sprung])
         search = Search(field, control, limit=limit)
         selection = search.run((*begin, *springs))

@@ -25,6 +25,7 @@ from calibration_core.estimation.leave_out import LEAST_NATS, Proof
 from calibration_core.estimation.likelihood.gains import Grouped, chance_gain
 from calibration_core.estimation.likelihood.restricted import Sizes
 from calibration_core.estimation.likelihood.small_effects import likelihood_at, visible
+from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.timeseries import Float1D
 
 TRIED = 6  # proposals per round that may try
@@ -200,11 +201,12 @@ class Search(Comparisons):
         """Return the first few of some hypotheses, and the neighbours of those whose law may lie at another form's."""
         hypotheses, candidates = self.field.offered.hypotheses, self.field.offered.candidates
         one = {k: hypotheses[self.judged[k]] for k in order}
-        reaching = (
-            k for k in order[:TRIED] if any(p.reach < math.inf for p in candidates[one[k].members[0]].parameters)
-        )
+        first = order[:TRIED]
+        reaching = (k for k in first if any(p.reach < math.inf for p in candidates[one[k].members[0]].parameters))
         near = {one[k].place for k in reaching}
-        return [*order[:TRIED], *(k for k in order[TRIED:] if one[k].place in near)]
+        joints = {one[k].location.get("joint") for k in first}  # a spring of any law moves a joint as waves do
+        sprung = {k for k in order if one[k].variant == OPEN and one[k].location["joint"] in joints}
+        return [*first, *(k for k in order[TRIED:] if one[k].place in near or k in sprung)]
 
     def _gain(self, accepted: Accepted, *, narrow: bool) -> Float1D:
         """Return what hypotheses gain, nats; narrow: single ones, minus infinity for families."""

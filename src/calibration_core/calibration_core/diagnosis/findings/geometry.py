@@ -27,17 +27,19 @@ from calibration_core.diagnosis.result.finding import Alternative, Finding
 from calibration_core.estimation.leave_out import RIDGE
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.rows import null_columns, unweighted
+from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.identification.geometry.terms import CORRECTIONS, GeometryTerm, names_of
 from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.absolute.geometry_error import VARIANTS, frame_error
-from calibration_core.model.effects.absolute.joint_zero_offset import zero_offset
+from calibration_core.model.effects.absolute.joint_zero_offset import EFFECT, zero_offset
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Int2D
 
+ZERO_OFFSET = EFFECT.name
 PRIOR_WIDTH = 3.0  # standard deviations of the prior per typical size
 STEPS = tuple(0.5 * 2.0**k for k in range(9))
 LEVELS = tuple(itertools.product(STEPS, STEPS))  # c and d
@@ -274,7 +276,9 @@ def _finding(
     shift = unweighted(extended.model.problem, extended.parameters, seen.movement[:, one.rows] @ mean)
     magnitude = rms_length(shift)
     kind = effect_named(candidate.effect)
-    others = _alternatives(seen, hypotheses, best, beside, scores)
+    others = (*_preload(extended, one, float(scores[best])), *_alternatives(seen, hypotheses, best, beside, scores))[
+        :LISTED
+    ]
     place = str(candidate.location["joint"])
     listed = "; ".join(f"{a.effect.replace('_', ' ')} at {listed_location(a.location)}" for a in others)
     confounded = f" This recording cannot distinguish it from: {listed}." if others else ""
@@ -297,6 +301,15 @@ def _finding(
         ),
         separate_by=kind.reveal,
     )
+
+
+def _preload(extended: Extended, one: GeometryFault, score: float) -> tuple[Alternative, ...]:
+    """Return the spring found beside a joint whose zero is off: at rest its mean torque moves the points alike."""
+    springs = (part.candidate for part in extended.parts if part.candidate.effect == SPRING)
+    if extended.model.state.loaded or one.candidate.effect != ZERO_OFFSET:
+        return ()
+    there = {s.place: s for s in springs if s.location == one.candidate.location}
+    return tuple(Alternative(s.effect, s.family, dict(s.location), score) for s in there.values())
 
 
 def _alternatives(

@@ -8,18 +8,23 @@ import numpy as np
 
 from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
 from calibration_core.diagnosis.findings.causes import FROM_WHERE, LEFT, causes
-from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
+from calibration_core.diagnosis.result.evidence_words import OF_ANY_LAW, UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
 from calibration_core.estimation.equivalents import equivalents
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.shifts import FAMILY
+from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects import sizes_are_relative
 from calibration_core.model.effects.candidate import number_of
+from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.timeseries import Float1D, Float2D
 
+PRELOAD = (
+    " At rest a zero offset of {joint} moves the points as the mean torque of a spring does: the two hide each other."
+)
 SEVERAL = 6  # terms that are listed one by one
 
 
@@ -47,7 +52,8 @@ def _finding(found: Estimate, members: list[int]) -> Finding:
     listed = tuple(Alternative(h.effect, h.family, dict(h.location), nats) for h, nats in as_well)
     laws = [i for i in members if hypotheses[i].family == LAW]
     left = any(hypotheses[i].effect in LEFT - {FROM_WHERE} and hypotheses[i].place != first.place for i in members)
-    settled = not left and (first.family != LAW or (len(laws) == 1 and not _other_law(found, laws[0])))
+    known = first.family != LAW or (len(laws) == 1 and not _other_law(found, laws[0]))
+    settled = known and not left and first.variant != OPEN
     size = float(selection.sizes.size[selection.accepted.index(members[0])])
     unit = extended.parts[reported[0]].candidate.parameters[0]
     shared = FoundParameter("shared_size", size * unit.typical, 0.0, unit.unit)
@@ -157,7 +163,9 @@ def _explanation(
     if sizes_are_relative(found.offered.candidates[first.members[0]], extended.model.state):
         text += " Its size is relative: the robot's masses are guesses or not known."
     if not settled:
-        text += UNSETTLED
+        text += OF_ANY_LAW if first.variant == OPEN else UNSETTLED
+    if first.effect == SPRING and not extended.model.state.loaded:
+        text += PRELOAD.format(joint=first.location["joint"])
     return text + confounded_with(alternatives)
 
 

@@ -6,6 +6,10 @@ import math
 
 SCALE = ((100.0, "overwhelming"), (5.0, "very strong"), (3.0, "strong"), (1.0, "positive"))
 UNSETTLED = " The joint and the kind of cause are settled, the form of its law is not: another law remains beside it."
+OF_ANY_LAW = (
+    " The joint and the kind of cause are settled, the form of its law is not: it is none of the catalogue's, or an "
+    "error of the joint's gear is part of it."
+)
 MOST = 1_000  # of odds, of which nobody needs the number
 
 

@@ -7,17 +7,18 @@ fitted without such waves and offered as one more hypothesis, which is judged as
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from calibration_core.estimation.field import Accepted, Field
-from calibration_core.estimation.hypotheses import WAVE
+from calibration_core.estimation.hypotheses import WAVE, Hypothesis
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.structure import pose_dependent_stiffness
 from calibration_core.model.effects.structure.gravity_compensator import (
     EFFECT,
+    OPEN_ORDERS,
     TURN,
     Triangle,
     carriers,
@@ -29,6 +30,7 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D
 SPRING = EFFECT.name
 IMITATING = frozenset({WAVE, pose_dependent_stiffness.EFFECT.name})  # a spring, or what one of another shape leaves
 LIKE_SPRING = IMITATING | {SPRING}
+SMOOTH = OPEN_ORDERS  # orders of waves that a spring resembles
 REACH = 30.0  # degrees about the offered anchor
 LEAST, MOST = 0.05, 0.9  # of flatness and preload
 SCALE = (5.0, 0.1, 0.1)  # of anchor, flatness and preload
@@ -48,16 +50,30 @@ def fit_compensator_geometry(
         weigh: Turns movements (m, 3, k) of all readings into the search's whitened columns (r, k).
     """
     hypotheses = field.offered.hypotheses
+    gears = gears_beside_springs(accepted, hypotheses, state)
     found = []
     for joint in carriers(state):
         name = state.chain.joints[joint]
-        near = [
-            i for i in accepted if hypotheses[i].effect in LIKE_SPRING and hypotheses[i].location.get("joint") == name
-        ]
+        there = [i for i in accepted if hypotheses[i].location.get("joint") == name and i not in gears]
+        near = [i for i in there if hypotheses[i].effect in LIKE_SPRING]
         if near and any(c.effect == SPRING and c.location["joint"] == name for c in field.offered.candidates):
             others = tuple(i for i in accepted if i not in near)
             found.append(_shape(field, others, state, joint, weigh))
     return tuple(found)
+
+
+def gears_beside_springs(accepted: Sequence[int], hypotheses: Sequence[Hypothesis], state: State) -> frozenset[int]:
+    """Return which accepted hypotheses are gears beside springs: single waves of higher order; springs are smooth.
+
+    Beside loads such waves also imitate what a spring leaves to the law of its joint: none is taken for a gear there.
+    """
+    if state.loaded:
+        return frozenset()
+    joints = [hypotheses[i].location.get("joint") for i in accepted if hypotheses[i].effect == SPRING]
+    several = ((i, hypotheses[i].shape) for i in accepted if hypotheses[i].location.get("joint") in joints)
+    return frozenset(
+        i for i, order in several if hypotheses[i].effect == WAVE and isinstance(order, int) and order > SMOOTH
+    )
 
 
 def _shape(field: Field, others: Accepted, state: State, joint: int, weigh: Callable[[Float3D], Float2D]) -> Candidate:

@@ -35,6 +35,10 @@ FLATNESS = (0.3, 0.55)  # 2 a L / (a^2 + L^2)
 PRELOAD = (0.35, 0.65)  # s0 / sqrt(a^2 + L^2)
 TURN = 0.15  # rad
 REACH = np.radians(15.0) / TURN  # half of what lies between two anchors
+OPEN = "torque, shape open"  # any law that is smooth in the link's angle
+OPEN_ORDERS = 4  # waves with which it is described, and
+DECAY = 3.0  # the power of the order by which they grow smaller: more freely they imitate gears
+OPEN_SHARE = 1 / 6  # of a usual torque: a spring that would have to be 60 times as large is none
 WRITTEN = re.compile(r"torque, anchor (\d{1,3}(?:\.\d)?) deg, flatness (0\.\d{1,3}), preload (0\.\d{1,3})")
 ALL_ROUND = np.linspace(0, 2 * np.pi, 360, endpoint=False)
 
@@ -98,6 +102,36 @@ def spring(state: State, joint: int, triangle: Triangle) -> Candidate:
     return Candidate(EFFECT.name, EFFECT.family, place, stated.variant, pair, columns, torques=torques, shape=stated)
 
 
+def open_spring(state: State, joint: int) -> Candidate:
+    """Return the hypothesis of a spring of any law: its torque is a smooth function of the link's angle."""
+    torque = OPEN_SHARE * typical("gravity_compensator_torque", state.rated_load)
+    parameters = tuple(
+        Parameter(f"torque_{part}_{order}", "N*m", torque / order**DECAY)
+        for order in range(1, OPEN_ORDERS + 1)
+        for part in ("sine", "cosine")
+    )
+    place = {"joint": state.chain.joints[joint]}
+    columns, torques = (partial(one, joint=joint) for one in (_moved_by_waves, _waves))
+    return Candidate(EFFECT.name, EFFECT.family, place, OPEN, parameters, columns, torques=torques)
+
+
+def _waves(state: State, joint: int) -> Float2D:
+    """Return sine and cosine of every order at the link's angle, (m, 2 o)."""
+    phase = np.outer(_link_angle(state, joint), np.arange(1, OPEN_ORDERS + 1))
+    return np.stack([np.sin(phase), np.cos(phase)], axis=-1).reshape(state.m, -1)
+
+
+def _moved_by_waves(state: State, joint: int) -> Float3D:
+    compliance = state.compliance[joint]
+    return stacked(*(state.joint_column(joint, compliance * part) for part in _waves(state, joint).T))
+
+
+def _link_angle(state: State, joint: int) -> Float1D:
+    """Return the joint's angle with what load and weight deflect, (m,) rad."""
+    bent = state.compliance[joint] * (state.load_torque[joint] + state.gravity_torque[joint])
+    return np.asarray(state.q[:, joint] + bent)
+
+
 def spring_torque(angle: Float1D, flatness: float, preload: float) -> Float1D:
     """Return the torque at angles alpha - q2, (m,) rad, in units of the largest."""
     return _torque(angle, flatness, preload) / _largest(flatness, preload)
@@ -120,8 +154,7 @@ def pull(state: State, joint: int, triangle: Triangle) -> Float3D:
 
 def side_torques(state: State, joint: int, triangle: Triangle) -> Float2D:
     """Return the torque beside a joint per N*m, and what a turn of the anchor by `TURN` changes in it, (m, 2)."""
-    link = state.q[:, joint] + state.compliance[joint] * (state.load_torque[joint] + state.gravity_torque[joint])
-    beta = np.radians(triangle.anchor) - link
+    beta = np.radians(triangle.anchor) - _link_angle(state, joint)
     torque, ahead, behind = (
         spring_torque(beta + turn, triangle.flatness, triangle.preload) for turn in (0.0, TURN, -TURN)
     )
@@ -136,6 +169,8 @@ def _restored(described: AppliedEffect, state: State) -> Candidate | None:
         pair = (Parameter("modulation_cosine", "1", 1.0), Parameter("modulation_sine", "1", 1.0))
         columns = partial(modulated, joint=joints.index(str(name)))
         return Candidate(EFFECT.name, EFFECT.family, described.location, described.variant, pair, columns)
+    if described.variant == OPEN:
+        return open_spring(state, joints.index(str(name)))
     return None if triangle is None else spring(state, joints.index(str(name)), triangle)
 
 
@@ -143,6 +178,8 @@ def _candidates(state: State) -> Iterator[Candidate]:
     for joint in carriers(state):
         for shape in itertools.product(ANCHORS, FLATNESS, PRELOAD):
             yield spring(state, joint, Triangle(*shape))
+        if np.any(state.gravity_torque) and not state.loaded:
+            yield open_spring(state, joint)
 
 
 EFFECT = Effect(

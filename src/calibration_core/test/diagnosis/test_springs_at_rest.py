@@ -1,0 +1,98 @@
+"""Springs of laws that the catalogue does not hold, in postures at rest; gears and zero offsets are none."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from spring_plant import KINDS, Plant, recorded
+
+from calibration_core.diagnosis.positions import diagnose_still
+from calibration_core.diagnosis.result.finding import Diagnosis, Finding
+
+SPRING, GEAR = ("gravity_compensator", "joint_2"), ("transmission_error", "joint_2")
+ZERO = ("joint_zero_offset", "joint_2")
+LOADS = (60, 200, 500)
+LARGE_ZERO = 2e-3  # rad
+HIDDEN = "At rest a zero offset of joint_2 moves the points as the mean torque of a spring does"
+WAVES = (((3, 4.0),), ((2, 3.0), (5, 1.8)), ((4, 3.0), (5, 1.8)), ((3, 2.0), (7, 1.2)), ((9, 3.5),))
+FIRST = 2000  # seed of the slow tests
+
+
+def diagnosed(plant: Plant) -> Diagnosis:
+    cell, readings = recorded(plant)
+    return diagnose_still(readings, cell)
+
+
+def place(finding: Finding) -> tuple[str, str]:
+    return finding.effect, str(*finding.location.values())
+
+
+def named(found: Diagnosis) -> set[tuple[str, str]]:
+    return {place(finding) for finding in found.findings}
+
+
+@pytest.mark.parametrize(("kind", "settled"), [("hydraulic", False), ("torsion", False), ("counterweight", True)])
+def test_a_spring_of_any_law_is_named_and_explains_the_recording(kind: str, settled: bool) -> None:
+    found = diagnosed(Plant(1, kind))
+    (finding,) = found.findings
+    assert place(finding) == SPRING
+    assert finding.law_settled is settled
+    assert HIDDEN in finding.explanation
+    assert found.verdict == "missing_physics"
+    assert found.rms_after < 1.1 * found.noise
+    assert found.noise < 0.5 * found.rms_before
+
+
+def test_a_gear_beside_a_spring_is_named_too() -> None:
+    assert named(diagnosed(Plant(3, "gas", waves=((7, 2.0),)))) == {SPRING, GEAR}
+
+
+@pytest.mark.parametrize("waves", WAVES[:2])
+def test_a_large_error_of_a_gear_is_no_spring(waves: tuple[tuple[int, float], ...]) -> None:
+    assert named(diagnosed(Plant(5, waves=waves))) == {GEAR}
+
+
+def test_a_zero_offset_is_no_spring() -> None:
+    assert named(diagnosed(Plant(5, zero=LARGE_ZERO))) == {ZERO}
+
+
+def test_a_robot_without_a_spring_has_none() -> None:
+    assert diagnosed(Plant(5)).findings == ()
+
+
+def test_a_zero_offset_beside_a_spring_may_be_its_mean_torque() -> None:
+    found = {place(one): one for one in diagnosed(Plant(5, "gas", zero=6e-4)).findings}
+    assert set(found) == {SPRING, ZERO}
+    (first, *_) = found[ZERO].cannot_be_told_from
+    assert (first.effect, dict(first.location)) == ("gravity_compensator", {"joint": "joint_2"})
+
+
+@pytest.mark.slow
+def test_springs_of_every_law_are_named_and_no_gear() -> None:
+    plants = [
+        Plant(FIRST + k, kind, rated, geometry=bool(k % 2))
+        for k, (kind, rated, _) in enumerate(itertools.product(KINDS, LOADS, range(2)))
+    ]
+    several = [named(diagnosed(plant)) for plant in plants]
+    assert sum(SPRING in found for found in several) >= 0.9 * len(plants)
+    assert sum(GEAR in found for found in several) <= 0.1 * len(plants)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rated", LOADS)
+@pytest.mark.parametrize("waves", WAVES)
+def test_no_gear_is_a_spring(waves: tuple[tuple[int, float], ...], rated: int) -> None:
+    """But for waves of one turn, which weight and springs are, too."""
+    for seed in range(FIRST, FIRST + 3):
+        found = named(diagnosed(Plant(seed, "", rated, waves, geometry=bool(seed % 2))))
+        assert GEAR in found
+        assert SPRING not in found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rated", LOADS)
+def test_no_zero_offset_is_a_spring(rated: int) -> None:
+    for seed in range(FIRST, FIRST + 6):
+        found = diagnosed(Plant(seed, "", rated, zero=LARGE_ZERO, geometry=bool(seed % 2)))
+        assert named(found) <= {ZERO}
