@@ -68,15 +68,12 @@ class Controls:
     def _as_spring(self, trial: Trial) -> str:
         others = (trial.field.offered.hypotheses[i] for i in trial.accepted)
         beside_gear = any(one.effect == WAVE and one.location == trial.hypothesis.location for one in others)
+        if trial.hypothesis.variant != OPEN and not beside_gear:
+            return ""
         for relief in self._relief(trial):
-            if relief.share < 0:
-                return (
-                    f"it would put {-100 * relief.share:z.0f} % more weight on its joint, and springs take weight off"
-                )
-            if (trial.hypothesis.variant == OPEN or beside_gear) and not relief.of_spring:
-                return (
-                    f"it would take {100 * relief.share:z.0f} % of the weight off its joint, no more than gears seem to"
-                )
+            if not relief.of_spring:
+                share = 100 * relief.share
+                return f"it would take {share:z.0f} % of the weight off its joint, no more than gears seem to"
         return ""
 
     def _as_gear(self, trial: Trial) -> str:
