@@ -7,7 +7,7 @@ import contextlib
 import gc
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,16 @@ from conftest import Spinning
 from panel_client import client, run
 
 LATE = 4.0  # s, after which a sequencer is there as a whole
+
+
+@contextlib.asynccontextmanager
+async def in_control(panel: Any) -> AsyncIterator[Any]:
+    """A page that has entered and has the control."""
+    address, token = panel.where()
+    async with client(address) as one:
+        await one.enter(token)
+        await one.ask("control_ask")
+        yield one
 
 
 def test_it_ends_while_a_run_that_was_begun_there_goes_on(
@@ -43,12 +53,9 @@ def test_it_ends_while_a_run_that_was_begun_there_goes_on(
     ActionServer(node, RunPlan, "sequencer/run", measure)
     other.start()
     (tmp_path / "plan.yaml").write_text("x", "utf-8")
-    address, token = panel.where()
 
     async def work() -> None:
-        async with client(address) as one:
-            await one.enter(token)
-            await one.ask("control_ask")
+        async with in_control(panel) as one:
             asked = {"plan": "plan.yaml", "session": "one", "resume": False}
             assert (await one.ask("run", **asked))[1] == {"done": True, "text": ""}
 
@@ -104,12 +111,9 @@ def test_a_run_begins_where_the_sequencer_is_found_late(panel: Any, spinning: An
         return RunPlan.Result()
 
     (tmp_path / "plan.yaml").write_text("x", "utf-8")
-    address, token = panel.where()
 
     async def work() -> None:
-        async with client(address) as one:
-            await one.enter(token)
-            await one.ask("control_ask")
+        async with in_control(panel) as one:
             asked = {"plan": "plan.yaml", "session": "one", "resume": False}
             began = time.monotonic()
             assert (await one.ask("run", **asked))[1] == {"done": False, "text": "sequencer/run is not there"}
@@ -150,12 +154,9 @@ def test_a_run_that_is_rejected_says_why(panel: Any, spinning: Any, tmp_path: Pa
         lambda: ActionServer(node, RunPlan, "sequencer/run", lambda _: RunPlan.Result(), goal_callback=judge)
     )
     (tmp_path / "plan.yaml").write_text("x", "utf-8")
-    address, token = panel.where()
 
     async def work() -> None:
-        async with client(address) as one:
-            await one.enter(token)
-            await one.ask("control_ask")
+        async with in_control(panel) as one:
             while events.get_subscription_count() < 1:
                 await asyncio.sleep(0.05)
             publish(SessionEvent.REJECTED, "an earlier run")
@@ -174,12 +175,9 @@ def test_what_fails_in_the_executor_is_answered(panel: Any, monkeypatch: pytest.
 
     monkeypatch.setattr("calibration.web.link.ActionClient", broken)
     (tmp_path / "plan.yaml").write_text("x", "utf-8")
-    address, token = panel.where()
 
     async def work() -> None:
-        async with client(address) as one:
-            await one.enter(token)
-            await one.ask("control_ask")
+        async with in_control(panel) as one:
             asked = {"plan": "plan.yaml", "session": "one", "resume": False}
             for _ in range(2):
                 answer = await asyncio.wait_for(one.ask("run", **asked), 10.0)

@@ -18,13 +18,13 @@ from calibration_core.estimation.hypotheses import SAG, WAVE, physics, typical_s
 from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
-from calibration_core.estimation.springs.compensator_geometry import SMOOTH, SPRING
+from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.estimation.springs.relief import Relief, Weighed, without_springs
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
 from calibration_core.model.effects.candidate import number_of
 from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
-from calibration_core.model.effects.structure.gravity_compensator import OPEN
+from calibration_core.model.effects.structure.gravity_compensator import OPEN, OPEN_ORDERS
 from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float2D, Int1D
 
@@ -77,7 +77,7 @@ class Controls:
         return ""
 
     def _as_gear(self, trial: Trial) -> str:
-        low = min(number_of(trial.field.offered.candidates[k]) for k in trial.hypothesis.members) <= SMOOTH
+        low = min(number_of(trial.field.offered.candidates[k]) for k in trial.hypothesis.members) <= OPEN_ORDERS
         for relief in self._relief(without_springs(trial) if low else trial):
             if relief.of_spring:
                 return (

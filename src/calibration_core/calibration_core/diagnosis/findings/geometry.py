@@ -276,9 +276,8 @@ def _finding(
     shift = unweighted(extended.model.problem, extended.parameters, seen.movement[:, one.rows] @ mean)
     magnitude = rms_length(shift)
     kind = effect_named(candidate.effect)
-    others = (*_preload(extended, one, float(scores[best])), *_alternatives(seen, hypotheses, best, beside, scores))[
-        :LISTED
-    ]
+    springs = _preload(extended, one, float(scores[best]))
+    others = (*springs, *_alternatives(seen, hypotheses, best, beside, scores))[:LISTED]
     place = str(candidate.location["joint"])
     listed = "; ".join(f"{a.effect.replace('_', ' ')} at {listed_location(a.location)}" for a in others)
     confounded = f" This recording cannot distinguish it from: {listed}." if others else ""
@@ -304,7 +303,13 @@ def _finding(
 
 
 def _preload(extended: Extended, one: GeometryFault, score: float) -> tuple[Alternative, ...]:
-    """Return the spring found beside a joint whose zero is off: at rest its mean torque moves the points alike."""
+    """Return the spring found beside a joint whose zero is off: at rest its mean torque moves the points alike.
+
+    Args:
+        extended: The fit with all findings but those of geometry.
+        one: What was found of the geometry.
+        score: Its log Bayes factor, nats, which the spring would have in its stead.
+    """
     springs = (part.candidate for part in extended.parts if part.candidate.effect == SPRING)
     if extended.model.state.loaded or one.candidate.effect != ZERO_OFFSET:
         return ()

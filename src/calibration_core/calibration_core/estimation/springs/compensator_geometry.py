@@ -30,7 +30,6 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D
 SPRING = EFFECT.name
 IMITATING = frozenset({WAVE, pose_dependent_stiffness.EFFECT.name})  # a spring, or what one of another shape leaves
 LIKE_SPRING = IMITATING | {SPRING}
-SMOOTH = OPEN_ORDERS  # orders of waves that a spring resembles
 REACH = 30.0  # degrees about the offered anchor
 LEAST, MOST = 0.05, 0.9  # of flatness and preload
 SCALE = (5.0, 0.1, 0.1)  # of anchor, flatness and preload
@@ -72,7 +71,7 @@ def gears_beside_springs(accepted: Sequence[int], hypotheses: Sequence[Hypothesi
     joints = [hypotheses[i].location.get("joint") for i in accepted if hypotheses[i].effect == SPRING]
     several = ((i, hypotheses[i].shape) for i in accepted if hypotheses[i].location.get("joint") in joints)
     return frozenset(
-        i for i, order in several if hypotheses[i].effect == WAVE and isinstance(order, int) and order > SMOOTH
+        i for i, order in several if hypotheses[i].effect == WAVE and isinstance(order, int) and order > OPEN_ORDERS
     )
 
 

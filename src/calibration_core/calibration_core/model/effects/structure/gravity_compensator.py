@@ -103,7 +103,14 @@ def spring(state: State, joint: int, triangle: Triangle) -> Candidate:
 
 
 def open_spring(state: State, joint: int) -> Candidate:
-    """Return the hypothesis of a spring of any law: its torque is a smooth function of the link's angle."""
+    """Return the hypothesis of a spring of any law: its torque, N*m, is a smooth function of the link's angle.
+
+    Source: a Fourier series of that function; its mean is a zero offset of the joint, which the fitted geometry takes up.
+
+    Args:
+        state: Of postures at rest, or of a model that is read.
+        joint: Index of the joint.
+    """
     torque = OPEN_SHARE * typical("gravity_compensator_torque", state.rated_load)
     parameters = tuple(
         Parameter(f"torque_{part}_{order}", "N*m", torque / order**DECAY)
