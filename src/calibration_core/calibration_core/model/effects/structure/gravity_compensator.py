@@ -105,7 +105,7 @@ def spring(state: State, joint: int, triangle: Triangle) -> Candidate:
 def open_spring(state: State, joint: int) -> Candidate:
     """Return the hypothesis of a spring of any law: its torque, N*m, is a smooth function of the link's angle.
 
-    Source: a Fourier series of that function; its mean is a zero offset of the joint, which the fitted geometry takes up.
+    Source: a Fourier series of that function; its mean is a zero offset of the joint, which geometry takes up.
 
     Args:
         state: Of postures at rest, or of a model that is read.
