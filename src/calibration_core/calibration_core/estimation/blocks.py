@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.timeseries import Float2D, Int1D, in_time
+from calibration_core.timeseries import Bool1D, Float2D, Int1D, in_time
 
 MOST = 40  # blocks
 STAYS = -1  # label of readings that are never left out
@@ -39,6 +39,12 @@ class Blocks:
     def of(self, rows: Int1D) -> Blocks:
         """Return the partition of some of the readings, numbered anew."""
         return Blocks(self.kind, np.unique(self.label[rows], return_inverse=True)[1].reshape(-1).astype(np.int64))
+
+    def keeping(self, stay: Bool1D) -> Blocks:
+        """Return the partition of the other readings, numbered anew, where some, (m,), are never left out."""
+        label = np.full(len(stay), STAYS, dtype=np.int64)
+        label[~stay] = self.of(np.flatnonzero(~stay)).label
+        return Blocks(self.kind, label)
 
 
 def rows_of(label: Int1D, block: int) -> slice | Int1D:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import weakref
 
 import numpy as np
@@ -182,7 +183,10 @@ class Comparisons:
                 return before.scores(sizes.variance), before.scores(sizes.variance, columns, ridge)
             return search.squares(accepted), search.field.in_blocks(before.beside(columns, ridge))
 
-        return Trial(self.field, accepted, index, sizes, nats, squares, lambda: search.left_out(accepted))
+        def score(others: Accepted, one: int) -> float:
+            return float(search.score(others, one)[0]) if one in search.place else -math.inf
+
+        return Trial(self.field, accepted, index, sizes, nats, squares, lambda: search.left_out(accepted), score)
 
     def _start(self, accepted: Accepted) -> Sizes | None:
         """Return sizes to begin with: those of a fit with most of the same hypotheses, and what suits the new ones."""

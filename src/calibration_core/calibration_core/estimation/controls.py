@@ -34,6 +34,7 @@ FOLLOWS = 2.0  # times the noise: waves of all joints that leave more of blocks 
 SAVED = 2 / 3  # save less of their squares, follow the readings; other causes may yet be missing beside them
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
 CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
+EQUIVALENT = 5.0  # nats: hypotheses that gain as much as each other
 LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
 STEP_SHARE = 0.1  # of the squared residual on blocks left out, that a step must explain
 
@@ -78,7 +79,10 @@ class Controls:
 
     def _as_gear(self, trial: Trial) -> str:
         low = min(number_of(trial.field.offered.candidates[k]) for k in trial.hypothesis.members) <= OPEN_ORDERS
-        for relief in self._relief(without_springs(trial) if low else trial):
+        trial = without_springs(trial) if low else trial
+        if _beyond_springs(trial):
+            return ""
+        for relief in self._relief(trial):
             if relief.of_spring:
                 return (
                     f"it takes {100 * relief.share:z.0f} % of the weight off its joint, as a spring does, "
@@ -115,6 +119,15 @@ def controls(model: NullModel, rows: Int1D, whitening: Whitening) -> Controls:
     return Controls(
         {name: whitening(weighted(part, model.parameters, one)) for name, one in moved.items()}, Weighed.of(model)
     )
+
+
+def _beyond_springs(trial: Trial) -> bool:
+    """Say whether one wave, more than once a turn, explains as much as any spring of its joint: no spring is one."""
+    if not (isinstance(trial.hypothesis.shape, int) and trial.hypothesis.shape > 1):
+        return False
+    several, own = enumerate(trial.field.offered.hypotheses), trial.score(trial.accepted, trial.index)
+    springs = (i for i, one in several if one.effect == SPRING and one.location == trial.hypothesis.location)
+    return all(own > trial.score(trial.accepted, i) - EQUIVALENT for i in springs)
 
 
 def _following(trial: Trial) -> str:

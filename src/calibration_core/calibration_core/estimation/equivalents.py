@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from calibration_core.estimation.controls import EQUIVALENT
 from calibration_core.estimation.likelihood.gains import beside
 from calibration_core.estimation.likelihood.restricted import Sizes
 from calibration_core.estimation.search import WIDE, Search, Selection
 from calibration_core.estimation.shifts import FAMILY
 
 LISTED = 5
-EQUIVALENT = 5.0  # nats
 ASKED = 8  # alternatives that are refitted together with everything else
 PLAUSIBLE = 6.0  # typical sizes
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.estimation.blocks import STAYS, Blocks, posture_blocks, time_blocks
+from calibration_core.estimation.blocks import Blocks, posture_blocks, time_blocks
 from calibration_core.estimation.controls import controls
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import SAG, Hypothesis, Offered, is_axial, offer, physics
@@ -44,7 +44,7 @@ ROUNDS = 3  # searches about what was found, at most
 STANDS = 0.01  # of the largest torque of a joint: less changes nothing else
 SEARCH_BLOCKS = {"time": 15, "posture": 15}
 COVARIANCE_BLOCKS = 40
-LEFT_OUT = 3  # configurations under load from which on they are left out like others
+REMAIN = 2  # configurations under load, where others of them are left out
 MORE = 0.02  # share of readings whose use must change before the search is made again
 QUIETER = 0.8  # or: to which share of it the variance of what is left must fall
 EXCITED = 1e-3  # of the claimed noise: what a compliance of typical size must move to be fitted
@@ -312,15 +312,20 @@ def sample_rows(model: NullModel) -> np.ndarray:
 def partitions_of(model: NullModel, rows: np.ndarray, counts: dict[str, int]) -> tuple[Blocks, ...]:
     """Return blocks of some readings in time and in posture.
 
-    A few configurations under load tell the compliances alone, which the others cannot predict: they stay.
+    Configurations under load alone tell the compliances: where a block holds nearly all of them, they stay.
     """
     configuration, q = model.readings.configuration[rows], model.readings.q[rows]
     found = time_blocks(configuration, counts["time"]), posture_blocks(q, configuration, counts["posture"])
-    loaded = loaded_configurations(model.readings) if model.fitted_compliances else ()
-    if len(loaded) >= LEFT_OUT or not model.fitted_compliances:
+    if not model.fitted_compliances:
         return found
-    stay = np.isin(configuration, loaded)
-    return tuple(dataclasses.replace(one, label=np.where(stay, STAYS, one.label)) for one in found)
+    loaded = loaded_configurations(model.readings)
+    under_load = np.isin(configuration, loaded)
+
+    def remain(one: Blocks) -> int:
+        out = (len(np.unique(configuration[under_load & (one.label == k)])) for k in range(one.count))
+        return len(loaded) - max(out)
+
+    return tuple(one.keeping(under_load) if remain(one) < REMAIN else one for one in found)
 
 
 def _whitened(model: NullModel, candidates: Sequence[Candidate], whitening: Whitening) -> Float2D:

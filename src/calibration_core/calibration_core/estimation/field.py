@@ -232,6 +232,7 @@ class Trial:
         squares: Returns squares of blocks left out, or -2 v times their log densities, per partition, (b,), without the
             hypothesis and with it; they cost more than everything else, and not every question needs them.
         model: Returns the accepted ones with every block left out.
+        score: Returns what any hypothesis gains beside others, nats; minus infinity where it is not judged.
     """
 
     field: Field
@@ -241,6 +242,7 @@ class Trial:
     gain: float
     squares: Callable[[], tuple[list[Float1D], list[Float1D]]]
     model: Callable[[], LeftOut]
+    score: Callable[[Accepted, int], float]
 
     @functools.cached_property
     def left_out(self) -> tuple[list[Float1D], list[Float1D]]:

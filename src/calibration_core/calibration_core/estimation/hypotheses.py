@@ -15,7 +15,6 @@ from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
 from calibration_core.model.effects.candidate import Candidate, number_of
 from calibration_core.model.effects.recordings import in_each_recording
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.model.effects.traits import Trait
 from calibration_core.model.effects.words import effect_sentence
 from calibration_core.timeseries import Float1D, Float2D, Int1D
@@ -142,8 +141,6 @@ def physics(state: State, *, sag: bool) -> tuple[Candidate, ...]:
         for candidate in offered:
             if candidate.location.get("robot") == "all joints":
                 continue  # a family
-            if state.loaded and candidate.variant == OPEN:
-                continue  # any law of a spring hides the law of its joint, which loads tell
             if effect.name == WAVE and number_of(candidate) > SINGLE_ORDERS:
                 continue
             found.setdefault(candidate.key, candidate)

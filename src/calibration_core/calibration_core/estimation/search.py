@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from calibration_core.estimation.comparisons import POSITIONS, Comparisons, Demands
-from calibration_core.estimation.controls import impossible
+from calibration_core.estimation.controls import EQUIVALENT, impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.hypotheses import LAW, Hypothesis
 from calibration_core.estimation.leave_out import LEAST_NATS, Proof
@@ -29,7 +29,6 @@ from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.timeseries import Float1D
 
 TRIED = 6  # proposals per round that may try
-EQUIVALENT = 5.0  # nats
 PART = 3.0  # nats that a member must gain to stand, with a few others, in an accepted family's stead
 SWAP = 5.0  # nats by which a swap must be better
 MOST = 16  # hypotheses

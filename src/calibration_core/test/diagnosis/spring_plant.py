@@ -1,7 +1,8 @@
 """A robot with a spring, a cylinder or a counterweight beside joint 2, in equations of its own: nothing of the model's.
 
-Positions at rest are what is left when every joint has given way under the weight of the arm and the help beside joint
-2, at the angles where they come to rest.  Lengths, masses and stiffnesses are those of robots of 60, 200 and 500 kg.
+Positions are what is left when every joint has given way under the weight of the arm, the help beside joint 2 and a
+load at the flange, at the angles where they come to rest.  Lengths, masses and stiffnesses are those of robots of 60,
+200 and 500 kg.
 """
 
 from __future__ import annotations
@@ -34,6 +35,10 @@ KINDS = ("gas", "coil", "hydraulic", "counterweight", "torsion")
 LONGEST = 2.1  # times the shortest: what a cylinder can be
 SHARE = (0.3, 0.8)  # of the largest torque of the weight that the help carries
 GEAR = 3e-4  # rad, of a robot of 10 kg; half of it for one of 240 kg
+PULLS = (0.0, 0.35, 0.7, 1.0)  # of the rated load
+SOFTER = 0.8  # by how much of its compliance joint 2 is softer at rest than under
+SOFT_TORQUE = 9.0  # N*m per kg of rated load
+SENSOR = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # N and N*m, noise of the force/torque sensor
 
 Law = Callable[[float], float]
 Extra = tuple[tuple[int, float, np.ndarray], ...]
@@ -50,6 +55,8 @@ class Plant:
         waves: Order and amplitude, in usual ones, of the gear of joint 2.
         zero: Largest zero offset of joint 2, rad; at least a fifth of it is there.
         geometry: Whether lengths and angles differ from the cell file.
+        loaded: How many of the configurations are loaded, too, in steps.
+        soft: Whether joint 2 is softer at small torques.
     """
 
     seed: int
@@ -58,10 +65,49 @@ class Plant:
     waves: tuple[tuple[int, float], ...] = ()
     zero: float = 0.0
     geometry: bool = False
+    loaded: int = 0
+    soft: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Arm:
+    """The true robot.
+
+    Attributes:
+        rows: (6, 4) a, alpha, d, theta.
+        stiffness: (6,) N*m/rad.
+        bodies: Link, mass and centre in its frame.
+        law: Torque beside joint 2 at its angle, N*m.
+        soft: N*m, of total torque at joint 2 below which it is softer; 0: it is not.
+    """
+
+    rows: np.ndarray
+    stiffness: np.ndarray
+    bodies: Extra
+    law: Law
+    soft: float
+
+    def at_rest(self, begun: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Return the flange where the joints come to rest under weight and a force at the flange, base axes, N."""
+        angles = begun
+        for _ in range(60):
+            frames = _frames(self.rows, angles)
+            torque = _weight(self.rows, self.bodies, angles)
+            for joint in range(6):
+                torque[joint] += np.cross(frames[joint][:3, 2], frames[6][:3, 3] - frames[joint][:3, 3]) @ force
+            torque[HELPED] += self.law(float(angles[HELPED]))
+            new = begun + torque / self.stiffness
+            if self.soft:
+                more = SOFTER * self.soft * np.tanh(torque[HELPED] / self.soft)
+                new[HELPED] += more / self.stiffness[HELPED]
+            if np.abs(new - angles).max() < 1e-12:
+                break
+            angles = new
+        return _frames(self.rows, angles)[6]
 
 
 def recorded(plant: Plant) -> tuple[Cell, Readings]:
-    """Return the cell file's robot and what a tracker sees of the true one."""
+    """Return the cell file's robot and what a tracker and a sensor at the flange see of the true one."""
     rng = np.random.default_rng(plant.seed)
     length, heavy, stiff = SIZES[plant.rated]
     rows, stiffness = ROWS * [length, 1, length, 1], STIFFNESS * stiff
@@ -74,18 +120,28 @@ def recorded(plant: Plant) -> tuple[Cell, Readings]:
     law, extra = _help(plant.kind, rng, rows, q, share, length, heavy)
     phases = [(order, size * _usual(plant.rated), rng.uniform(0, 2 * np.pi)) for order, size in plant.waves]
     points = POINTS * length + rng.normal(0, 2e-4, (3, 3))
-    positions = []
-    for one in q:
+    soft = SOFT_TORQUE * plant.rated * plant.soft
+    arm = Arm(true, stiffness, (*_arm(heavy, length), *extra), law, soft)
+    positions, wrenches, steps, configurations = [], [], [], []
+    for number, one in enumerate(q):
         begun = one + zero
         begun[HELPED] += sum(size * np.sin(order * one[HELPED] + phase) for order, size, phase in phases)
-        rest = _at_rest(true, heavy, length, stiffness, begun, law, extra)
-        flange = _frames(true, rest)[6]
-        positions.append(points @ flange[:3, :3].T + flange[:3, 3])
+        pulls = PULLS if number < plant.loaded else PULLS[:1]
+        along = rng.normal(size=3) if number < plant.loaded else GRAVITY
+        for step, pull in enumerate(pulls):
+            force = pull * plant.rated * np.linalg.norm(GRAVITY) * along / np.linalg.norm(along)
+            flange = arm.at_rest(begun, force)
+            positions.append(points @ flange[:3, :3].T + flange[:3, 3])
+            wrenches.append(np.concatenate([flange[:3, :3].T @ force, np.zeros(3)]))
+            steps.append(step)
+            configurations.append(number)
     pose = TRACKER + np.concatenate([rng.normal(0, 2e-3, 3), rng.normal(0, 1e-4, 3)])
     turn = Rotation.from_euler("xyz", pose[3:]).as_matrix()
     seen = (np.concatenate(positions) - pose[:3]) @ turn
-    cell = _cell(plant.rated, rows, heavy, length, stated, noise)
-    return cell, _readings(cell, q, seen + rng.normal(0, noise, seen.shape))
+    seen += rng.normal(0, noise, seen.shape)
+    cell = _cell(plant, rows, heavy, length, stated, noise)
+    wrench = np.array(wrenches) + rng.normal(0, SENSOR, (len(steps), 6)) if plant.loaded else None
+    return cell, _readings(cell, q, np.array(configurations), np.array(steps), seen, wrench)
 
 
 def _usual(rated: int) -> float:
@@ -177,47 +233,40 @@ def _force(kind: str, rng: np.random.Generator) -> Law:
     return lambda share: float((1 - taken * share) ** -power)
 
 
-def _at_rest(
-    rows: np.ndarray, heavy: float, length: float, stiffness: np.ndarray, begun: np.ndarray, law: Law, extra: Extra
-) -> np.ndarray:
-    angles, bodies = begun, (*_arm(heavy, length), *extra)
-    for _ in range(30):
-        torque = _weight(rows, bodies, angles)
-        torque[HELPED] += law(float(angles[HELPED]))
-        new = begun + torque / stiffness
-        if np.abs(new - angles).max() < 1e-12:
-            break
-        angles = new
-    return np.asarray(angles)
-
-
-def _cell(rated: int, rows: np.ndarray, heavy: float, length: float, stated: np.ndarray, noise: float) -> Cell:
+def _cell(plant: Plant, rows: np.ndarray, heavy: float, length: float, stated: np.ndarray, noise: float) -> Cell:
     names = [f"joint_{i + 1}" for i in range(6)]
     robot = {
-        "name": f"robot of {rated} kg", "rated_load": float(rated), "joints": names, "stiffness": stated.tolist(),
+        "name": f"robot of {plant.rated} kg", "rated_load": float(plant.rated),
+        "joints": names, "stiffness": stated.tolist(),
         "dh": [dict(zip(("a", "alpha", "d", "theta"), map(float, row), strict=True)) for row in rows],
         "joint_limits": np.stack([LOW, HIGH], 1).tolist(),
         "inertials": [{"mass": mass, "com": centre.tolist()} for _, mass, centre in _arm(heavy, length)],
     }  # fmt: skip
     points = {f"mp{i + 1}": one.tolist() for i, one in enumerate(POINTS * length)}
-    frames = {"tracker": {"xyz": TRACKER[:3].tolist(), "rpy": TRACKER[3:].tolist()}, "measurement_points": points}
+    frames: dict[str, object] = {
+        "tracker": {"xyz": TRACKER[:3].tolist(), "rpy": TRACKER[3:].tolist()}, "measurement_points": points,
+    }  # fmt: skip
     instruments = {"tracker": {"sigma": noise}}
+    if plant.loaded:
+        frames |= {"force_torque": {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "wrench_point": [0, 0, 0]}
+        instruments["force_torque"] = {"sigma_force": SENSOR[0], "sigma_torque": SENSOR[3]}
     content = {"name": "spring", "robot": robot, "frames": frames, "instruments": instruments}
     return Cell.model_validate(content)
 
 
-def _readings(cell: Cell, q: np.ndarray, seen: np.ndarray) -> Readings:
-    k = len(cell.points)
-    rows = k * len(q)
+def _readings(
+    cell: Cell, q: np.ndarray, configuration: np.ndarray, step: np.ndarray, seen: np.ndarray, wrench: np.ndarray | None
+) -> Readings:
+    k, plateaus = len(cell.points), len(step)
     return Readings(
         points=cell.points,
-        configuration=np.repeat(np.arange(1, len(q) + 1), k),
-        step=np.zeros(rows, dtype=np.int64),
-        point=np.tile(np.arange(k), len(q)),
-        q=np.repeat(q, k, axis=0),
+        configuration=np.repeat(configuration + 1, k),
+        step=np.repeat(step, k),
+        point=np.tile(np.arange(k), plateaus),
+        q=np.repeat(q[configuration], k, axis=0),
         position=seen,
-        wrench=None,
-        time=np.repeat(60.0 * np.arange(len(q)), k) + np.tile(5.0 * np.arange(k), len(q)),
-        temperature=np.full(rows, np.nan),
+        wrench=None if wrench is None else np.repeat(wrench, k, axis=0),
+        time=np.repeat(60.0 * np.arange(plateaus), k) + np.tile(5.0 * np.arange(k), plateaus),
+        temperature=np.full(k * plateaus, np.nan),
         provenance=Provenance("plant", "csv", {}, {}),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.estimation.blocks import posture_blocks, time_blocks
+from calibration_core.estimation.blocks import STAYS, posture_blocks, time_blocks
 from calibration_core.timeseries import in_time, numbers_in_time
 
 CONFIGURATIONS, EACH = 60, 3
@@ -43,3 +43,14 @@ def test_blocks_of_postures_are_those_that_stand_near_each_other(configuration: 
     assert blocks.kind == "posture"
     pairs = np.unique(np.column_stack([np.repeat(place, EACH), blocks.label]), axis=0)
     assert len(pairs) == blocks.count == 4
+
+
+def test_readings_that_stay_are_in_no_block_and_none_is_empty(configuration: np.ndarray) -> None:
+    blocks = time_blocks(configuration, 10)
+    stay = (blocks.label == 3) | (np.arange(len(configuration)) == 0)
+    kept = blocks.keeping(stay)
+    assert np.all(kept.label[stay] == STAYS)
+    assert kept.count == 9
+    assert np.all(np.bincount(kept.label[~stay]) > 0)
+    together = kept.label[~stay][:, None] == kept.label[~stay]
+    np.testing.assert_array_equal(together, blocks.label[~stay][:, None] == blocks.label[~stay])

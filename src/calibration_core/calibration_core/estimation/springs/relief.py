@@ -58,7 +58,7 @@ class Weighed:
     def of(model: NullModel) -> Weighed:
         """Return what the weight does; nothing where masses are unknown or where loads show a spring's stiffness."""
         state = model.state
-        torque = {} if state.loaded else {j: model.believed[j] * state.gravity_torque[j] for j in carriers(state)}
+        torque = {j: model.believed[j] * state.gravity_torque[j] for j in carriers(state)}
         return Weighed(state, {joint: one - one.mean() for joint, one in torque.items() if np.ptp(one) > 0})
 
     def by(self, trial: Trial) -> tuple[Relief, ...]:

@@ -1,0 +1,81 @@
+"""Springs of laws that the catalogue does not hold, where some of the postures are loaded, too."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from spring_plant import KINDS, Plant, recorded
+
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.result.finding import Diagnosis
+
+SPRING, GEAR, SOFT = ("gravity_compensator", "joint_2"), ("transmission_error", "joint_2"), ("soft_zone", "joint_2")
+LOADS = (60, 200, 500)
+LOADED = (4, 10, 20)  # configurations
+WAVES = (((3, 4.0),), ((2, 3.0), (5, 1.8)))
+FIRST = 4000  # seed of the slow tests
+
+
+def diagnosed(plant: Plant) -> Diagnosis:
+    cell, readings = recorded(plant)
+    return diagnose(readings, cell)
+
+
+def named(found: Diagnosis) -> set[tuple[str, str]]:
+    return {(one.effect, str(*one.location.values())) for one in found.findings}
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        Plant(2036, "hydraulic", 500, loaded=4),
+        Plant(2004, "hydraulic", 60, loaded=20),
+        Plant(2000, "gas", 500, loaded=4),
+    ],
+)
+def test_a_spring_of_any_law_is_named_beside_loads_and_explains_the_recording(plant: Plant) -> None:
+    found = diagnosed(plant)
+    assert named(found) == {SPRING}
+    assert found.verdict == "missing_physics"
+    assert found.rms_after < 1.1 * found.noise
+    assert found.noise < 0.5 * found.rms_before
+
+
+def test_the_law_of_a_joint_is_found_beside_its_spring() -> None:
+    assert {SPRING, SOFT} <= named(diagnosed(Plant(2039, "counterweight", 500, loaded=10, soft=True, geometry=True)))
+
+
+def test_an_error_of_a_gear_is_no_spring_beside_loads() -> None:
+    assert named(diagnosed(Plant(1012, waves=WAVES[0], loaded=10))) == {GEAR}
+
+
+def test_loaded_configurations_that_follow_each_other_are_not_all_left_out() -> None:
+    """Four, one after the other: nothing else tells the compliances."""
+    assert named(diagnosed(Plant(4000, "", 500, WAVES[1], loaded=4))) == {GEAR}
+    assert named(diagnosed(Plant(5000, "", 60, ((2, 1.0), (6, 0.6)), loaded=4))) == {GEAR}
+
+
+def test_a_robot_without_a_spring_has_none_beside_loads() -> None:
+    assert diagnosed(Plant(2010, "", 60, loaded=10)).findings == ()
+
+
+@pytest.mark.slow
+def test_springs_of_every_law_are_named_beside_loads_and_no_gear() -> None:
+    plants = [
+        Plant(FIRST + k, kind, rated, geometry=bool(k % 2), loaded=LOADED[k % 3])
+        for k, (kind, rated, _) in enumerate(itertools.product(KINDS, LOADS, range(2)))
+    ]
+    several = [named(diagnosed(plant)) for plant in plants]
+    assert sum(SPRING in found for found in several) >= 0.9 * len(plants)
+    assert sum(GEAR in found for found in several) <= 0.1 * len(plants)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rated", LOADS)
+@pytest.mark.parametrize("waves", WAVES)
+def test_no_gear_is_a_spring_beside_loads(waves: tuple[tuple[int, float], ...], rated: int) -> None:
+    for k, loaded in enumerate(LOADED):
+        found = named(diagnosed(Plant(FIRST + k, "", rated, waves, loaded=loaded, geometry=bool(k % 2))))
+        assert GEAR in found
+        assert SPRING not in found
