@@ -18,7 +18,7 @@ from calibration_core.estimation.hypotheses import SAG, WAVE, physics, typical_s
 from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
-from calibration_core.estimation.springs.compensator_geometry import SPRING
+from calibration_core.estimation.springs.compensator_geometry import SPRING, one_wave
 from calibration_core.estimation.springs.relief import Relief, Weighed, without_springs
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
@@ -123,7 +123,7 @@ def controls(model: NullModel, rows: Int1D, whitening: Whitening) -> Controls:
 
 def _beyond_springs(trial: Trial) -> bool:
     """Say whether one wave, more than once a turn, explains as much as any spring of its joint: no spring is one."""
-    if not (isinstance(trial.hypothesis.shape, int) and trial.hypothesis.shape > 1):
+    if not one_wave(trial.hypothesis):
         return False
     several, own = enumerate(trial.field.offered.hypotheses), trial.score(trial.accepted, trial.index)
     springs = (i for i, one in several if one.effect == SPRING and one.location == trial.hypothesis.location)

@@ -40,7 +40,7 @@ CONVERGED = 1e-6  # m and rad
 STILL = 0.01  # of a compliance
 FAR, SURE, MOST_ROUNDS = (
     0.1,
-    5.0,
+    1.0,
     8,
 )  # of a compliance and of its standard deviation: so far it moves no more, if it can
 

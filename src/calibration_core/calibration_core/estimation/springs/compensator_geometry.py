@@ -55,10 +55,17 @@ def fit_compensator_geometry(
         name = state.chain.joints[joint]
         there = [i for i in accepted if hypotheses[i].location.get("joint") == name and i not in gears]
         near = [i for i in there if hypotheses[i].effect in LIKE_SPRING]
+        if len(near) == 1 and one_wave(hypotheses[near[0]]):
+            continue
         if near and any(c.effect == SPRING and c.location["joint"] == name for c in field.offered.candidates):
             others = tuple(i for i in accepted if i not in near)
             found.append(_shape(field, others, state, joint, weigh))
     return tuple(found)
+
+
+def one_wave(hypothesis: Hypothesis) -> bool:
+    """Say whether a hypothesis is one wave, more than once a turn: alone it is no spring, of whatever law."""
+    return hypothesis.effect == WAVE and isinstance(hypothesis.shape, int) and hypothesis.shape > 1
 
 
 def gears_beside_springs(accepted: Sequence[int], hypotheses: Sequence[Hypothesis], state: State) -> frozenset[int]:
