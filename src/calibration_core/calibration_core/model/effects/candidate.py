@@ -60,7 +60,7 @@ class Candidate:
         chances: State -> (m, 3, c) m, movements per standard deviation of what is a matter of chance in each
             configuration and no property of the robot, for example where friction stood on arrival; None: nothing is.
             Candidates with the same function share them.
-        row_by_row: Whether a reading's movement depends on its own joint angles and levers alone (`State.of_rows`).
+        row_by_row: Whether a reading's movement depends on its own posture and load alone (`State.of_rows`).
         torques: State -> (m, k) N*m per unit of every parameter, with which it acts on its joint beside load and
             weight; None: with none.
         shape: What of the form is a value, which `variant` only says in words: the order of a wave, the triangle of a

@@ -117,8 +117,10 @@ class State:
         return bool(np.any(self.force) or np.any(self.moment))
 
     def of_rows(self, rows: Int1D) -> State:
-        """Return joint angles and levers of some readings; all else is left as it is, of all readings."""
-        return dataclasses.replace(self, q=self.q[rows], answer=np.ascontiguousarray(self.answer[:, :, rows]))
+        """Return posture, levers, load and weight of some readings; all else is left as it is, of all readings."""
+        names = ("answer", "load_torque", "gravity_torque", "point", "force", "moment", "where")
+        taken = {name: getattr(self, name).take(rows, axis=-1) for name in names}
+        return dataclasses.replace(self, q=self.q[rows], at=self.at.of_readings(rows), **taken)
 
     def place(self, joint: int, *, other_end: bool = False) -> Float2D:
         """Return the (3, m) m where the frame before a joint stands, or the other end of the joint's axis."""

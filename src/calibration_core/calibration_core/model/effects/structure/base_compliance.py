@@ -8,6 +8,7 @@ Source: six springs in series with the chain.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -51,10 +52,10 @@ def _candidates(state: State) -> Iterator[Candidate]:
     )
     about_z = Parameter("rotation_z", TURN, turn, positive=True)
     slides = tuple(Parameter(f"translation_{axis}", "m/N", slide, positive=True) for axis in "xyz")
-    place = {"base": "base"}
-    yield Candidate(EFFECT.name, EFFECT.family, place, "rocking", rocking, _rocking)
-    yield Candidate(EFFECT.name, EFFECT.family, place, "rotation", (*rocking, about_z), _rotation)
-    yield Candidate(EFFECT.name, EFFECT.family, place, "six springs", (*rocking, about_z, *slides), _six)
+    form = partial(Candidate, EFFECT.name, EFFECT.family, {"base": "base"}, row_by_row=True)
+    yield form("rocking", rocking, _rocking)
+    yield form("rotation", (*rocking, about_z), _rotation)
+    yield form("six springs", (*rocking, about_z, *slides), _six)
 
 
 EFFECT = Effect(

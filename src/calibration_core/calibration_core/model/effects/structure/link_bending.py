@@ -83,7 +83,7 @@ def _described(state: State) -> Iterator[tuple[Candidate, bool, bool]]:
     )
     three = (*two, Parameter("torsion", UNIT, 2 * size, positive=True))
     for link in range(state.chain.n):
-        form = partial(Candidate, EFFECT.name, EFFECT.family, {"link": link_name(link)})
+        form = partial(Candidate, EFFECT.name, EFFECT.family, {"link": link_name(link)}, row_by_row=True)
         for (where, other_ends), (weight, own_weight) in itertools.product(ENDS.items(), WEIGHT.items()):
             start, tip = _ends(state, link, other_ends=other_ends)
             if float(np.linalg.norm(tip - start, axis=0).min()) < SHORTEST:

@@ -54,7 +54,7 @@ def _forms(state: State) -> Iterator[Candidate]:
     for joint, name in enumerate(state.chain.joints):
         one = (Parameter("compliance", UNIT, size, positive=True),)
         for other_end, where in ((False, ""), (True, OTHER_END)):
-            form = partial(Candidate, EFFECT.name, EFFECT.family, {"joint": name}, shape=other_end)
+            form = partial(Candidate, EFFECT.name, EFFECT.family, {"joint": name}, row_by_row=True, shape=other_end)
             yield form(f"before{where}", several, partial(_proximal, joint=joint, other_end=other_end))
             yield form(f"behind{where}", several, partial(_distal, joint=joint, other_end=other_end))
             yield form(f"isotropic{where}", one, partial(_isotropic, joint=joint, other_end=other_end))
