@@ -150,16 +150,21 @@ class Comparisons:
         """Return what blocks gain beside the accepted ones, (h,) each."""
         return best_gains(self.fitted(accepted), blocks)
 
+    def several(self, accepted: Accepted, indices: Accepted) -> Scores:
+        """Return how some hypotheses do beside the accepted ones, in their order."""
+        accepted, place = tuple(sorted(accepted)), [self.place[i] for i in indices]
+        for narrow in (False, True):
+            known = self.known.get((accepted, narrow))
+            if known is not None and (not narrow or self._narrow.issuperset(place)):
+                return Scores(known.nats[place], known.size[place], known.left[place])
+        found = self.gains(accepted, Grouped.of(self.field.blocks(indices)))
+        return Scores(found.nats, found.size, found.left)
+
     def score(self, accepted: Accepted, index: int) -> tuple[float, float, float]:
         """Return how one hypothesis does beside the accepted ones: nats, size and what is left, as `Scores`."""
         accepted = tuple(sorted(accepted))
-        k = self.place[index]
-        for narrow in (False, True):
-            known = self.known.get((accepted, narrow))
-            if known is not None and not (narrow and k not in self._narrow):
-                return float(known.nats[k]), float(known.size[k]), float(known.left[k])
         if (accepted, index) not in self.alone_known:
-            found = self.gains(accepted, Grouped.of(self.field.blocks((index,))))
+            found = self.several(accepted, (index,))
             self.alone_known[accepted, index] = float(found.nats[0]), float(found.size[0]), float(found.left[0])
         return self.alone_known[accepted, index]
 
@@ -201,6 +206,7 @@ class Comparisons:
             return Sizes(variance, np.array([max(usual.get(i, 0.3), 1e-2) for i in accepted]), float("nan"))
         last = most_probable(self.fits[known]).sizes
         fit = dict(zip(known, last.size, strict=True))
-        beyond = dict(zip(self.judged, self.scores(known, narrow=True).size, strict=True))
+        new = tuple(i for i in accepted if i not in fit and i in self.place)
+        beyond = dict(zip(new, self.several(known, new).size, strict=True)) if new else {}
         size = np.array([fit.get(i, max(beyond.get(i, 0.3), 1e-2)) for i in accepted])
         return Sizes(last.variance, size, float("nan"))

@@ -266,13 +266,12 @@ class Search(Comparisons):
         alone = [i for i in self.judged if len(m := self.field.offered.hypotheses[i].members) == 1 and m[0] in members]
         few: Accepted = ()
         while len(few) < FEW and len(few) < len(members) - 1:
-            gain = self.scores((*others, *few), narrow=True).nats
-            left = [i for i in alone if i not in few]
-            best = left[int(np.argmax([gain[self.place[i]] for i in left]))] if left else -1
+            left = tuple(i for i in alone if i not in few)
+            gain = self.several((*others, *few), left).nats
             least = PART if 2 * (len(few) + 1) <= len(members) else self.limit
-            if best < 0 or gain[self.place[best]] < least:
+            if gain.max(initial=-np.inf) < least:
                 break
-            few = (*few, best)
+            few = (*few, left[int(gain.argmax())])
         while few and self.sizes((*others, *few)).value > whole - EQUIVALENT:
             beside = {i: (*others, *(j for j in few if j != i)) for i in few}
             asked = ((i, self.trial(beside[i], i).proven and self._allowed(beside[i], i)) for i in reversed(few))
