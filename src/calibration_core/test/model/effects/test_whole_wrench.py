@@ -58,6 +58,18 @@ def every_candidate(here: State) -> list:
     return [c for effect in catalogue() for c in effect.candidates(here)]
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_columns_of_some_readings_are_those_of_all(chain: Chain, kind: str) -> None:
+    """To the bit, of every candidate that says that its columns may be written for some readings alone."""
+    here, rows = state(chain, kind), np.array([1, 4, 5, 17])
+    several = [one for one in every_candidate(here) if one.row_by_row]
+    assert {one.effect for one in several} == {
+        "transmission_error", "off_axis_compliance", "link_bending", "base_compliance",
+    }  # fmt: skip
+    for one in several:
+        assert np.array_equal(one.columns(here.of_rows(rows)), one.columns(here)[rows]), one.key
+
+
 def inserted(chain: Chain, place: int, rotation: Float2D, translation: Float1D, *, takes: bool = False) -> Chain:
     """Return the chain with one more joint, about z of a frame in the body frame of link `place` - 1.
 
