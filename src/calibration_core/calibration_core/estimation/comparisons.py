@@ -11,7 +11,7 @@ import numpy as np
 from calibration_core.estimation.controls import CHANCE
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.leave_out import LeftOut
-from calibration_core.estimation.likelihood.gains import Gains, Grouped
+from calibration_core.estimation.likelihood.gains import Gains, Grouped, Seen, beside
 from calibration_core.estimation.likelihood.restricted import Sizes
 from calibration_core.estimation.likelihood.small_effects import (
     LEVELS,
@@ -105,6 +105,11 @@ class Comparisons:
             self.fits[accepted] = self.small.fits(self.field.blocks(accepted), self._start(accepted))
         return self.fits[accepted]
 
+    def seen(self, accepted: Accepted) -> Seen:
+        """Return what is seen beside hypotheses alone, whatever small effects are part of the noise."""
+        fit = most_probable(self.fitted(accepted))
+        return fit.seen if fit.gram is self.field.gram else beside(self.field.gram, fit.blocks, fit.sizes)
+
     def squares(self, accepted: Accepted) -> list[Float1D]:
         """Return the squares of blocks left out."""
         accepted = tuple(sorted(accepted))
@@ -191,7 +196,8 @@ class Comparisons:
         def score(others: Accepted, one: int) -> float:
             return float(search.score(others, one)[0]) if one in search.place else -math.inf
 
-        return Trial(self.field, accepted, index, sizes, nats, squares, lambda: search.left_out(accepted), score)
+        model, seen = (lambda: search.left_out(accepted)), (lambda: search.seen(accepted))
+        return Trial(self.field, accepted, index, sizes, nats, squares, model, seen, score)
 
     def _start(self, accepted: Accepted) -> Sizes | None:
         """Return sizes to begin with: those of a fit with most of the same hypotheses, and what suits the new ones."""

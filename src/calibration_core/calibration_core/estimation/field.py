@@ -8,11 +8,12 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.hypotheses import Hypothesis, Offered
 from calibration_core.estimation.leave_out import LeftOut, Proof, block_squares, proof
+from calibration_core.estimation.likelihood.gains import Seen
 from calibration_core.estimation.likelihood.restricted import Gram, Sizes
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
@@ -232,6 +233,7 @@ class Trial:
         squares: Returns squares of blocks left out, or -2 v times their log densities, per partition, (b,), without the
             hypothesis and with it; they cost more than everything else, and not every question needs them.
         model: Returns the accepted ones with every block left out.
+        seen: Returns what is seen beside the accepted ones.
         score: Returns what any hypothesis gains beside others, nats; minus infinity where it is not judged.
     """
 
@@ -242,6 +244,7 @@ class Trial:
     gain: float
     squares: Callable[[], tuple[list[Float1D], list[Float1D]]]
     model: Callable[[], LeftOut]
+    seen: Callable[[], Seen]
     score: Callable[[Accepted, int], float]
 
     @functools.cached_property
@@ -277,14 +280,22 @@ class Trial:
 
     @functools.cached_property
     def _moved(self) -> tuple[float, float]:
-        gram, blocks = self.field.gram, self.field.blocks((*self.accepted, self.index))
-        index = np.concatenate(blocks)
-        prior = np.repeat(self.sizes.size, [len(block) for block in blocks])
-        matrix = gram.matrix[np.ix_(index, index)]
-        mean = np.linalg.solve(matrix + self.sizes.variance * np.diag(1 / prior**2), gram.vector[index])
-        parts = (slice(len(index) - len(blocks[-1]), None), slice(0, len(index) - len(blocks[-1])))
-        own, others = (float(np.sqrt(np.abs(mean[p] @ matrix[p, p] @ mean[p]))) for p in parts)
-        return own, others
+        own, seen = self.hypothesis.columns, self.seen()
+        taken, right, factor = self._own
+        mean = cho_solve(factor, right)
+        rest = seen.right - taken @ mean
+        others = solve_triangular(seen.lower, rest, lower=True, trans=1)  # per size, as D G D = L - v I is
+        squares = mean @ self.field.gram.matrix[np.ix_(own, own)] @ mean, rest @ rest - seen.variance * others @ others
+        return float(np.sqrt(np.abs(squares[0]))), float(np.sqrt(np.abs(squares[1])))
+
+    @functools.cached_property
+    def _own(self) -> tuple[Float2D, Float1D, tuple[Float2D, bool]]:
+        """Of its k columns what the accepted ones take, (a, k), and their normal equations beside these."""
+        own, seen = self.hypothesis.columns, self.seen()
+        taken, vector = seen.of(own)
+        matrix = self.field.gram.matrix[np.ix_(own, own)] - taken.T @ taken
+        matrix[np.diag_indices_from(matrix)] += self.sizes.variance / self.sizes.size[-1] ** 2
+        return taken, seen.variance * vector, cho_factor(matrix)
 
     def posterior(self, members: Sequence[int], *, alone: bool = False) -> tuple[Float1D, Float2D]:
         """Return mean (k,) and covariance (k, k) of the parameters of some candidates, typical sizes.
@@ -293,11 +304,13 @@ class Trial:
             members: Candidates, each in one hypothesis at least; what several hypotheses say of one is added up.
             alone: Without the hypothesis, the accepted ones alone.
         """
-        blocks = self.field.blocks(self.accepted if alone else (*self.accepted, self.index))
-        index = np.concatenate(blocks)
-        prior = np.repeat(self.sizes.size[: len(blocks)], [len(block) for block in blocks])
-        matrix = self.field.gram.matrix[np.ix_(index, index)] + self.sizes.variance * np.diag(1 / prior**2)
+        seen = self.seen()
         asked = np.concatenate([np.arange(s.start, s.stop) for s in (self.field.offered.blocks[k] for k in members)])
-        adds = (asked[:, None] == index).astype(np.float64)
-        solved = cho_solve(cho_factor(matrix), np.column_stack([self.field.gram.vector[index], adds.T]))
-        return adds @ solved[:, 0], self.sizes.variance * (adds @ solved[:, 1:])
+        others = solve_triangular(seen.lower, seen.size[:, None] * (seen.members[:, None] == asked), lower=True)
+        mean, covariance = others.T @ seen.right, others.T @ others
+        if not alone:
+            taken, right, factor = self._own
+            apart = (self.hypothesis.columns[:, None] == asked) - taken.T @ others
+            solved = cho_solve(factor, np.column_stack([right, apart]))
+            mean, covariance = mean + apart.T @ solved[:, 0], covariance + apart.T @ solved[:, 1:]
+        return mean, self.sizes.variance * covariance

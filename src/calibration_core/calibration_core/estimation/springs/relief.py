@@ -12,6 +12,7 @@ import numpy as np
 
 from calibration_core.estimation.field import Trial
 from calibration_core.estimation.hypotheses import typical_sizes
+from calibration_core.estimation.likelihood.gains import beside
 from calibration_core.estimation.rows import NullModel
 from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.model.effects.priors import typical
@@ -91,4 +92,6 @@ def without_springs(trial: Trial) -> Trial:
     size = trial.sizes.size[[*kept, -1]]
     size[-1] = max(size[-1], AMPLITUDES)  # beside a spring little is left for it
     sizes = dataclasses.replace(trial.sizes, size=size)
-    return dataclasses.replace(trial, accepted=tuple(trial.accepted[k] for k in kept), sizes=sizes)
+    accepted = tuple(trial.accepted[k] for k in kept)
+    seen = beside(trial.field.gram, trial.field.blocks(accepted), dataclasses.replace(sizes, size=size[:-1]))
+    return dataclasses.replace(trial, accepted=accepted, sizes=sizes, seen=lambda: seen)
