@@ -80,7 +80,7 @@ def diagnose_still(
         evaluated = evaluate_absolute(readings, cell, readmit=readmitted, believed=believed)
     steps = found.parts(anomalies=True)
     if steps:  # what identification says is said of readings freed of what moved
-        moved = found.extended.shift(found.extended.model.state, steps) @ found.extended.parameters.tracker[:3, :3]
+        moved = found.extended.shift(steps) @ found.extended.parameters.tracker[:3, :3]
         freed = dataclasses.replace(readings, position=readings.position - moved)
         evaluated = evaluate_absolute(freed, cell, believed=believed)
         identification = identification_of(evaluated, freed, cell, test=test)
@@ -144,7 +144,7 @@ def diagnosis_of(
         located=found.selection.refused,
         residual=extended.left,
         residual_before=null.left,
-        shift=extended.shift(extended.model.state, physics),
+        shift=extended.shift(physics),
         compliance=compliance,
         compliance_covariance=covariance,
         blocks={kind: (rms_length(before), rms_length(after)) for kind, (before, after) in left.items()},

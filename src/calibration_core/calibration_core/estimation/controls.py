@@ -10,11 +10,12 @@ drift, of the tracker or of the sensor.  A step must matter.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from calibration_core.estimation.field import Trial
-from calibration_core.estimation.hypotheses import SAG, WAVE, physics, typical_sizes
+from calibration_core.estimation.hypotheses import SAG, WAVE, typical_sizes
 from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
@@ -22,7 +23,7 @@ from calibration_core.estimation.springs.compensator_geometry import SPRING, one
 from calibration_core.estimation.springs.relief import Relief, Weighed, without_springs
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
-from calibration_core.model.effects.candidate import number_of
+from calibration_core.model.effects.candidate import Candidate, number_of
 from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
 from calibration_core.model.effects.structure.gravity_compensator import OPEN, OPEN_ORDERS
 from calibration_core.model.effects.traits import Trait
@@ -108,14 +109,14 @@ class Controls:
         return ""
 
 
-def controls(model: NullModel, rows: Int1D, whitening: Whitening) -> Controls:
-    """Return the controls of some readings of a recording."""
+def controls(model: NullModel, rows: Int1D, whitening: Whitening, catalogue: Sequence[Candidate]) -> Controls:
+    """Return the controls of some readings of a recording, of what the catalogue offers for it."""
     if model.fitted_compliances:  # sag is part of the null model, no hypothesis
         return Controls({}, Weighed.of(model))
-    state, part = model.state, model.problem.select(rows)
-    typicals = {str(c.location["joint"]): c.parameters[0].typical for c in physics(state, sag=True) if c.effect == SAG}
+    state, part = model.state.of_rows(rows), model.problem.select(rows)
+    typicals = {str(c.location["joint"]): c.parameters[0].typical for c in catalogue if c.effect == SAG}
     joints = ((name, state.chain.joints.index(name)) for name in typicals)
-    moved = {name: turned_columns(state, joint)[rows] * typicals[name] for name, joint in joints}
+    moved = {name: turned_columns(state, joint) * typicals[name] for name, joint in joints}
     return Controls(
         {name: whitening(weighted(part, model.parameters, one)) for name, one in moved.items()}, Weighed.of(model)
     )

@@ -229,7 +229,7 @@ def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
     own = {one.key for one in catalogue}
     catalogue = (*(one for one, _ in model.springs if one.key not in own), *catalogue)
     field, whitening = _field(model, offer((*catalogue, *shifts(readings))))
-    control = controls(model, sample_rows(model), whitening)
+    control = controls(model, sample_rows(model), whitening, catalogue)
     limit = None if known is None else known.search.limit
     search = Search(field, control, limit=limit)
     selection = search.run(_these(field.offered, [one for one, _ in model.springs]))

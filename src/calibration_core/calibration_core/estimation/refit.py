@@ -27,8 +27,7 @@ from calibration_core.identification.geometry.fit import moved
 from calibration_core.identification.geometry.terms import names_of
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.possible import nearest
-from calibration_core.model.effects.side_torques import Acting, acting, with_side_torques
-from calibration_core.model.effects.state import State
+from calibration_core.model.effects.side_torques import Acting, acting
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 
@@ -141,27 +140,27 @@ class Extended:
         wide = slice(self.flat + block.start, self.flat + block.stop)
         return self.value[block], self.covariance[wide, wide]
 
-    def shift(self, state: State, chosen: Sequence[int]) -> Float2D:
-        """Return the (m, 3) m that some parts move the points of any state beyond what the compliances do."""
-        total, state = np.zeros((state.m, 3)), with_side_torques(state, _springs(self.parts, self.value))
-        for index in chosen:
-            block = self.block(index)
-            total += self.parts[index].candidate.columns(state) @ (self.value[block] - self.held[block])
-        return total
+    def shift(self, chosen: Sequence[int]) -> Float2D:
+        """Return the (m, 3) m that some parts move the points beyond what the compliances do."""
+        return self._metres(self.linear.own.effects @ self._of(chosen, self.value - self.held))
 
     def own_shift(self, chosen: Sequence[int]) -> Float2D:
         """Return (m, 3) m: what parts move the points beyond what the null model would take up instead."""
         if not chosen:
             return np.zeros((len(self.model.readings), 3))
-        value = np.zeros(len(self.value))
-        for index in chosen:
-            value[self.block(index)] = self.value[self.block(index)]
-        own, white = self.linear.own, self.linear.white
+        own, white, value = self.linear.own, self.linear.white, self._of(chosen, self.value)
         effect = own.effects @ value
         null = white.flat / self.length[: self.flat]
         seen = null.T @ (effect if own is white else white.effects @ value)
         taken = np.linalg.solve(null.T @ null + RIDGE * np.eye(self.flat), seen) / self.length[: self.flat]
         return self._metres(self.whitening.without_offsets(effect - own.flat @ taken))
+
+    def _of(self, chosen: Sequence[int], value: Float1D) -> Float1D:
+        """Return values of all parameters, (p,), zero but for those of some parts."""
+        result = np.zeros_like(value)
+        for index in chosen:
+            result[self.block(index)] = value[self.block(index)]
+        return result
 
     def _metres(self, values: Float1D) -> Float2D:
         return unweighted(self.model.problem, self.parameters, values)

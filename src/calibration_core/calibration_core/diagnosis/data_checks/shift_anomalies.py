@@ -29,7 +29,7 @@ def _anomaly(found: Estimate, index: int, readings: Readings) -> Anomaly:
     one = found.offered.hypotheses[index]
     extended, members = found.extended, found.members[index]
     value, _ = extended.values_of(members[0])
-    shift = extended.shift(extended.model.state, members)
+    shift = extended.shift(members)
     concerned = np.any(shift != 0, axis=1)
     size = rms_length(shift[concerned])
     order, numbers = in_time(readings.configuration), readings.configuration
