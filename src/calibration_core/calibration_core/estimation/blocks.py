@@ -36,6 +36,13 @@ class Blocks:
         """Number of blocks."""
         return int(self.label.max()) + 1
 
+    def readings(self, block: int) -> slice | Int1D:
+        """Return the readings of one block; those that follow each other as a slice, which copies nothing."""
+        rows = np.flatnonzero(self.label == block)
+        if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
+            return slice(int(rows[0]), int(rows[-1]) + 1)
+        return rows
+
     def of(self, rows: Int1D) -> Blocks:
         """Return the partition of some of the readings, numbered anew."""
         return Blocks(self.kind, np.unique(self.label[rows], return_inverse=True)[1].reshape(-1).astype(np.int64))
@@ -45,19 +52,6 @@ class Blocks:
         label = np.full(len(stay), STAYS, dtype=np.int64)
         label[~stay] = self.of(np.flatnonzero(~stay)).label
         return Blocks(self.kind, label)
-
-
-def rows_of(label: Int1D, block: int) -> slice | Int1D:
-    """Return the rows of one block; those that follow each other as a slice, which copies nothing.
-
-    Args:
-        label: (r,) block of every row.
-        block: Its number.
-    """
-    rows = np.flatnonzero(label == block)
-    if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
-        return slice(int(rows[0]), int(rows[-1]) + 1)
-    return rows
 
 
 def time_blocks(configuration: Int1D, most: int = MOST) -> Blocks:

@@ -10,7 +10,8 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
-from calibration_core.estimation.blocks import STAYS, Blocks, rows_of
+from calibration_core.estimation.blocks import STAYS, Blocks
+from calibration_core.estimation.columns import Columns, rows_of_readings
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 RIDGE = 1e-10  # of columns of length one: keeps a block that alone shows a parameter solvable
@@ -20,41 +21,41 @@ LEAST_NATS = 3.0  # that a hypothesis must gain on blocks left out
 
 
 def left_out(
-    columns: Sequence[Float2D],
+    columns: Columns,
     residual: Float1D,
     partition: Blocks,
     normal: tuple[Float2D, Float1D],
     used: Bool1D | None = None,
-    own: tuple[Sequence[Float2D], Float1D] | None = None,
+    own: tuple[Columns, Float1D] | None = None,
     fixed: Float2D | None = None,
 ) -> Float1D:
     """Return what a linear model leaves of every row when its block is left out, (3 m,).
 
     Args:
-        columns: Arrays of 3 m rows, whose columns, p together, stand side by side.
+        columns: Of m readings, p.
         residual: (3 m,).
-        partition: Of the m readings, all of which are in a block.
+        partition: Of the readings, all of which are in a block.
         normal: (p, p) and (p,), the normal equations of all rows that are fitted, priors included.
         used: (m,) readings that may be fitted; the others are predicted only.  None: all.
         own: The same columns and residual in other units, in which the answer is wanted; None: as fitted.
         fixed: (h, p) combinations of the parameters that stay zero; None: none.
     """
-    label, (whole, right) = np.repeat(partition.label, 3), normal
-    result = np.full_like(residual, np.nan)
+    (whole, right), result = normal, np.full((len(partition.label), 3), np.nan)
     for block in range(partition.count):
-        rows = rows_of(label, block)
-        there, seen = np.concatenate([part[rows] for part in columns], axis=1), residual[rows]
-        aside = np.zeros(0, dtype=np.int64) if used is None else np.flatnonzero(~np.repeat(used, 3)[rows])
-        kept, others = np.delete(there, aside, axis=0) if len(aside) else there, np.delete(seen, aside)
-        factor = cho_factor(whole - kept.T @ kept, lower=True, overwrite_a=True, check_finite=False)
-        solved = cho_solve(factor, right - others @ kept, check_finite=False)
+        rows = partition.readings(block)
+        there, seen = columns.rows(rows), rows_of_readings(residual, rows)
+        kept = slice(None) if used is None or used[rows].all() else np.flatnonzero(used[rows])
+        fitted = there.rows(kept)
+        without, shown = whole - fitted.products(), right - fitted.against(rows_of_readings(seen, kept))
+        factor = cho_factor(without, lower=True, overwrite_a=True, check_finite=False)
+        solved = cho_solve(factor, shown, check_finite=False)
         if fixed is not None and len(fixed):
             held = cho_solve(factor, fixed.T)
             solved -= held @ np.linalg.solve(fixed @ held, fixed @ solved)
         if own is not None:
-            there, seen = np.concatenate([part[rows] for part in own[0]], axis=1), own[1][rows]
-        result[rows] = seen - there @ solved
-    return result
+            there, seen = own[0].rows(rows), rows_of_readings(own[1], rows)
+        result[rows] = (seen - there.moved(solved)).reshape(-1, 3)
+    return result.reshape(-1)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -18,11 +18,12 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from scipy.linalg.lapack import dtrtri
 
-from calibration_core.estimation.blocks import Blocks, rows_of
+from calibration_core.estimation.blocks import Blocks
+from calibration_core.estimation.columns import Columns, rows_of_readings
 from calibration_core.estimation.hypotheses import is_axial
 from calibration_core.estimation.leave_out import RIDGE, left_out
 from calibration_core.estimation.noise.whitening import Whitening
-from calibration_core.estimation.rows import Columns, Linear, NullModel, unweighted
+from calibration_core.estimation.rows import Linear, NullModel, unweighted
 from calibration_core.identification.geometry.fit import moved
 from calibration_core.identification.geometry.terms import names_of
 from calibration_core.model.effects.candidate import Candidate
@@ -121,8 +122,8 @@ class Extended:
         normal = whole, white.against(np.where(np.repeat(self.model.used, 3), rest, 0.0))
         other = None
         if own is not white:
-            other = (own.flat, own.effects), self.residual + own.effects @ self.value
-        at = left_out((white.flat, white.effects), rest, partition, normal, self.model.used, other, self.fixed)
+            other = own, self.residual + own.effects @ self.value
+        at = left_out(white, rest, partition, normal, self.model.used, other, self.fixed)
         return self._metres(self.whitening.without_offsets(at))
 
     def block(self, index: int) -> slice:
@@ -188,7 +189,7 @@ def refit(
     held, value = _held(model, parts), np.zeros(sum(len(part.candidate.parameters) for part in parts))
     prior = np.concatenate([np.zeros(0), *(part.prior for part in parts)])
     fitted = np.repeat(model.used, 3)
-    aside, count = np.flatnonzero(~fitted), int(fitted.sum())
+    aside, count = np.flatnonzero(~model.used), int(fitted.sum())
     n = len(names_of(model.terms))
     f = n + len(model.fitted_compliances)
     linear = None if known is None else known.linear
@@ -352,10 +353,9 @@ def _widened(covariance: Float2D, inverse: Float2D, columns: Columns, rest: Floa
         rest: (3 m,) what is left; 0 where it was not fitted.
         partition: Blocks of the m readings.
     """
-    label = np.repeat(partition.label, 3)
-    blocks = [rows for block in range(partition.count) if np.any(rest[rows := rows_of(label, block)])]
-    parts = (columns.flat, columns.effects)
-    scores = np.stack([np.concatenate([rest[rows] @ part[rows] for part in parts]) for rows in blocks]) @ inverse.T
+    parts = ((rows, rows_of_readings(rest, rows)) for rows in map(partition.readings, range(partition.count)))
+    blocks = [columns.rows(rows).against(left) for rows, left in parts if np.any(left)]
+    scores = np.stack(blocks) @ inverse.T
     seen = np.einsum("bi,bi->i", scores, scores) * (len(blocks) / max(len(blocks) - 1, 1))
     more = np.sqrt(np.maximum(seen / np.maximum(np.diag(covariance), 1e-300), 1.0))
     return np.asarray(covariance * np.outer(more, more))

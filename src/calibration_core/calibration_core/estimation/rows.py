@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.estimation.columns import Columns, Effects, Turns
 from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.identification.geometry.fit import AbsoluteProblem
 from calibration_core.identification.geometry.terms import Term, columns_of
@@ -20,7 +21,7 @@ from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.effects.side_torques import Acting, with_side_torques
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, FloatND, Int1D, Readings, numbers_in_time
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 STAY = 1e-3  # of a compliance: by which it may move before columns of effects are written anew
 SEARCHED = 1_000  # configurations in the sample that is searched
@@ -108,27 +109,23 @@ class NullModel:
             result[:r, first:last] = weighted(part, self.parameters, several)
         return result
 
+    def effects(self, candidates: Sequence[Candidate], *, apart: bool) -> Effects:
+        """Return the columns of candidates as `moves`, for all readings.
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Columns:
-    """Columns of the null model, f, and of the effects, p, that are never copied into one array: they are large.
-
-    Attributes:
-        flat: (3 m, f).
-        effects: (3 m, p).
-    """
-
-    flat: Float2D
-    effects: Float2D
-
-    def moved(self, step: Float1D) -> Float1D:
-        """Return the rows' movement, (3 m,), for values of the parameters, (f + p,)."""
-        f = self.flat.shape[1]
-        return self.flat @ step[:f] + self.effects @ step[f:]
-
-    def against(self, values: FloatND) -> FloatND:
-        """Return the columns' products, (f + p,) or (f + p, k), with rows, (3 m,) or (3 m, k)."""
-        return np.concatenate([(values.T @ self.flat).T, (values.T @ self.effects).T])  # so the large one is read once
+        Args:
+            candidates: The effects.
+            apart: Whether levers and angles of those that only turn a joint may be kept apart.
+        """
+        joints = [str(one.location["joint"]) if apart and one.turns else "" for one in candidates]
+        where, turns = np.repeat(joints, [len(one.parameters) for one in candidates]), []
+        for name in dict.fromkeys(filter(None, joints)):
+            lever = self.state.joint_column(self.state.chain.joints.index(name), np.ones(self.state.m))[:, :, None]
+            weighed = weighted(self.problem, self.parameters, lever).reshape(-1, 3)
+            angles = [one.turns(self.state) for one in candidates if one.turns and one.location["joint"] == name]
+            turns.append(Turns(np.flatnonzero(where == name), weighed, np.concatenate(angles, axis=1)))
+        others = [one for one, name in zip(candidates, joints, strict=True) if not name]
+        whole = self.moves(others, np.arange(len(self.readings)))
+        return Effects(np.flatnonzero(where == ""), whole, tuple(turns))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -169,9 +166,9 @@ class Linear:
             own = Columns(flat, known.own.effects)
             white = own if white_flat is flat else Columns(white_flat, known.white.effects)
             return Linear(known.model, own, white, known.products), residual
-        own = Columns(flat, model.moves(candidates, everything))
-        white = own if white_flat is flat else Columns(white_flat, whitening(own.effects))
-        return Linear(model, own, white, white.effects.T @ white.effects), residual
+        own = Columns(flat, model.effects(candidates, apart=white_flat is flat))
+        white = own if white_flat is flat else Columns(white_flat, Effects.of(whitening(own.effects.whole)))
+        return Linear(model, own, white, white.effects.products), residual
 
     def serves(self, model: NullModel) -> bool:
         """Say whether the columns of effects are good about another model: compliances, and what joints carry."""
@@ -184,13 +181,9 @@ class Linear:
         return not np.any(np.abs(torque - before) > STAY * np.abs(torque).max(axis=1, keepdims=True))
 
     def normal(self, aside: Int1D) -> Float2D:
-        """Return the products of all columns, (f + p, f + p), without some rows, which are few."""
-        f = self.own.flat.shape[1]
-        matrix = np.empty((f + len(self.products), f + len(self.products)))
-        matrix[:, :f] = self.white.against(self.white.flat)
-        matrix[:f, f:], matrix[f:, f:] = matrix[f:, :f].T, self.products
-        unused = np.concatenate([self.white.flat[aside], self.white.effects[aside]], axis=1)
-        return matrix - unused.T @ unused if len(aside) else matrix
+        """Return the products of all columns, (f + p, f + p), without some readings, which are few."""
+        whole = self.white.products(self.products)
+        return whole - self.white.rows(aside).products() if len(aside) else whole
 
 
 def state_at(problem: AbsoluteProblem, parameters: ModelParameters, readings: Readings, cell: Cell) -> State:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calibration_core.estimation.blocks import time_blocks
+from calibration_core.estimation.columns import Columns, Effects
 from calibration_core.estimation.leave_out import RIDGE, LeftOut, left_out, proof
 
 READINGS, COLUMNS = 30, 7
@@ -27,7 +28,7 @@ def test_both_ways_are_the_fit_without_the_block(
     blocks = time_blocks(np.arange(READINGS), count)
     (quick,) = LeftOut(columns, residual, (blocks,), ridge).errors
     normal = columns.T @ columns + np.diag(ridge + RIDGE), columns.T @ residual
-    slow = left_out((columns[:, :3], columns[:, 3:]), residual, blocks, normal)
+    slow = left_out(Columns(columns[:, :3], Effects.of(columns[:, 3:])), residual, blocks, normal)
     label = np.repeat(blocks.label, 3)
     for block in range(count):
         rest = label != block

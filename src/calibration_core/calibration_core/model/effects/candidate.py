@@ -61,6 +61,8 @@ class Candidate:
             configuration and no property of the robot, for example where friction stood on arrival; None: nothing is.
             Candidates with the same function share them.
         row_by_row: Whether a reading's movement depends on its own posture and load alone (`State.of_rows`).
+        turns: State -> (m, k) rad per unit of every parameter, by which it turns its joint, where it does nothing else;
+            None: it may do more.
         torques: State -> (m, k) N*m per unit of every parameter, with which it acts on its joint beside load and
             weight; None: with none.
         shape: What of the form is a value, which `variant` only says in words: the order of a wave, the triangle of a
@@ -75,6 +77,7 @@ class Candidate:
     columns: Callable[[State], Float3D]
     chances: Callable[[State], Float3D] | None = None
     row_by_row: bool = False
+    turns: Callable[[State], Float2D] | None = None
     torques: Callable[[State], Float2D] | None = None
     shape: object = None
 

@@ -70,6 +70,16 @@ def test_columns_of_some_readings_are_those_of_all(chain: Chain, kind: str) -> N
         assert np.array_equal(one.columns(here.of_rows(rows)), one.columns(here)[rows]), one.key
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_effect_that_only_turns_a_joint_moves_the_points_by_its_lever(chain: Chain, kind: str) -> None:
+    here = state(chain, kind)
+    several = [one for one in every_candidate(here) if one.turns is not None]
+    assert {one.effect for one in several} == {"transmission_error"}
+    for one in several:
+        lever = here.joint_column(chain.joints.index(str(one.location["joint"])), np.ones(here.m))
+        assert np.array_equal(one.columns(here), lever[:, :, None] * one.turns(here)[:, None]), one.key
+
+
 def inserted(chain: Chain, place: int, rotation: Float2D, translation: Float1D, *, takes: bool = False) -> Chain:
     """Return the chain with one more joint, about z of a frame in the body frame of link `place` - 1.
 

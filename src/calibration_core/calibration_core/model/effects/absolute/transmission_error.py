@@ -20,7 +20,7 @@ from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.traits import Trait
 from calibration_core.model.parameters import AppliedEffect
-from calibration_core.timeseries import Float1D, Float3D
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 HIGHEST = 320  # orders: twice the ratio of the common strain-wave gears
 LEAST_RANGE = 0.1  # rad; a joint that moves less shows no period
@@ -51,11 +51,9 @@ def harmonic(joint: int, name: str, order: int, rated_load: float) -> Candidate:
     """
     size = typical("transmission_error", rated_load)
     parameters = (Parameter("sine", "rad", size), Parameter("cosine", "rad", size))
-    columns = partial(_columns, joint=joint, order=order)
-    place = {"joint": name}
-    return Candidate(
-        EFFECT.name, EFFECT.family, place, f"order {order}", parameters, columns, row_by_row=True, shape=order
-    )
+    turns, columns = partial(_turns, joint=joint, order=order), partial(_columns, joint=joint, order=order)
+    form = partial(Candidate, EFFECT.name, EFFECT.family, {"joint": name}, f"order {order}", row_by_row=True)
+    return form(parameters, columns, turns=turns, shape=order)
 
 
 def _restored(described: AppliedEffect, state: State) -> Candidate | None:
@@ -65,9 +63,13 @@ def _restored(described: AppliedEffect, state: State) -> Candidate | None:
     return harmonic(joints.index(str(name)), str(name), int(written[1]), state.rated_load)
 
 
-def _columns(state: State, joint: int, order: int) -> Float3D:
+def _turns(state: State, joint: int, order: int) -> Float2D:
     phase = order * state.q[:, joint]
-    return stacked(state.joint_column(joint, np.sin(phase)), state.joint_column(joint, np.cos(phase)))
+    return np.stack([np.sin(phase), np.cos(phase)], axis=1)
+
+
+def _columns(state: State, joint: int, order: int) -> Float3D:
+    return stacked(*(state.joint_column(joint, turn) for turn in _turns(state, joint, order).T))
 
 
 def _candidates(state: State) -> Iterator[Candidate]:
