@@ -12,7 +12,7 @@ from calibration_core.estimation.controls import CHANCE
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.leave_out import LeftOut
 from calibration_core.estimation.likelihood.gains import Gains, Grouped, Seen, beside
-from calibration_core.estimation.likelihood.restricted import Sizes
+from calibration_core.estimation.likelihood.restricted import WIDE, Sizes
 from calibration_core.estimation.likelihood.small_effects import (
     LEVELS,
     NONE,
@@ -139,7 +139,10 @@ class Comparisons:
                 return self.known[accepted, False]
             chosen = self.narrow if narrow else np.arange(len(self.judged))
             every = Scores(*(np.full(len(self.judged), fill) for fill in (-np.inf, 1.0, 1.0)))
-            found = self.gains(accepted, self.grouped(narrow=narrow))
+            blocks, again = self.grouped(narrow=narrow), [self.place[i] for i in accepted if i in self.place]
+            if any(len(self.field.offered.hypotheses[i].columns) >= WIDE for i in accepted):  # they gain nothing more
+                blocks = blocks.without(np.flatnonzero(np.isin(chosen, again)))
+            found = self.gains(accepted, blocks)
             every.nats[chosen], every.size[chosen], every.left[chosen] = found.nats, found.size, found.left
             self.known[key] = every
         return self.known[key]

@@ -184,11 +184,10 @@ class Field:
         result = np.empty((f + k, f + k))
         result[:f] = columns[:, :f].T @ columns
         result[f:, :f] = result[:f, f:].T
-        if self.clear[own].all():
-            in_flat = self.in_flat[:, own]
-            result[f:, f:] = self.gram.matrix[own].take(own, axis=1) + in_flat.T @ in_flat
-        else:  # of which the condensed rows keep nothing
-            result[f:, f:] = columns[:, f:].T @ columns[:, f:]
+        in_flat, lost = self.in_flat[:, own], f + np.flatnonzero(~self.clear[own])
+        result[f:, f:] = self.gram.matrix[own].take(own, axis=1) + in_flat.T @ in_flat
+        result[lost, f:] = columns[:, lost].T @ columns[:, f:]  # of which the condensed rows keep nothing
+        result[f:, lost] = result[lost, f:].T
         return result
 
     def in_blocks(self, errors: Sequence[Float1D]) -> list[Float1D]:

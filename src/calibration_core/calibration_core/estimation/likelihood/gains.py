@@ -135,6 +135,12 @@ class Grouped:
             groups.append(Alike(which, columns, np.searchsorted(asked, columns)))
         return Grouped(len(blocks), asked, tuple(groups))
 
+    def without(self, some: Int1D) -> Grouped:
+        """Return the same blocks, some of which, given as indices, are not asked for."""
+        kept = [(one, ~np.isin(one.which, some)) for one in self.groups]
+        groups = (Alike(one.which[rows], one.columns[rows], one.place[rows]) for one, rows in kept)
+        return dataclasses.replace(self, groups=tuple(groups))
+
 
 def gains(seen: Seen, blocks: Grouped) -> Gains:
     """Return what every block gains at its best size.
