@@ -142,7 +142,7 @@ def _deletion(columns: Float3D, residual: Float2D, normal: NormalEquations, sign
         return np.empty(0)
     scale = 1.0 / np.sqrt(np.diag(normal.matrix))
     lower = np.linalg.cholesky(normal.matrix * np.outer(scale, scale) + 1e-13 * np.eye(p))
-    reduced = np.linalg.solve(lower, scale[:, None] * columns.reshape(p, -1)).reshape(p, 3, m)
+    reduced = ((np.linalg.inv(lower) * scale) @ columns.reshape(p, -1)).reshape(p, 3, m)
     system = np.eye(3) + sign * np.einsum("pam,pbm->mab", reduced, reduced)
     values, vectors = np.linalg.eigh(system)
     along = np.einsum("mab,am->mb", vectors, residual)

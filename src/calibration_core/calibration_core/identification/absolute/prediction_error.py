@@ -186,11 +186,11 @@ class LinearModel:
     def held_out(self, chosen: Sequence[int]) -> Float2D:
         """Return the (3, m) held-out residuals, m, of the model with the chosen columns."""
         index = np.array(chosen, dtype=int)
-        residual = np.empty_like(self._residual)
+        columns, residual = self._columns[index], np.empty_like(self._residual)
         for rows, part in zip(self._fold, self._parts, strict=True):
             training = (self._total - part).of(index)
             step = bounded_step(training, self.lower[index])
-            residual[:, rows] = self._residual[:, rows] - np.tensordot(step, self._columns[index][:, :, rows], axes=1)
+            residual[:, rows] = self._residual[:, rows] - np.tensordot(step, columns[:, :, rows], axes=1)
         return residual
 
 
