@@ -19,6 +19,7 @@ MAX_BYTES = 1 << 20
 FILE = Path(__file__).with_name("priors.yaml")
 
 
+@functools.cache
 def typical(name: str, rated_load: float) -> float:
     """Return the typical magnitude of a parameter for a robot of this rated load (kg)."""
     entry = _table()[name]

@@ -111,7 +111,7 @@ class State:
         total = self.load_torque + self.gravity_torque
         return total if self.side_torque is None else total + self.side_torque
 
-    @property
+    @functools.cached_property
     def loaded(self) -> bool:
         """Whether any external load acts."""
         return bool(np.any(self.force) or np.any(self.moment))
