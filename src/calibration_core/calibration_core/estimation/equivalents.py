@@ -15,6 +15,8 @@ from calibration_core.estimation.shifts import FAMILY
 LISTED = 5
 ASKED = 8  # alternatives that are refitted together with everything else
 PLAUSIBLE = 6.0  # typical sizes
+EXACT = 1e-6  # share of what is seen of an effect that an exact alias may leave: rounding errors
+ROUNDING = 1e-10  # of the largest eigenvalue
 
 
 def equivalents(search: Search, selection: Selection, members: Sequence[int]) -> tuple[tuple[int, float], ...]:
@@ -88,12 +90,14 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
     for k, i in enumerate(search.judged):
         other = hypotheses[i]
         same = other.place == hypotheses[index].place or len(other.members) > 1 or other.family == FAMILY
-        if same or scores.nats[k] <= 0 or scores.size[k] > PLAUSIBLE:
+        if same or scores.nats[k] <= 0:
             continue
         own = taken[:, other.columns]
         matrix = (gram.matrix[np.ix_(other.columns, other.columns)] - own.T @ own) / known.variance
-        matrix += np.eye(len(matrix)) / WIDE**2
-        lost = 0.5 * (power - float(image[other.columns] @ np.linalg.solve(matrix, image[other.columns])))
+        alike = image[other.columns]
+        lost = 0.5 * (power - float(alike @ np.linalg.pinv(matrix, rcond=ROUNDING, hermitian=True) @ alike))
+        if lost > EXACT * power:
+            lost = 0.5 * (power - float(alike @ np.linalg.solve(matrix + np.eye(len(matrix)) / WIDE**2, alike)))
         if lost < EQUIVALENT and not search.objection(search.trial(others, i)):
             found.append((i, float(stated - max(lost, 0.0))))
     return tuple(found)

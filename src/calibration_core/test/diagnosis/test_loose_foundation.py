@@ -1,0 +1,67 @@
+"""A base that rocks on its anchors and a first bearing that tilts move the points alike, however large they are.
+
+The rocking is played by its own equations: the moment of the load about the base turns the whole robot.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from robots import cell_dict, loaded_readings, write_cell
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.loaded import diagnose_loaded
+from calibration_core.timeseries import Readings
+
+ANCHORED, LOOSE, ON_A_PALLET = 6e-8, 4e-7, 1e-6  # rad/(N*m), for a robot of 240 kg; anchors usually leave 1e-8 to 1e-7
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    return write_cell(tmp_path_factory.mktemp("cell"))
+
+
+def _turned(axis: int, angle: float) -> np.ndarray:
+    one, other = [k for k in range(3) if k != axis]
+    rotation = np.eye(3)
+    rotation[[one, other], [one, other]] = np.cos(angle)
+    sign = -1 if axis == 1 else 1
+    rotation[one, other], rotation[other, one] = -sign * np.sin(angle), sign * np.sin(angle)
+    return rotation
+
+
+def _flange(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotation (3, 3) and the place (3,) of the flange in the base, from the rows of the cell file."""
+    rotation, place = np.eye(3), np.zeros(3)
+    for row, angle in zip(cell_dict()["robot"]["dh"], q, strict=True):
+        place = place + rotation @ [0, 0, row["d"]]
+        rotation = rotation @ _turned(2, row["theta"] + angle)
+        place = place + rotation @ [row["a"], 0, 0]
+        rotation = rotation @ _turned(0, row["alpha"])
+    return rotation, place
+
+
+def _rocking(cell: Cell, seed: int, compliance: float) -> Readings:
+    """Return a recording of a robot whose base turns about level axes by compliance times the load's moment."""
+    readings, frames = loaded_readings(cell, seed), cell_dict()["frames"]
+    roll, pitch, yaw = frames["tracker"]["rpy"]
+    tracker, position = _turned(2, yaw) @ _turned(1, pitch) @ _turned(0, roll), readings.position.copy()
+    for k, (q, wrench) in enumerate(zip(readings.q, readings.wrench, strict=True)):
+        rotation, flange = _flange(q)
+        sensor = rotation @ _turned(2, frames["force_torque"]["rpy"][2])
+        force, moment = sensor @ wrench[:3], sensor @ wrench[3:]
+        about_base = np.cross(flange + rotation @ frames["force_torque"]["xyz"], force) + moment
+        point = flange + rotation @ frames["measurement_points"][readings.points[readings.point[k]]]
+        position[k] += np.cross(compliance * about_base * [1, 1, 0], point) @ tracker
+    return dataclasses.replace(readings, position=position)
+
+
+@pytest.mark.parametrize("compliance", [ANCHORED, LOOSE, ON_A_PALLET])
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_rocking_base_is_named_whatever_its_size(cell: Cell, seed: int, compliance: float) -> None:
+    (finding,) = diagnose_loaded(_rocking(cell, seed, compliance), cell).findings
+    said = {(one.effect, *one.location.values()) for one in (finding, *finding.cannot_be_told_from)}
+    assert {("base_compliance", "base"), ("off_axis_compliance", "joint_1")} <= said
+    assert all(abs(one.log_bayes_factor - finding.log_bayes_factor) < 5 for one in finding.cannot_be_told_from)
