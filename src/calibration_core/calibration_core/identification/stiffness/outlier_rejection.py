@@ -14,6 +14,7 @@ from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.timeseries import Bool1D, Float1D, Int1D, Readings
 
 MAX_SHARE = 0.05  # never more than this share of the readings
+SPOILT = 0.01  # of the worst squared error: what is smaller is judged once that one spoils the fit no longer
 RETURN = 0.5  # an excluded reading is taken back below this share of the threshold
 Key = tuple[int, int, str]
 
@@ -78,7 +79,7 @@ def reject_outliers(
             worst = worst_of_each(squared, threshold, problem.configuration[index], problem.readings.step[index])
             if not len(worst):
                 break
-            worst = worst[: budget - len(exclusions)]
+            worst = worst[squared[worst] > SPOILT * squared[worst[0]]][: budget - len(exclusions)]
             for row in worst:
                 exclusions[int(index[row])] = _exclusion(problem, int(index[row]), size[row], squared[row], threshold)
                 used[index[row]] = False
