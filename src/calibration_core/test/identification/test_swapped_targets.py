@@ -6,7 +6,6 @@ Readings elsewhere look bad under that fit, and must not be set aside in the ste
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
