@@ -94,8 +94,9 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
             continue
         own = taken[:, other.columns]
         matrix = (gram.matrix[np.ix_(other.columns, other.columns)] - own.T @ own) / known.variance
-        alike = image[other.columns]
-        lost = 0.5 * (power - float(alike @ np.linalg.pinv(matrix, rcond=ROUNDING, hermitian=True) @ alike))
+        alike, lost = image[other.columns], np.inf
+        if scores.nats[k] > stated / 2:  # far less is no alias
+            lost = 0.5 * (power - float(alike @ np.linalg.pinv(matrix, rcond=ROUNDING, hermitian=True) @ alike))
         if lost > EXACT * power:
             lost = 0.5 * (power - float(alike @ np.linalg.solve(matrix + np.eye(len(matrix)) / WIDE**2, alike)))
         if lost < EQUIVALENT and not search.objection(search.trial(others, i)):

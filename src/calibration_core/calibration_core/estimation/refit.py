@@ -38,11 +38,9 @@ STEP = 2.0  # factor by which a compliance may move in one round
 APART = 20.0  # factor between a compliance and what was believed of it
 CONVERGED = 1e-6  # m and rad
 STILL = 0.01  # of a compliance
-FAR, SURE, MOST_ROUNDS = (
-    0.1,
-    1.0,
-    8,
-)  # of a compliance and of its standard deviation: so far it moves no more, if it can
+FAR = 0.1  # of a compliance and, in
+SURE = 1.0  # standard deviations, of it: what would still move by more than both is fitted in more rounds,
+MOST_ROUNDS = 8  # at most
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
