@@ -26,3 +26,17 @@ def test_a_joint_is_named_where_neither_model_determines_it(stiffness: dict[str,
     light = with_light(content(**stiffness))
     assert ("not identifiable: joint_5" in light["reason"]) is named
     assert light["usable"] == ("with_reservations" if named else "yes")
+
+
+@pytest.mark.parametrize(("command", "asked"), [("identify", True), ("diagnose", False)])
+def test_a_diagnosis_that_found_nothing_does_not_ask_for_itself(command: str, *, asked: bool) -> None:
+    light = with_light({**content(identifiable=True), "verdict": "unexplained", "command": command})
+    assert ("run diagnose" in light["next_step"]) is asked
+    assert "measure there again" in light["next_step"]
+
+
+def test_causes_that_the_recording_cannot_tell_apart_are_named_together() -> None:
+    base = {"effect": "base_compliance", "location": {"base": "base"}}
+    bearing = {"effect": "off_axis_compliance", "location": {"joint": "joint_1"}, "cannot_be_told_from": [base]}
+    light = with_light({**content(identifiable=True), "verdict": "missing_physics", "findings": [bearing]})
+    assert "joint 1 tilts about an axis that is not its own or the base gives way" in light["reason"]

@@ -14,6 +14,7 @@ BLOCKING = frozenset({
     "wrong_robot_file", "no_relation",
 })  # fmt: skip
 
+EQUAL_CAUSES = 2  # that are named beside a finding, if the recording cannot tell them from it
 EXPLAINED = "the model explains the recording to its noise"
 WORDS = {
     "yes": "Usable",
@@ -121,8 +122,15 @@ def _missing(content: Mapping[str, Any]) -> tuple[str, str]:
     findings: Sequence[Mapping[str, Any]] = content["findings"]
     if not findings:
         text = "the residual is more than noise, and nothing in the catalogue explains it"
-        return text, "run diagnose, see where the residual is largest, and measure there again"
-    names = "; ".join(dict.fromkeys(effect_sentence(one["effect"], one["location"]) for one in findings))
+        first = "" if content["command"] == "diagnose" else "run diagnose, "
+        return text, f"{first}see where the residual is largest, and measure there again"
+    names = "; ".join(dict.fromkeys(map(_sentence, findings)))
     rest = ", and a part of the residual stays unexplained" if content["verdict"] == "partly_explained" else ""
     step = "use the extended model that diagnose writes (model.yaml)"
     return f"the standard's model leaves something out ({names}){rest}", step
+
+
+def _sentence(finding: Mapping[str, Any]) -> str:
+    """Return what a finding says, or else what the recording cannot tell from it."""
+    several = (finding, *finding["cannot_be_told_from"][:EQUAL_CAUSES])
+    return " or ".join(dict.fromkeys(effect_sentence(one["effect"], one["location"]) for one in several))
