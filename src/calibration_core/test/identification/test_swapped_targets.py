@@ -1,6 +1,7 @@
 """Two targets under each other's name at one step are set aside, and nothing else: they spoil the first fit of all.
 
-Readings elsewhere look bad under that fit, and must not be set aside in the stead of the second of the two.
+Readings elsewhere look bad under that fit, and must not be set aside in the stead of the second of the two.  Some ask
+for a robot so soft that it could not stand under its load.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
     return write_cell(tmp_path_factory.mktemp("cell"))
 
 
-@pytest.mark.parametrize(("seed", "configuration", "step"), [(0, 8, 3), (1, 5, 3), (2, 8, 2), (6, 5, 3), (10, 7, 4)])
+@pytest.mark.parametrize(
+    ("seed", "configuration", "step"), [(0, 8, 3), (1, 5, 3), (2, 8, 2), (6, 5, 3), (10, 7, 4), (0, 5, 2), (14, 6, 2)]
+)
 def test_swapped_targets_are_set_aside_and_nothing_else(cell: Cell, seed: int, configuration: int, step: int) -> None:
     every = loaded_readings(cell, seed, 9)
     readings = every.select(np.flatnonzero(every.point > 0))

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from calibration_core.errors import EquilibriumError
 from calibration_core.identification.checks.exclusion_anomalies import exclusion
 from calibration_core.identification.result.estimate import Exclusion
 from calibration_core.identification.statistics.offsets import deleted, deletion_limit, normal_equations
@@ -63,13 +64,13 @@ def reject_outliers(
     used = np.ones(m, dtype=bool)
     if not robust:
         return OutlierRejection(fit_compliance(problem, start, near=near, converged=converged), used, ())
-    fit = fit_compliance(problem, start, near=near, converged=NEARLY)
+    fitted = _shows(problem, start, near)
     groups = {(configuration, point) for configuration, _, point in readmit}  # a reading judges its neighbours too
     kept = np.array([(configuration, point) in groups for configuration, _, point in keys_of(problem.readings)])
     exclusions: dict[int, Exclusion] = {}
     budget = max(1, int(MAX_SHARE * m))
     while len(exclusions) < budget:  # until nothing is left to set aside under the compliances of those that are left
-        linear, compliance, before = problem.linearise(fit.compliance), fit.compliance, len(exclusions)
+        linear, compliance, before = problem.linearise(fitted), fitted, len(exclusions)
         index = np.flatnonzero(used)
         rows = linear.rows.select(index)
         while len(exclusions) < budget:  # about one linearisation: a few readings less change the compliances little
@@ -90,10 +91,10 @@ def reject_outliers(
             compliance = compliance + change
         if len(exclusions) == before:
             break
-        fit = fit_compliance(problem.select(np.flatnonzero(used)), start, near=compliance, converged=NEARLY)
+        fitted = _shows(problem.select(np.flatnonzero(used)), start, compliance)
     if not exclusions:
-        return OutlierRejection(fit_compliance(problem, start, near=fit.compliance, converged=converged), used, ())
-    linear = problem.linearise(fit.compliance)
+        return OutlierRejection(fit_compliance(problem, start, near=fitted, converged=converged), used, ())
+    linear = problem.linearise(fitted)
     squared = np.zeros(m)
     index = np.flatnonzero(used)
     squared[index] = deleted(linear.rows.select(index), linear.residual[index])[0]
@@ -107,8 +108,16 @@ def reject_outliers(
             squared = trial
             del exclusions[row]
     some = problem.select(np.flatnonzero(used))
-    fit = fit_compliance(some, start, near=fit.compliance, converged=converged)
+    fit = fit_compliance(some, start, near=fitted, converged=converged)
     return OutlierRejection(fit, used, tuple(exclusions[row] for row in sorted(exclusions)))
+
+
+def _shows(problem: LoadedProblem, start: Float1D, near: Float1D | None) -> Float1D:
+    """Return compliances under which gross errors show: of a fit, unless these ask for a robot too soft to stand."""
+    try:
+        return fit_compliance(problem, start, near=near, converged=NEARLY).compliance
+    except EquilibriumError:
+        return start
 
 
 def worst_of_each(squared: Float1D, threshold: float, group: Int1D, step: Int1D) -> Int1D:
