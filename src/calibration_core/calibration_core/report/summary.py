@@ -24,9 +24,10 @@ def summary(found: Identification) -> str:
         lines += [_joint(joint) for joint in found.stiffness]
     lines += [_stage(stage) for stage in found.stages]
     fit = found.fit
+    used = f", {_um(fit.rms_used)} without the readings set aside" if found.exclusions else ""
     lines.append(
-        f"residual {_um(fit.rms_after)} per coordinate (before {_um(fit.rms_before)}), on held-out configurations "
-        f"{_um(fit.held_out_rms_after)}, noise {_um(fit.noise)}"
+        f"residual {_um(fit.rms_after)} per coordinate{used} (before {_um(fit.rms_before)}), "
+        f"on held-out configurations {_um(fit.held_out_rms_after)}, noise {_um(fit.noise)}"
     )
     lines.append(
         f"held-out error in space: mean {1e3 * fit.held_out_mean_after:.3f} mm, largest "

@@ -14,6 +14,7 @@ from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.identification.identify import identify
+from calibration_core.report.summary import summary
 
 APART = np.array([0.6, -0.5, 0.4])  # m, from one target to the other
 
@@ -39,3 +40,5 @@ def test_swapped_targets_are_set_aside_and_nothing_else(cell: Cell, seed: int, c
     for joint, true in zip(found.stiffness, STIFFNESS, strict=True):
         assert joint.identifiable
         assert abs(joint.value - true) < 4 * joint.std
+    assert found.fit.rms_used < 1e-4 < 1e-2 < found.fit.rms_after
+    assert f"{1e6 * found.fit.rms_used:.1f} µm without the readings set aside" in summary(found)
