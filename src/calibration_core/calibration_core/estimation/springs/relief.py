@@ -1,4 +1,4 @@
-"""How much of the weight at a joint waves or a spring take off: what distinguishes the two in postures at rest.
+"""How much of the weight at a joint waves or a spring take off: what distinguishes the two.
 
 Both turn the joint by some function of its angle.  A spring is put there to carry the arm: what it does follows the
 weight, and is far more than gears are wrong by.
@@ -44,7 +44,7 @@ class Relief:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Weighed:
-    """What the weight does at joints that a spring could help, in postures at rest.
+    """What the weight does at joints that a spring could help.
 
     Attributes:
         state: All readings' state, of the null model.
@@ -57,7 +57,7 @@ class Weighed:
 
     @staticmethod
     def of(model: NullModel) -> Weighed:
-        """Return what the weight does; nothing where masses are unknown or where loads show a spring's stiffness."""
+        """Return what the weight does; nothing where masses are unknown."""
         state = model.state
         torque = {j: model.believed[j] * state.gravity_torque[j] for j in carriers(state)}
         return Weighed(state, {joint: one - one.mean() for joint, one in torque.items() if np.ptp(one) > 0})
