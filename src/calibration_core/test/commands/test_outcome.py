@@ -118,7 +118,9 @@ def test_signals_end_with_one_line_and_leave_the_earlier_result(
     out: Path, number: int, code: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     begun = time.monotonic()
-    program("diagnose", BAG, "--cell", CELL, "--out", tmp_path_factory.mktemp("whole") / "out").communicate(timeout=60)
+    process = program("diagnose", BAG, "--cell", CELL, "--out", tmp_path_factory.mktemp("whole") / "out")
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
     whole = time.monotonic() - begun
     for delay in (0.0, 0.2 * whole, 0.4 * whole):  # after the start: well before the end
         process = program("diagnose", BAG, "--cell", CELL, "--out", out)

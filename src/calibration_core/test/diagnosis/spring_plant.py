@@ -8,12 +8,14 @@ load at the flange, at the angles where they come to rest.  Lengths, masses and 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.timeseries import Provenance, Readings
 
 GRAVITY = np.array([0, 0, -9.80665])
@@ -34,11 +36,14 @@ HELPED = 1
 KINDS = ("gas", "coil", "hydraulic", "counterweight", "torsion")
 LONGEST = 2.1  # times the shortest: what a cylinder can be
 SHARE = (0.3, 0.8)  # of the largest torque of the weight that the help carries
-GEAR = 3e-4  # rad, of a robot of 10 kg; half of it for one of 240 kg
+USUAL = 3e-4  # rad, amplitude of a gear of a robot of 10 kg; half of it for one of 240 kg
 PULLS = (0.0, 0.35, 0.7, 1.0)  # of the rated load
 SOFTER = 0.8  # by how much of its compliance joint 2 is softer at rest than under
 SOFT_TORQUE = 9.0  # N*m per kg of rated load
 SENSOR = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # N and N*m, noise of the force/torque sensor
+
+LOADS = tuple(SIZES)  # kg
+SPRING, GEAR = ("gravity_compensator", "joint_2"), ("transmission_error", "joint_2")
 
 Law = Callable[[float], float]
 Extra = tuple[tuple[int, float, np.ndarray], ...]
@@ -67,6 +72,31 @@ class Plant:
     geometry: bool = False
     loaded: int = 0
     soft: bool = False
+
+
+def of_every_kind(first: int, loaded: tuple[int, ...] = (0,)) -> list[Plant]:
+    """Return two robots of every size with a spring of every kind, seeds from `first` on, loads in turn."""
+    several = itertools.product(KINDS, LOADS, range(2))
+    return [
+        Plant(first + k, kind, rated, geometry=bool(k % 2), loaded=loaded[k % len(loaded)])
+        for k, (kind, rated, _) in enumerate(several)
+    ]
+
+
+def place(finding: Finding) -> tuple[str, str]:
+    """Return effect and place of a finding."""
+    return finding.effect, str(*finding.location.values())
+
+
+def named(found: Diagnosis) -> set[tuple[str, str]]:
+    """Return effects and places of all findings."""
+    return {place(finding) for finding in found.findings}
+
+
+def springs_are_named(several: list[Diagnosis]) -> bool:
+    """Say whether nine tenths name the spring of joint 2, and no more than a tenth its gear."""
+    springs, gears = (sum(one in named(found) for found in several) for one in (SPRING, GEAR))
+    return springs >= 0.9 * len(several) and gears <= 0.1 * len(several)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,7 +175,7 @@ def recorded(plant: Plant) -> tuple[Cell, Readings]:
 
 
 def _usual(rated: int) -> float:
-    return float(GEAR * 0.5 ** min(1, np.log(rated / 10) / np.log(24)))
+    return float(USUAL * 0.5 ** min(1, np.log(rated / 10) / np.log(24)))
 
 
 def _frames(rows: np.ndarray, q: np.ndarray) -> list[np.ndarray]:
