@@ -279,3 +279,47 @@ def test_a_foreign_table_is_read_directly(tmp_path: Path) -> None:
     assert [note.kind for note in readings.notes] == ["foreign_table"]
     with pytest.raises(RecordingError, match=r"calibration import lagen.csv --map map.yaml"):
         read_table(write("own words for everything", tmp_path)[0], cell)
+
+
+def with_times(stamps: list[str], tmp_path: Path, header: str = "Time") -> Path:
+    """A table with everything, one point and these times; fields separated by semicolons, decimal commas."""
+    names = [f"q{i + 1} [rad]" for i in range(JOINTS)]
+    lines = [";".join([header, "configuration", "point", "x [m]", "y [m]", "z [m]", *names])]
+    for c, stamp in enumerate(stamps):
+        numbers = [*POSITION[c, 0, 0], *Q[c]]
+        lines.append(";".join([stamp, str(c + 1), "mp1", *(f"{value:.6f}".replace(".", ",") for value in numbers)]))
+    path = tmp_path / "points.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stamps", "how"),
+    [
+        (["10:00:04,250", "10:00:06,5", "10:01:04,25", "10:01:05"], "times of day"),
+        (["23:59:58", "23:59:59.5", "00:00:01", "0:00:02"], "times of day"),
+        (["12.11.2026 10:00:04,250", "12.11.2026 10:00:06", "12.11.2026 10:01:04", "13.11.2026 00:00:00"],
+         "dates and times"),
+        (["2026-11-12T10:00:04.250", "2026-11-12 10:00:06", "2026-11-12 10:01:04", "2026-11-13 00:00:00"],
+         "dates and times"),
+        (["11/12/2026 10:00:04.250", "11/12/2026 10:00:06", "11/12/2026 10:01:04", "11/13/2026 00:00:00"],
+         "dates and times"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("header", ["Time", "Time [ms]"])
+def test_times_of_tracker_software(stamps: list[str], how: str, header: str, tmp_path: Path) -> None:
+    imported = import_files([with_times(stamps, tmp_path, header)])
+    time = imported.readings.time - imported.readings.time[0]
+    expected = {"10:00:04,250": [0.0, 2.25, 60.0, 60.75], "23:59:58": [0.0, 1.5, 3.0, 4.0]}
+    np.testing.assert_allclose(time, expected.get(stamps[0], [0.0, 1.75, 59.75, 50395.75]), atol=1e-5)
+    taken = {one.meaning: one for one in imported.sources[0].taken}
+    assert (taken["time"].unit, taken["time"].how) == ("s", how)
+    if how == "times of day":
+        assert 0.0 <= imported.readings.time[0] < 86400.0  # so that a log in seconds of the day can be joined
+
+
+def test_a_time_that_is_none_is_refused_with_its_place(tmp_path: Path) -> None:
+    for third in ("25:00:00", "soon", "12.11.2026 10:00:00"):
+        path = with_times(["10:00:00", "10:00:01", third, "10:00:03"], tmp_path)
+        with pytest.raises(RecordingError, match=f"line 4, column Time: found '{third}', expected seconds, a date"):
+            import_files([path])

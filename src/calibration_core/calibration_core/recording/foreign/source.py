@@ -6,12 +6,12 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.recording.foreign.clock import FORMS, dated, of_day, over_midnight
 from calibration_core.recording.foreign.grid import BLANKS, Grid, number_of, read_grid
 from calibration_core.recording.foreign.mapping import FileMap
 from calibration_core.recording.foreign.meaning import (
@@ -35,7 +35,6 @@ NEAREST_POINT = 0.08  # m from the tracker
 FARTHEST_POINT = 80.0  # m, range of a laser tracker
 LEAST_FORCE = 25.0  # no robot carries as many kN, so that a larger number is a force in N
 _STATED = re.compile(r"(?:units?|einheit(?:en)?)\b\s*[:=]?\s*(.+)", re.IGNORECASE)
-_CLOCKS = ("%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p", "%H:%M:%S")
 _SEPARATOR_NAMES = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", BLANKS: "blanks"}
 
 
@@ -138,15 +137,22 @@ def read_source(path: Path, how: FileMap) -> Source:
             taken.append(Taken(names[i], meaning, "", "stated"))
             continue
         dimension = dimension_of(meaning)
-        raw = (
-            _times(grid, i) if dimension == "time" else np.array([grid.number(row, i) for row in range(len(grid.rows))])
-        )
+        how_read = ""
+        if dimension == "time":
+            raw, how_read = _times(grid, i)
+        else:
+            raw = np.array([grid.number(row, i) for row in range(len(grid.rows))])
         if meaning in COUNTS:
             _check_integers(grid, i, raw)
         numbers[meaning] = raw
-        unit = how.unit(meaning) or stated[i] or remarked.get(dimension)
+        unit = None if how_read else how.unit(meaning) or stated[i] or remarked.get(dimension)
         taken.append(
-            Taken(names[i], meaning, unit.name if unit is not None else "", "stated" if unit is not None else "")
+            Taken(
+                names[i],
+                meaning,
+                unit.name if unit is not None else "",
+                how_read or ("stated" if unit is not None else ""),
+            )
         )
     taken = _converted(grid.path, numbers, taken)
     form = f"{_SEPARATOR_NAMES[grid.separator]}-separated, decimal mark {quoted(grid.decimal)}, {text.encoding}"
@@ -224,31 +230,21 @@ def _check_integers(grid: Grid, column: int, values: Float1D) -> None:
         raise grid.fault(int(row), column, "an integer")
 
 
-def _times(grid: Grid, column: int) -> Float1D:
-    """Return seconds: numbers as they are, dates and times of day counted from 1970 in UTC."""
-    values = []
-    for row, fields in enumerate(grid.rows):
-        text = fields[column]
-        number = number_of(text, grid.decimal)
-        stamp = number if number is not None else _stamp(text)
-        if stamp is None:
-            raise grid.fault(row, column, "seconds, or a date and time")
-        values.append(stamp)
-    return np.array(values)
-
-
-def _stamp(text: str) -> float | None:
-    try:
-        moment = datetime.fromisoformat(text)
-        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-    except ValueError:
-        pass  # not ISO 8601: the other forms are tried
-    for form in _CLOCKS:
-        try:
-            return datetime.strptime(text, form).replace(tzinfo=UTC).timestamp()
-        except ValueError:
-            continue
-    return None
+def _times(grid: Grid, column: int) -> tuple[Float1D, str]:
+    """Return seconds, (m,), and how they were read: dates count from 1970 in UTC, times of day from midnight."""
+    texts = [fields[column] for fields in grid.rows]
+    numbers = [number_of(text, grid.decimal) for text in texts]
+    ways: tuple[tuple[list[float | None], str], ...] = (
+        (numbers, ""),
+        ([dated(text) for text in texts], "dates and times"),
+        ([of_day(text) for text in texts], "times of day"),
+    )
+    for values, how in ways:
+        if None not in values:
+            read = [value for value in values if value is not None]
+            return over_midnight(read) if how == ways[-1][1] else np.array(read), how
+    found, _ = min(ways, key=lambda way: way[0].count(None))
+    raise grid.fault(found.index(None), column, FORMS)
 
 
 def _remarked(remarks: Sequence[str]) -> dict[Dimension, ForeignUnit]:
