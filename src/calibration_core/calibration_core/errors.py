@@ -137,7 +137,9 @@ def storage_fault(path: str | Path, error: OSError | sqlite3.Error, expected: st
         return text, expected
     there = next(one for one in (Path(path).absolute(), *Path(path).absolute().parents) if one.exists())
     room = shutil.disk_usage(there)
-    return f"a full disk: {room.free / 1024:.0f} kB of {room.total / 1024:.0f} kB left ({text})", "room to write"
+    found = f"a full disk: {room.free / 1024:.0f} kB of {room.total / 1024:.0f} kB left"
+    less = ", less than is to be written" if room.free else ""  # what was begun has been cleared away
+    return f"{found}{less} ({text})", "room to write"
 
 
 def quoted(value: object, limit: int = 60) -> str:

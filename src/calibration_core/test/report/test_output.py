@@ -16,6 +16,7 @@ from calibration_core.commands import NAMES, WITHOUT_RESULT
 from calibration_core.errors import InputError, OutputError
 from calibration_core.report.writing import output, swap
 from calibration_core.report.writing.output import write_files
+from calibration_core.report.writing.ownership import require_directory
 
 
 def contents(directory: Path) -> dict[str, bytes]:
@@ -79,6 +80,35 @@ def test_nothing_is_left_when_writing_is_interrupted(tmp_path: Path, monkeypatch
     with pytest.raises(KeyboardInterrupt):
         write_files(tmp_path, {"a": b"1", "b": b"2"})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_directory_that_was_made_in_vain_is_gone(tmp_path: Path) -> None:
+    def fail(_: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (tmp_path / "there").mkdir()
+    for out in (tmp_path / "new" / "deep", tmp_path / "there"):
+        with pytest.raises(OutputError, match=r"a full disk: .* left, less than is to be written"):
+            write_files(out, {"model.yaml": b"x", "report.pdf": fail})
+    assert everything(tmp_path) == ["there"]
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Path] = []
+
+    def access(place: Path, _: int) -> bool:
+        asked.append(place)
+        return place != tmp_path / "closed"
+
+    (tmp_path / "closed").mkdir()
+    monkeypatch.setattr(os, "access", access)
+    require_directory(tmp_path / "open" / "deep")
+    for out in (tmp_path / "closed", tmp_path / "closed" / "deep"):
+        with pytest.raises(OutputError, match=r"found no permission to write in .*closed"):
+            require_directory(out)
+    assert asked == [tmp_path, tmp_path / "closed", tmp_path / "closed"]
 
 
 def test_a_file_in_the_place_of_the_directory_is_an_input_error(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 from calibration_core.errors import InputError, OutputError, storage_fault
@@ -80,9 +80,10 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
     Raises:
         OutputError: The directory cannot be made or a file cannot be written.
     """
-    target = directory
+    target, missing, written = directory, [], False
     try:
         target = directory.resolve()
+        missing = [place for place in (target, *target.parents) if not place.exists()]
         if target.exists() and not target.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target))
         target.mkdir(parents=True, exist_ok=True)
@@ -90,12 +91,25 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
             for name, content in files.items():
                 _stage(place.new, name, content)
             place.commit(lambda: _kept(target, place.new, files))
+        written = True
     except OSError as error:
         name = Path(str(error.filename)).name if error.filename else ""
         fault = storage_fault(target, error, "a directory that can be written")
         raise OutputError(directory, name, *fault) from None
     except (ValueError, RuntimeError) as error:  # a zero byte in the name; links that go round in circles
         raise OutputError(directory, "", str(error), "a directory that can be written") from None
+    finally:
+        if not written:
+            _remove_empty(missing)
+
+
+def _remove_empty(places: Sequence[Path]) -> None:
+    """Remove the directories that were made, the innermost first; one in which something stands stays."""
+    for place in places:
+        try:
+            place.rmdir()
+        except OSError:
+            return
 
 
 def _kept(target: Path, new: Path, files: Mapping[str, Content]) -> Collection[str]:

@@ -39,19 +39,24 @@ def require_own(directory: Path, command: str) -> None:
 
 
 def require_directory(directory: Path) -> None:
-    """Refuse a place for results that is, or lies below, something other than a directory.
+    """Refuse, before anything is computed, a place for results where no directory is or can be made.
 
     Raises:
-        OutputError: It does.
+        OutputError: It is, or lies below, something other than a directory, or one that cannot be written.
     """
     for place in (directory, *directory.parents):
         try:
-            there = place.exists() and not place.is_dir()
+            there, is_directory = place.exists(), place.is_dir()
         except (OSError, ValueError):  # no place at all: whoever writes says so
             return
-        if there:
+        if there and not is_directory:
             found = "a file" if place == directory else f"a file, {place}, above it"
             raise OutputError(directory, "", found, "a directory for the results")
+        if there:
+            if not os.access(place, os.W_OK | os.X_OK):
+                found = f"no permission to write in {place}, or a read-only file system"
+                raise OutputError(directory, "", found, "a directory that can be written")
+            return
 
 
 def refuse_inputs(directory: Path, command: str, inputs: Iterable[Path]) -> None:
