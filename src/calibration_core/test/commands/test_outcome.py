@@ -136,6 +136,20 @@ def test_signals_end_with_one_line_and_leave_the_earlier_result(
         assert (out / "result.json").read_text() == EARLIER
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_the_program_is_being_loaded_is_one_line(number: int, code: int, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "calibration_core.start", "init", "ur10e", "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    while process.poll() is None and not heeds(process, signal.SIGTERM):  # nothing is loaded yet
+        time.sleep(0.001)
+    process.send_signal(number)
+    said, errors = process.communicate(timeout=60)
+    assert process.returncode == code, errors
+    assert said == b""
+    assert len(errors.decode().splitlines()) == 1
+    assert everything(tmp_path) == []
+
+
 def test_an_error_that_a_signal_became_is_an_interruption(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Compiled code that is interrupted while it is imported says that its initialization failed."""
 
