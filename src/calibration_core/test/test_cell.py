@@ -170,3 +170,14 @@ def test_all_faults_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
 def test_gravity_of_a_robot_on_the_wall(tmp_path: Path) -> None:
     cell = load(tmp_path, TEXT.replace("rated_load: 10", "rated_load: 10\n  gravity: [9.8, 0, 0]"))
     assert np.array_equal(cell.gravity, [9.8, 0, 0])
+
+
+def test_a_model_in_the_place_of_the_cell_file_is_called_what_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text("schema: 2\nrobot: small\nstiffness: {}\n")
+    with pytest.raises(CellError) as caught:
+        load_cell(path)
+    assert str(caught.value).startswith(
+        f"{path}:1:9: schema: found a model, plan or other result, expected a cell file"
+    )
+    assert caught.value.further == ()

@@ -332,11 +332,13 @@ def load_cell(path: str | Path) -> Cell:
     path = Path(path)
     file = read_yaml(path, MAX_BYTES, "cell file (YAML)", CellError)
     if not isinstance(file.data, dict):
-        raise CellError(path, "", quoted(file.data), f"a mapping with the keys {_choices(Cell)}")
+        raise CellError(path, "", quoted(file.data), f"a cell file: a mapping, its keys {_choices(Cell)}")
     reserved = {"path", "sha256"} & file.data.keys()
     with file.locating():
         if reserved:
             raise CellError(path, min(reserved), "an unknown key", _choices(Cell))
+        if "schema" in file.data:  # which models, plans and populations have, and no cell file
+            raise CellError(path, "schema", "a model, plan or other result", f"a cell file, its keys {_choices(Cell)}")
     try:
         return Cell.model_validate({**file.data, "path": path, "sha256": hashlib.sha256(file.raw).hexdigest()})
     except ValidationError as error:
