@@ -25,6 +25,9 @@ WORST_TRACKER = (1e-3, 2e-2)  # m, one standard deviation
 SHARE_OF_LOAD = (0.02, 0.5)  # standard deviation of the force as a share of the rated load
 
 
+GUESS = "TO BE MEASURED"  # in the comment behind a usual value that `init` wrote
+
+
 @dataclasses.dataclass(frozen=True)
 class Remark:
     """What is hard to believe in a cell file.

@@ -9,7 +9,7 @@ from calibration_core.cell import MAX_BYTES, Cell, load_cell
 from calibration_core.cell.urdf import urdf_bytes
 from calibration_core.errors import CellError, InputError
 from calibration_core.files.yaml_file import YamlFile, read_yaml
-from calibration_core.input_checks.cell_file import Remark, implausible
+from calibration_core.input_checks.cell_file import GUESS, Remark, implausible
 from calibration_core.input_checks.check import check_inputs
 from calibration_core.input_checks.recording_match import TopicMatch, match_bag
 from calibration_core.model.chain import Chain
@@ -67,8 +67,17 @@ def examine(path: Path, recording: Path | None = None) -> tuple[CheckedCell | No
         faults += more
     if faults:
         return None, faults
-    unusual = tuple(one for one in remarks if not one.impossible)
+    unusual = (*(one for one in remarks if not one.impossible), *_marked(path))
     return CheckedCell(cell, chain, meaning(cell, chain), unusual, topics, readings), []
+
+
+def _marked(path: Path) -> list[Remark]:
+    """Return what is still marked as a usual value, in one remark: nobody has measured it in this cell."""
+    lines = path.read_text("utf-8-sig", errors="replace").splitlines()
+    parts = [(number, *line.partition("#")[::2]) for number, line in enumerate(lines, start=1)]
+    found = [str(number) for number, stated, comment in parts if stated.strip() and GUESS in comment]
+    place = f"line{'s' if len(found) > 1 else ''} {', '.join(found)}"
+    return [Remark(place, f"a guess, marked {GUESS}", "the value of this cell", impossible=False)] if found else []
 
 
 def _recorded(recording: Path, cell: Cell) -> tuple[tuple[TopicMatch, ...], tuple[str, ...], list[InputError]]:

@@ -167,3 +167,32 @@ def test_a_table_of_another_robot_is_named(simulated: Path, tmp_path: Path, caps
     (tmp_path / "mm.csv").write_text("\n".join(moved) + "\n")
     assert run("check", CELL, tmp_path / "mm.csv", "--out", tmp_path / "out") == 2
     assert "mm.csv" in capsys.readouterr().out
+
+
+def test_what_init_guessed_is_named_until_it_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    home = tmp_path / "my cell"
+    assert run("init", "ur10e", "--out", home) == 0
+    cell = home / "cell.yaml"
+    assert f"next: calibration check '{cell}'" in capsys.readouterr().out
+    assert run("check", cell, "--out", tmp_path / "out", "--no-report") == 0
+    said = capsys.readouterr().out.splitlines()
+    marked = [line for line in said if "TO BE MEASURED" in line]
+    assert len(marked) == 1
+    numbers = [int(word) for word in marked[0].removeprefix("Unusual: lines ").partition(":")[0].split(", ")]
+    lines = cell.read_text().splitlines()
+    assert numbers == [i for i, line in enumerate(lines, 1) if line.endswith("TO BE MEASURED") and i > 3]
+    assert said[-1] == f"next: calibration identify RECORDING --cell '{cell}'"
+    cell.write_text("\n".join(line.removesuffix("TO BE MEASURED") for line in lines))
+    assert run("check", cell, "--out", tmp_path / "out", "--no-report") == 0
+    assert "TO BE MEASURED" not in capsys.readouterr().out
+
+
+def test_what_to_type_next_is_said(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = simulated / "measurements.csv"
+    assert run("check", CELL, table, "--out", tmp_path / "out", "--no-report") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"next: calibration identify {table} --cell {CELL}"
+    assert run("check", CELL, "--out", tmp_path / "out", "--no-report") == 0
+    assert f"next: calibration plan --cell {CELL}; once it is measured: " in capsys.readouterr().out
+    assert run("import", table, "--out", tmp_path / "in one") == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said == f"next: calibration identify '{tmp_path / 'in one' / 'measurements.csv'}' --cell CELL.yaml"

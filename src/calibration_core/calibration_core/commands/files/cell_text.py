@@ -10,9 +10,9 @@ from typing import TypeVar
 
 from calibration_core.cell.schema import FIRST_LINE
 from calibration_core.cell.serial_chain import SerialChain
+from calibration_core.input_checks.cell_file import GUESS
 
 SCHEMA_NAME, URDF_NAME = "cell.schema.json", "robot.urdf"
-GUESS = "TO BE MEASURED"
 Value = TypeVar("Value")
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from calibration_core.commands.shared.common import next_line
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.files.written import json_bytes
 from calibration_core.files.yaml_file import read_yaml
@@ -37,7 +38,8 @@ def run(arguments: argparse.Namespace) -> str:
         arguments.out,
         {TABLE: lambda path: write_table(path, imported.readings), RESULT: result},
     )
-    return "\n".join([*summary(imported), f"table: {arguments.out / TABLE}"])
+    table = arguments.out / TABLE
+    return "\n".join([*summary(imported), f"table: {table}", next_line("identify", table, "--cell", "CELL.yaml")])
 
 
 def summary(imported: Imported) -> list[str]:
@@ -53,7 +55,7 @@ def _columns(source: Source) -> list[str]:
     lines = []
     for one in source.taken:
         unit = f", {one.unit}" if one.unit else ""
-        why = f" ({one.how})" if one.how != "stated" else ""
+        why = f" ({one.how})" if one.how not in ("", "stated") else ""
         lines.append(f"{quoted(one.column)} is {one.meaning}{unit}{why}")
     if source.ignored:
         lines.append("not used: " + ", ".join(map(quoted, source.ignored)))

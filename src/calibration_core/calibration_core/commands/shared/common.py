@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Callable
+from pathlib import Path
 
 from calibration_core.report.writing.output import REPORT_HTML, REPORT_PDF, RESULT
 
@@ -26,3 +28,8 @@ def report_line(arguments: argparse.Namespace) -> str:
     if not arguments.report:
         return f"result: {arguments.out / RESULT}"
     return f"report: {arguments.out / REPORT_HTML} and {arguments.out / REPORT_PDF}"
+
+
+def next_line(*words: str | Path) -> str:
+    """Return the line that says which command to type next; words are quoted as a shell needs it."""
+    return f"next: {shlex.join(['calibration', *map(str, words)])}"
