@@ -364,6 +364,18 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
+def test_what_cannot_be_pressed_looks_so_wherever_it_stands() -> None:
+    """A rule for the buttons of one place is as strong as that for dashed ones, and the later one holds."""
+    css = (STATIC / "panel.css").read_text("utf-8")
+    _, dashed, later = css.partition("button:disabled {")
+    assert dashed
+    rules = re.findall(r"^([^{}@]*\bbutton\b[^{}]*)\{([^}]*)\}", later.partition("}")[2], re.MULTILINE)
+    assert rules
+    for selectors, body in rules:
+        if "border" in body or "background" in body:
+            assert all("[aria-" in one or ":enabled" in one for one in selectors.split(",")), selectors
+
+
 def test_colours_can_be_read_in_sunlight() -> None:
     css = (STATIC / "panel.css").read_text("utf-8")
     colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", css))
