@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 import threading
 import time
 from pathlib import Path
 
-from calibration.process_tree import Process, Tree, files_of, parameters_of, values_of
+from calibration.process_tree import Process, Tree, files_of, values_of
+from calibration.without_launch import command_of
 
 ROOT = Path(__file__).resolve().parents[3]
 INSTALL = ROOT / "install"
@@ -47,18 +47,9 @@ class TreeRunner:
 
     def command(self, process: Process) -> list[str]:
         """Return the command line that launch would make."""
-        words = [str(INSTALL / process.package / "lib" / process.package / process.name), "--ros-args"]
-        words += ["--enclave", process.enclave, "-r", f"__ns:=/{self._values['namespace'].strip('/')}"]
-        for name, there in self.tree.remappings.items():
-            words += ["-r", f"{name}:={there}"]
-        words += ["--log-level", self._values["log_level"]]
-        for file in self._files:
-            words += ["--params-file", str(file)]
-        given = {**parameters_of(self.tree, process, self._values), **self._more.get(process.name, {})}
-        for key, value in given.items():
-            text = str(value) if isinstance(value, str | Path) else json.dumps(value)
-            words += ["-p", f"{key}:={json.dumps(text) if text == '' else text}"]
-        return words
+        executable = INSTALL / process.package / "lib" / process.package / process.name
+        files = [str(file) for file in self._files]
+        return command_of(executable, self.tree, process, self._values, files, self._more.get(process.name))
 
     def start(self) -> None:
         """Start everything, in the order of the table."""

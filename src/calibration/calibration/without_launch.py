@@ -1,0 +1,140 @@
+"""Starts a tree of processes where there is no `launch`: ROS 2 of the package index brings neither `launch` nor `ros2`.
+
+    source install/setup.bash
+    .venv/bin/python -m calibration.without_launch simulated_cell cell:=CELL.yaml session:=DIR speed:=20.0
+
+The arguments are those of the launch file of that name.  Ctrl-C or SIGTERM ends every process, as launch does it.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+
+from calibration.process_tree import (
+    REAL_CELL,
+    REPLAY,
+    SIMULATED_CELL,
+    Process,
+    Tree,
+    files_of,
+    parameters_of,
+    values_of,
+)
+from calibration_core.errors import InputError, quoted
+
+TREES = {"real_cell": REAL_CELL, "simulated_cell": SIMULATED_CELL, "replay": REPLAY}
+DONE, UNUSABLE = 0, 2
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+LOOK = 0.2  # s between looks at whether a process still runs
+
+
+def command_of(
+    executable: str | Path,
+    tree: Tree,
+    process: Process,
+    values: Mapping[str, str],
+    files: Sequence[str],
+    more: Mapping[str, object] | None = None,
+) -> list[str]:
+    """Return the command line that launch would make of a process.
+
+    Args:
+        executable: Its file.
+        tree: What it belongs to.
+        process: The process.
+        values: Of the tree's arguments.
+        files: Parameter files, later ones overrule earlier ones.
+        more: Parameters besides.
+    """
+    words = [str(executable), "--ros-args"]
+    words += ["--enclave", process.enclave, "-r", f"__ns:=/{values['namespace'].strip('/')}"]
+    for name, there in tree.remappings.items():
+        words += ["-r", f"{name}:={there}"]
+    words += ["--log-level", values["log_level"]]
+    for file in files:
+        words += ["--params-file", file]
+    for key, value in {**parameters_of(tree, process, values), **(more or {})}.items():
+        text = str(value) if isinstance(value, str | Path) else json.dumps(value)
+        words += ["-p", f"{key}:={json.dumps(text) if text == '' else text}"]
+    return words
+
+
+def asked_of(words: Sequence[str]) -> tuple[Tree, dict[str, str]]:
+    """Return the tree and the values of its arguments that a command line asks for.
+
+    Raises:
+        InputError: A word is no tree or no argument of it, or a value cannot be used.
+    """
+    name = words[0] if words else ""
+    if name not in TREES:
+        raise InputError("arguments", "", quoted(name) if name else "nothing", f"one of {', '.join(TREES)}")
+    tree = TREES[name]
+    known = [argument.name for argument in tree.arguments]
+    asked = {}
+    for word in words[1:]:
+        key, there, value = word.partition(":=")
+        if not there or key not in known:
+            raise InputError("arguments", name, quoted(word), f"NAME:=VALUE with one of {', '.join(known)}")
+        asked[key] = value
+    if tree.tools and shutil.which("ros2") is None:
+        raise InputError("arguments", name, "no command `ros2`", "a system ROS 2: the bag is played by `ros2 bag play`")
+    return tree, values_of(tree, asked)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Start a tree, wait until it is to end or nothing of it is left, end it; return the exit code."""
+    try:
+        tree, values = asked_of(sys.argv[1:] if words is None else words)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return UNUSABLE
+    asked_to_end: list[int] = []
+
+    def end(number: int, _: FrameType | None) -> None:
+        asked_to_end.append(number)
+
+    before = {number: signal.signal(number, end) for number in SIGNALS}
+    files = files_of(values, get_package_share_directory("calibration"))
+    running: list[tuple[Process, subprocess.Popen[bytes]]] = []
+    try:
+        for process in tree.processes:
+            # each in a session of its own: the keyboard's signal reaches it once, from here
+            executable = f"{get_package_prefix(process.package)}/lib/{process.package}/{process.name}"
+            command = command_of(executable, tree, process, values, files)
+            running.append((process, subprocess.Popen(command, start_new_session=True)))
+        while not asked_to_end and any(one.poll() is None for _, one in running):
+            time.sleep(LOOK)
+    finally:
+        _end(running)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return DONE if asked_to_end else max((one.returncode for _, one in running), key=abs, default=DONE)
+
+
+def _end(running: Sequence[tuple[Process, subprocess.Popen[bytes]]]) -> None:
+    """SIGINT to every process at once, SIGTERM and SIGKILL after the times of the table."""
+    began = time.monotonic()
+    for _, process in running:
+        process.send_signal(signal.SIGINT)
+    for row, process in sorted(running, key=lambda one: one[0].sigterm_after):
+        for number, after in ((signal.SIGTERM, row.sigterm_after), (signal.SIGKILL, row.sigkill_after)):
+            try:
+                process.wait(max(began + after - time.monotonic(), 0.0) if number == signal.SIGTERM else after)
+                break
+            except subprocess.TimeoutExpired:
+                process.send_signal(number)
+        process.wait()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

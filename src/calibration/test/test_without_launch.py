@@ -1,0 +1,123 @@
+"""The tree of processes is started and ended where there is neither `launch` nor `ros2`."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from calibration import without_launch
+from calibration.process_tree import SIMULATED_CELL
+from calibration.without_launch import asked_of, main
+
+CELL = Path(__file__).resolve().parents[3] / "config" / "cells" / "demo.cell.yaml"
+NODE = """#!/bin/sh
+trap 'echo ended >> "$0.log"; exit 0' INT
+echo "$@" > "$0.log"
+while true; do sleep 0.05; done
+"""
+DEAF = NODE.replace("INT", "HUP").replace("#!/bin/sh", "#!/bin/sh\ntrap '' INT")
+
+
+@pytest.fixture
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
+    """Put scripts in the place of two nodes; return the words that start them."""
+
+    def make(**scripts: str) -> list[str]:
+        rows = [one for one in SIMULATED_CELL.processes if one.name in scripts]
+        for row in rows:
+            path = tmp_path / "lib" / row.package / row.name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(scripts[row.name])
+            path.chmod(0o755)
+        quick = tuple(dataclasses.replace(row, sigterm_after=0.5, sigkill_after=0.5) for row in rows)
+        small = dataclasses.replace(SIMULATED_CELL, processes=quick)
+        monkeypatch.setitem(without_launch.TREES, "simulated_cell", small)
+        monkeypatch.setattr(without_launch, "get_package_prefix", lambda _: str(tmp_path))
+        monkeypatch.setattr(without_launch, "get_package_share_directory", lambda _: str(tmp_path))
+        return ["simulated_cell", f"cell:={CELL}", f"session:={tmp_path / 'today'}", "speed:=20.0"]
+
+    return make
+
+
+def until_there(*paths: Path) -> None:
+    end = time.monotonic() + 30.0
+    while not all(path.is_file() for path in paths):
+        assert time.monotonic() < end, paths
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_every_process_is_started_with_its_parameters_and_ended(
+    number: int, tree: Callable[..., list[str]], tmp_path: Path
+) -> None:
+    words = tree(guard=NODE, simulated_cell=NODE)
+    logs = [tmp_path / "lib" / place for place in ("calibration/guard.log", "calibration_sim/simulated_cell.log")]
+
+    def press() -> None:
+        until_there(*logs)
+        os.kill(os.getpid(), number)
+
+    before = signal.getsignal(signal.SIGINT)
+    threading.Thread(target=press).start()
+    assert main(words) == 0
+    assert signal.getsignal(signal.SIGINT) == before
+    for log in logs:
+        assert log.read_text().splitlines()[-1] == "ended"
+    given = logs[1].read_text()
+    assert "--params-file" in given
+    assert "config/simulation.yaml" in given  # for it lives faster than life
+    assert "-p speed:=20.0" in given
+    assert "motion.backend:=simulated" in logs[0].read_text()
+
+
+def test_a_deaf_process_is_ended_after_its_time(tree: Callable[..., list[str]], tmp_path: Path) -> None:
+    words = tree(guard=DEAF)
+
+    def press() -> None:
+        until_there(tmp_path / "lib" / "calibration" / "guard.log")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=press).start()
+    began = time.monotonic()
+    assert main(words) == 0
+    assert time.monotonic() - began < 20.0
+
+
+def test_where_nothing_is_left_it_ends_and_says_so(tree: Callable[..., list[str]]) -> None:
+    assert main(tree(guard="#!/bin/sh\nexit 2\n")) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ([], "arguments: found nothing, expected one of real_cell, simulated_cell, replay"),
+        (["real"], "arguments: found 'real', expected one of"),
+        (["real_cell", "cell=x"], "arguments: real_cell: found 'cell=x', expected NAME:=VALUE with one of cell, "),
+        (["real_cell", "sell:=x"], "arguments: real_cell: found 'sell:=x', expected NAME:=VALUE with one of cell, "),
+        (["real_cell", "cell:=gone.yaml"], "arguments: cell: found no file gone.yaml, expected"),
+        (["replay", f"cell:={CELL}", "recording:=bag"], "arguments: replay: found no command `ros2`, expected"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_one_line(
+    words: list[str], found: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith(found)
+    assert (said.out, said.err.count("\n")) == ("", 1)
+
+
+def test_the_trees_are_those_of_the_launch_files() -> None:
+    files = (Path(__file__).resolve().parents[1] / "launch").glob("*.launch.py")
+    assert set(without_launch.TREES) == {path.name.removesuffix(".launch.py") for path in files}
+    tree, values = asked_of(["simulated_cell", f"cell:={CELL}", "session:=today"])
+    assert tree is SIMULATED_CELL
+    assert values["speed"] == "1.0"
