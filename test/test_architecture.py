@@ -57,7 +57,7 @@ BESIDE_THE_CHAIN = {
 # Above all of these: what commands and library compute, and the whole reports of it.
 OUTCOMES = {*CHAIN, *BESIDE_THE_CHAIN, "outcomes"}
 DOCUMENTS = "report.documents"
-ENTRY = {"cli", "commands", "library", "fleet", "__main__"}
+ENTRY = {"cli", "start", "commands", "library", "fleet", "__main__"}
 FOR_SIM = {"errors", "files", "cell", "loading", "timeseries", "recording", "engine"}
 SIM_NODE = {f"calibration_sim.living_cell.{name}" for name in ("process", "node", "messages")}
 MESSAGES = re.compile(r"(.*_(msgs|interfaces)|rclpy|rosidl_.*|launch|launch_ros|ament_.*)(\..*)?")
