@@ -40,3 +40,24 @@ def test_causes_that_the_recording_cannot_tell_apart_are_named_together() -> Non
     bearing = {"effect": "off_axis_compliance", "location": {"joint": "joint_1"}, "cannot_be_told_from": [base]}
     light = with_light({**content(identifiable=True), "verdict": "missing_physics", "findings": [bearing]})
     assert "joint 1 tilts about an axis that is not its own or the base gives way" in light["reason"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "alike", "field"),
+    [
+        ("wrench_frame_misalignment", ("wrench_crosstalk",), "frames.force_torque"),
+        ("wrench_crosstalk", ("wrench_frame_misalignment",), "frames.force_torque"),
+        ("tracker_frame_misalignment", (), "frames.tracker"),
+        ("measurement_point_offset", ("wrench_point_offset",), "frames.measurement_points and frames.wrench_point"),
+        ("base_compliance", (), ""),
+    ],
+)
+def test_what_a_wrong_cell_file_looks_like_is_looked_for_there_first(
+    effect: str, alike: tuple[str, ...], field: str
+) -> None:
+    where = {"sensor": "force_torque", "point": "mp1", "base": "base"}
+    beside = [{"effect": one, "location": where} for one in alike]
+    finding = {"effect": effect, "location": where, "cannot_be_told_from": beside}
+    light = with_light({**content(identifiable=True), "verdict": "missing_physics", "findings": [finding]})
+    assert light["next_step"].endswith("use the extended model that diagnose writes (model.yaml)")
+    assert light["next_step"].startswith(f"hold {field} of the cell file against what is mounted" if field else "use")

@@ -15,6 +15,13 @@ BLOCKING = frozenset({
 })  # fmt: skip
 
 EQUAL_CAUSES = 2  # that are named beside a finding, if the recording cannot tell them from it
+STATED = {
+    "wrench_frame_misalignment": "frames.force_torque",
+    "wrench_point_offset": "frames.wrench_point",
+    "measurement_point_offset": "frames.measurement_points",
+    "tracker_frame_misalignment": "frames.tracker",
+}
+"""Effects that a wrong value of the cell file looks like, and which value that is."""
 EXPLAINED = "the model explains the recording to its noise"
 WORDS = {
     "yes": "Usable",
@@ -127,10 +134,19 @@ def _missing(content: Mapping[str, Any]) -> tuple[str, str]:
     names = "; ".join(dict.fromkeys(map(_sentence, findings)))
     rest = ", and a part of the residual stays unexplained" if content["verdict"] == "partly_explained" else ""
     step = "use the extended model that diagnose writes (model.yaml)"
+    several = [one["effect"] for finding in findings for one in _alike(finding)]
+    stated = list(dict.fromkeys(STATED[effect] for effect in several if effect in STATED))
+    if stated:
+        step = f"hold {' and '.join(stated)} of the cell file against what is mounted, and correct it; else {step}"
     return f"the standard's model leaves something out ({names}){rest}", step
 
 
 def _sentence(finding: Mapping[str, Any]) -> str:
     """Return what a finding says, or else what the recording cannot tell from it."""
-    several = (finding, *finding["cannot_be_told_from"][:EQUAL_CAUSES])
+    several = _alike(finding)
     return " or ".join(dict.fromkeys(effect_sentence(one["effect"], one["location"]) for one in several))
+
+
+def _alike(finding: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
+    """Return a finding and what the recording cannot tell from it, as far as it is named."""
+    return finding, *finding["cannot_be_told_from"][:EQUAL_CAUSES]
