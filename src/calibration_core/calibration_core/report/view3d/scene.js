@@ -369,7 +369,7 @@
       gl.viewport(0, 0, canvas.width, canvas.height);
       gl.clearColor(1, 1, 1, 1);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-      eye = plus(camera.to, by([Math.cos(camera.tilt) * Math.cos(camera.turn), Math.cos(camera.tilt) * Math.sin(camera.turn), Math.sin(camera.tilt)], camera.distance * Math.max(1, high / wide)));
+      eye = plus(camera.to, by([Math.cos(camera.tilt) * Math.cos(camera.turn), Math.cos(camera.tilt) * Math.sin(camera.turn), Math.sin(camera.tilt)], camera.distance * Math.max(1, 1.25 * high / wide)));
       view = times(perspective(0.6, wide / high, camera.distance / 50, camera.distance * 20), looking(eye, camera.to));
       gl.uniformMatrix4fv(where.eye, false, view);
       gl.uniform3fv(where.look, minus(eye, camera.to));
