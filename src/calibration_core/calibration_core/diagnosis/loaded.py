@@ -69,9 +69,12 @@ FRAMES_SPOILED = frozenset({"target_moved", "tracker_moved"})
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Attempt:
-    """One pass: noise, what was selected, the model extended by it, what was rejected, the null model's rms, m."""
+    """One pass: noise, all readings' rows with it, what was selected, the model extended by it, what was rejected, the
+    null model's rms, m.
+    """
 
     seen: Scatter
+    rows: Rows
     design: Design
     selection: LoadedSelection
     extended: ExtendedLoadedModel
@@ -257,10 +260,10 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
     for remaining in reversed(range(ROUNDS)):
         attempt = _attempt(prepared, cell, hypotheses, seen, axes, used, compliance)
         extended = attempt.extended
-        rows = with_noise(linear.rows, problem.readings, seen, axes)
         kept = sound
         if options.robust:
-            kept = sound[readings_to_use(rows.select(sound), extended.raw[sound], problem.readings.step[sound])]
+            step = problem.readings.step[sound]
+            kept = sound[readings_to_use(attempt.rows.select(sound), extended.raw[sound], step)]
         again = _seen(linear.rows, extended.raw, problem, axes, kept) if noise_seen else _left(attempt)
         moved = float(np.abs(extended.compliance / np.where(compliance > 0, compliance, np.inf) - 1).max())
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
@@ -281,7 +284,8 @@ def _attempt(
     compliance: Float1D,
 ) -> Attempt:
     problem = prepared.problem
-    rows = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes).select(used)
+    whole = with_noise(problem.linearise(compliance).rows, problem.readings, seen, axes)
+    rows = whole.select(used)
     _, design = design_at(problem, cell, compliance, rows, used, hypotheses, prepared.frames)
     selection = select(design, noise_known=seen.freedom > 0)
     extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
@@ -289,7 +293,7 @@ def _attempt(
     if outdone:
         selection = selection.without([one.choice for one in outdone])
         extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
-    return Attempt(seen, design, selection, extended, outdone, _rms(used, prepared))
+    return Attempt(seen, whole, design, selection, extended, outdone, _rms(used, prepared))
 
 
 def _axes(prepared: PreparedLoaded) -> Float3D:

@@ -70,10 +70,12 @@ def added(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     (folder / f"{NAME}.py").write_text(FILE)
     effects.__path__.append(str(folder))
     effects.catalogue.cache_clear()
+    effects.effects_with.cache_clear()
     yield
     effects.__path__.remove(str(folder))
     sys.modules.pop(f"{effects.__name__}.{NAME}", None)
     effects.catalogue.cache_clear()
+    effects.effects_with.cache_clear()
 
 
 @pytest.mark.usefixtures("added")

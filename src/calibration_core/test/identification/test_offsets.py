@@ -40,6 +40,20 @@ def _dense(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
     return covariance, design
 
 
+def test_the_same_rows_are_the_same_value_with_what_is_known_of_them() -> None:
+    rows = _rows(np.random.default_rng(4))
+    some = np.arange(5, 20)
+    assert rows.select(some) is rows.select(some.copy())
+    assert rows.select(some) is not rows.select(some[1:])
+    assert rows.select(np.arange(len(rows.configuration))) is rows
+    used = np.ones(len(rows.configuration), dtype=bool)
+    assert rows.counting(used) is rows
+    used[3] = False
+    assert rows.counting(used) is rows.counting(np.flatnonzero(used))
+    assert rows.counting(used).noise[3, 0, 0] > 1e9 * rows.noise[3, 0, 0]
+    np.testing.assert_array_equal(rows.counting(used).noise[used], rows.noise[used])
+
+
 @pytest.mark.parametrize("shuffled", [False, True])
 def test_normal_equations_equal_the_full_problem(shuffled: bool) -> None:
     rng = np.random.default_rng(1)

@@ -10,6 +10,7 @@ points is blind and which may outlast a step.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -260,14 +261,15 @@ def _smooth(level: Float1D) -> Float2D:
     branch = np.sign(np.round(np.diff(level), 2))
     branch = np.concatenate([branch[:1], branch])
     shapes = [np.ones(steps), level, level**2, branch, branch * level, level**3]
-    basis: list[Float1D] = []
+    basis, count = np.zeros((steps, len(shapes))), 0
     most = max(2, int(SHARE * steps))
     for shape in shapes:
-        rest = shape - sum((b * (b @ shape) for b in basis), np.zeros(steps))
-        length = float(np.linalg.norm(rest))
-        if length > 0.05 * max(float(np.linalg.norm(shape)), 1e-12) and len(basis) < most:
-            basis.append(rest / length)
-    return np.stack(basis, axis=1)
+        rest = shape - basis @ (shape @ basis)
+        length = math.sqrt(rest @ rest)
+        if length > 0.05 * max(math.sqrt(shape @ shape), 1e-12) and count < most:
+            basis[:, count] = rest / length
+            count += 1
+    return basis[:, :count]
 
 
 def left_over(problem: LoadedProblem, state: State, used: Bool1D) -> dict[int, Float3D]:

@@ -107,24 +107,27 @@ def _angles(state: State) -> Float2D:
 def _modulations(state: State, angles: Float2D, joint: int) -> list[tuple[str, tuple[str, ...], Float2D]]:
     """Return how a joint's compliance may follow one angle, or its own with another one: words, names, (c, 2)."""
     joints = state.chain.joints
-    found = []
-    for other, times in itertools.product(range(len(joints)), range(1, HARMONICS + 1)):
-        found.append(_wave(_multiple(times, joints[other]), times * angles[:, other]))
+    own = np.eye(len(joints))
+    waves = [
+        (_multiple(times, joints[other]), times * own[other])
+        for other, times in itertools.product(range(len(joints)), range(1, HARMONICS + 1))
+    ]
     for other in range(len(joints)):
         if other == joint:
             continue
         for mine, its, sign in itertools.product(range(1, HARMONICS + 1), range(1, HARMONICS + 1), (1, -1)):
             words = f"{_multiple(mine, joints[joint])} {'+' if sign > 0 else '-'} {_multiple(its, joints[other])}"
-            found.append(_wave(words, mine * angles[:, joint] + sign * its * angles[:, other]))
-    return found
+            waves.append((words, mine * own[joint] + sign * its * own[other]))
+    phases = np.stack([weights for _, weights in waves]) @ angles.T
+    factors = np.stack([np.cos(phases), np.sin(phases)], axis=2)
+    return [
+        (f"the angle {words}", (f"cos({words})", f"sin({words})"), one)
+        for (words, _), one in zip(waves, factors, strict=True)
+    ]
 
 
 def _multiple(times: int, joint: str) -> str:
     return joint if times == 1 else f"{times} {joint}"
-
-
-def _wave(words: str, phase: Float1D) -> tuple[str, tuple[str, ...], Float2D]:
-    return f"the angle {words}", (f"cos({words})", f"sin({words})"), np.stack([np.cos(phase), np.sin(phase)], axis=1)
 
 
 def _laws(state: State, share: Float1D, whole: Float1D) -> list[tuple[str, Float1D]]:

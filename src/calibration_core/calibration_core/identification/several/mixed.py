@@ -26,7 +26,7 @@ from calibration_core.identification.several.merge import Merged, merge, placed,
 from calibration_core.identification.several.mixture import identify_mixture
 from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.standard.phases import holds_phases
-from calibration_core.identification.stiffness.loaded import MIN_CONFIGURATIONS, Options
+from calibration_core.identification.stiffness.loaded import MIN_CONFIGURATIONS, Options, identify_steps
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
@@ -127,7 +127,7 @@ def parts_of(readings: Readings, cell: Cell, options: Options) -> Parts:
     loaded, still = Member(_part(readings, ~rest), cell, 1, 0), Member(_part(readings, rest), cell, 2, apart)
     start = options.start
     alone = (
-        identify_loaded(loaded.readings, cell, options),
+        identify_steps(loaded.readings, cell, options),
         identify_absolute(still.readings, cell, robust=options.robust, readmit=options.readmit, believed=start),
     )
     merged = merge((loaded, still), alone, 0)

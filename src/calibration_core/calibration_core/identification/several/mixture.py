@@ -12,7 +12,7 @@ from calibration_core.identification.checks.exclusion_anomalies import OUTLIERS,
 from calibration_core.identification.result.estimate import Fit, Identification, Residuals
 from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.statistics.sizes import rms
-from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.identification.stiffness.loaded import Options, identify_steps
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.nominal import nominal_parameters
@@ -50,7 +50,7 @@ def identify_mixture(readings: Readings, cell: Cell, options: Options, test: Rea
         InputError: As `prepare_loaded` and `evaluate_absolute`.
     """
     start = nominal_parameters(cell) if options.start is None else options.start
-    loaded = identify_loaded(readings, cell, options)
+    loaded = identify_steps(readings, cell, options)
     if readings.recording is None:  # frames of merged set-ups were known before; a single one shows its own
         start = loaded.model.replace(geometry=start.geometry, compliance=start.compliance)
     rows = standing(readings)

@@ -40,10 +40,13 @@ class Rows:
     shared: Float3D
 
     def select(self, rows: Int1D) -> Rows:
-        """Return some of the rows."""
+        """Return some of the rows; the same ones as before are the same value, with what is known of it."""
         if np.array_equal(rows, np.arange(len(self.configuration))):
             return self
-        return Rows(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+        key = ("select", rows.tobytes())
+        if key not in self._derived:
+            self._derived[key] = Rows(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+        return self._derived[key]
 
     def without(self, aside: Int1D) -> Rows:
         """Return the other rows; what is known of configurations of which all rows stay is not found again.
@@ -74,7 +77,18 @@ class Rows:
         """Return the same rows, of which those not used (mask or indices) do not count for the offsets."""
         aside = np.ones(len(self.noise), dtype=bool)
         aside[used] = False
-        return dataclasses.replace(self, noise=self.noise * np.where(aside, SET_ASIDE, 1.0)[:, None, None])
+        if not aside.any():
+            return self
+        key = ("counting", aside.tobytes())
+        if key not in self._derived:
+            noise = self.noise * np.where(aside, SET_ASIDE, 1.0)[:, None, None]
+            self._derived[key] = dataclasses.replace(self, noise=noise)
+        return self._derived[key]
+
+    @functools.cached_property
+    def _derived(self) -> dict[tuple[str, bytes], Rows]:
+        """What `select` and `counting` returned."""
+        return {}
 
     @functools.cached_property
     def groups(self) -> tuple[tuple[Int1D, Int1D, Float3D, Float3D], ...]:
@@ -313,5 +327,17 @@ def _inverse_root(noise: Float4D, shared: Float4D) -> FloatND:
     full = (flat @ flat.transpose(0, 2, 1)).reshape(n, c, d, c, d)
     diagonal = np.arange(c)
     full[:, diagonal, :, diagonal, :] += noise.transpose(1, 0, 2, 3)
-    inverse = np.linalg.inv(np.linalg.cholesky(full.reshape(n, c * d, c * d)))
+    lower = np.asarray(np.linalg.cholesky(full.reshape(n, c * d, c * d)), dtype=np.float64)
+    inverse = _lower_inverse(lower)
     return inverse.reshape(n, c, d, c, d).transpose(0, 1, 3, 2, 4)
+
+
+def _lower_inverse(lower: Float3D) -> Float3D:
+    """Return the inverses of lower triangular matrices, (n, k, k), line by line for all of them at once."""
+    inverse = np.zeros_like(lower)
+    scale = 1 / np.einsum("nii->ni", lower)
+    inverse[:, 0, 0] = scale[:, 0]
+    for i in range(1, lower.shape[1]):
+        inverse[:, i, :i] = -scale[:, i, None] * (lower[:, i : i + 1, :i] @ inverse[:, :i, :i])[:, 0]
+        inverse[:, i, i] = scale[:, i]
+    return inverse

@@ -81,6 +81,11 @@ class Options:
         )
 
 
+def identify_steps(readings: Readings, cell: Cell, options: Options) -> Identification:
+    """Identify from the differences between loaded and unloaded steps alone; errors as `prepare_loaded`."""
+    return identify_prepared(prepare_loaded(readings, cell, options), cell, options)
+
+
 def identify_prepared(
     prepared: PreparedLoaded, cell: Cell, options: Options, test: Readings | None = None
 ) -> Identification:

@@ -28,6 +28,7 @@ def effect_named(name: str) -> Effect:
     return next(effect for effect in catalogue() if effect.name == name)
 
 
+@functools.cache
 def effects_with(trait: Trait) -> frozenset[str]:
     """Return the names of the effects of the catalogue that have a property."""
     return frozenset(effect.name for effect in catalogue() if effect.has(trait))
