@@ -13,6 +13,8 @@ from calibration_core.model.effects.structure.link_bending import ACROSS
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D
 
+BETWEEN = ("_xy", "_xz", "_yz", "_12")  # compliances between two axes may be negative
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Spring:
@@ -73,7 +75,7 @@ def springs_of(chain: Chain, effects: Sequence[AppliedEffect]) -> Springs:
     coupled: list[tuple[int, int, float]] = []
     held = []
     for effect in effects:
-        if any(value < 0 for name, value in effect.parameters.items() if not name.endswith(("_xy", "_12"))):
+        if any(value < 0 for name, value in effect.parameters.items() if not name.endswith(BETWEEN)):
             continue
         if effect.effect == "base_compliance":
             base += _crossed(effect.parameters, np.eye(3), np.zeros(3), "rotation")
@@ -94,13 +96,11 @@ def springs_of(chain: Chain, effects: Sequence[AppliedEffect]) -> Springs:
     return Springs(base, tuple(links), flange, tuple(coupled), tuple(held))
 
 
-def hinges(axes: tuple[Float1D, Float1D], matrix: Float2D, place: Float1D) -> tuple[Spring, ...]:
-    """Return an elastic hinge about two axes, (2, 2) compliances: springs about its principal axes."""
+def hinges(axes: tuple[Float1D, ...], matrix: Float2D, place: Float1D) -> tuple[Spring, ...]:
+    """Return an elastic hinge about k axes, (k, k) compliances: springs about its principal axes."""
     sizes, turns = np.linalg.eigh(matrix)
     return tuple(
-        Spring(turn[0] * axes[0] + turn[1] * axes[1], place, float(size))
-        for size, turn in zip(sizes, turns.T, strict=True)
-        if size > 0
+        Spring(turn @ np.array(axes), place, float(size)) for size, turn in zip(sizes, turns.T, strict=True) if size > 0
     )
 
 
@@ -116,6 +116,10 @@ def _crossed(given: Mapping[str, float], axes: Float2D, place: Float1D, name: st
 
 def _at_flange(effect: AppliedEffect) -> tuple[Spring, ...]:
     values = dict(effect.parameters)
+    if "rotation_xz" in values:
+        x, y, z, xy, xz, yz = (values[f"rotation_{key}"] for key in ("x", "y", "z", "xy", "xz", "yz"))
+        matrix = np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
+        return hinges((np.eye(3)[0], np.eye(3)[1], np.eye(3)[2]), matrix, np.zeros(3))
     if effect.variant == "tilt":
         values = {"rotation_x": values["rotation_xy"], "rotation_y": values["rotation_xy"]}
     return _crossed(values, np.eye(3), np.zeros(3), "rotation")

@@ -11,7 +11,8 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.diagnose import diagnose
-from calibration_core.timeseries import Float2D, Readings
+from calibration_core.model.effects.state import State
+from calibration_core.timeseries import Float1D, Float2D, Readings
 
 JOINT, WIDTH = 1, 1.5e-4  # rad, from one side of the friction to the other
 
@@ -49,6 +50,24 @@ def test_an_arm_that_swings_is_restless_beside_friction(cell: Cell) -> None:
     found = diagnose(moved(readings, swing * swinging[:, None]), cell)
     (text,) = (anomaly.text for anomaly in found.anomalies if anomaly.kind == "unsettled")
     assert text.startswith("in configurations 9, 13, 14 all points move together")
+
+
+def on_a_hinge(cell: Cell, state: State, axis: Float1D, compliance: float) -> Float2D:
+    """Return what a tool moves that gives way about an axis through the flange's origin, (m, 3) m, base axes."""
+    lever, line = state.where - state.at.flange_origin, np.einsum("a,aim->im", axis, state.at.flange)
+    torque = np.sum(line * (state.moment + np.cross(lever, state.force, axis=0)), axis=0)
+    turned = np.cross(line, state.point - state.at.flange_origin, axis=0)
+    return np.asarray((compliance * torque * turned).T)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_tool_that_gives_way_about_an_oblique_axis_is_no_error_of_the_sensor(cell: Cell, seed: int) -> None:
+    readings = loaded_readings(cell, seed, 16)
+    axis = np.array([0.6, -0.48, 0.64])
+    shift = on_a_hinge(cell, true_state(readings, cell), axis, 4e-7)
+    found = diagnose(shifted(readings, cell, shift), cell)
+    assert [one.effect for one in found.findings] == ["tool_compliance"]
+    assert found.verdict == "missing_physics"
 
 
 @pytest.mark.parametrize("size", [8e-5, 1.2e-4])

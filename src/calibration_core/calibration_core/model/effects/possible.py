@@ -20,6 +20,8 @@ from calibration_core.model.effects.candidate import Parameter
 from calibration_core.timeseries import Bool1D, Float1D, Float2D
 
 HINGE = (True, True, False)  # two compliances across an axis and the one between them (`springs.tilting`)
+THREE_AXES = (*HINGE, True, False, False)  # the same, the compliance about the third axis and those between it and both
+PLACES = ((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2))  # of their values in the matrix of a hinge
 JITTER = 1e-12  # of the variances
 WITHIN = 2.0  # standard deviations
 SCATTER = 2.7  # nats: one in a hundred estimates of a compliance that is zero lies further below
@@ -107,14 +109,31 @@ def _demanded(several: Sequence[Sequence[Parameter]]) -> tuple[Bool1D, list[slic
     """Return (p,) which parameters must be positive, and the places of hinges."""
     hinges, first = [], 0
     for parameters in several:
-        if tuple(parameter.positive for parameter in parameters[:3]) == HINGE:
-            hinges.append(slice(first, first + 3))
+        for demanded in (THREE_AXES, HINGE):
+            if tuple(parameter.positive for parameter in parameters[: len(demanded)]) == demanded:
+                hinges.append(slice(first, first + len(demanded)))
+                break
         first += len(parameters)
     return np.array([parameter.positive for parameters in several for parameter in parameters], dtype=bool), hinges
 
 
 def _indefinite(values: Float1D) -> bool:
-    return bool(values[2] ** 2 > values[0] * values[1])
+    if len(values) == len(HINGE):
+        return bool(values[2] ** 2 > values[0] * values[1])
+    return bool(np.linalg.eigvalsh(_matrix(values))[0] < 0)
+
+
+def _matrix(values: Float1D) -> Float2D:
+    """Return the matrix of a hinge, (2, 2) or (3, 3)."""
+    matrix = np.zeros((_axes(values), _axes(values)))
+    for (i, j), value in zip(PLACES, values, strict=False):
+        matrix[i, j] = matrix[j, i] = value
+    return matrix
+
+
+def _axes(values: Float1D) -> int:
+    """Return the number of axes of a hinge with these values."""
+    return 2 if len(values) == len(HINGE) else 3
 
 
 def _negative(value: Float1D, hinge: slice, std: Float1D) -> Float1D | None:
@@ -125,34 +144,43 @@ def _negative(value: Float1D, hinge: slice, std: Float1D) -> Float1D | None:
         hinge: Its place.
         std: (p,) standard deviations.
     """
-    across = np.sqrt(std[hinge][:2])  # the matrix in units in which both compliances count alike
+    across = _units(std[hinge])
     own, turn = _eigen(value[hinge] * std[hinge], across)
-    if own[0] >= -NEGATIVE * max(abs(own[1]), 1.0):
+    if own[0] >= -NEGATIVE * max(abs(own[-1]), 1.0):
         return None
     w = turn[0] / across
     row = np.zeros(len(value))
-    row[hinge] = np.array([w[0] ** 2, w[1] ** 2, 2 * w[0] * w[1]]) * std[hinge]
+    places = PLACES[: len(std[hinge])]
+    row[hinge] = np.array([w[i] ** 2 if i == j else 2 * w[i] * w[j] for i, j in places]) * std[hinge]
     return row / np.linalg.norm(row)
 
 
+def _units(std: Float1D) -> Float1D:
+    """Return the units, one for each axis of a hinge, in which all its compliances count alike."""
+    return np.sqrt([one for one, (i, j) in zip(std, PLACES, strict=False) if i == j])
+
+
 def _positive(values: Float1D, std: Float1D) -> tuple[Float1D, Float2D]:
-    """Return the three values of a hinge with its matrix positive to the last digit, and where it is zero, (k, 2)."""
-    across = np.sqrt(std[:2])
+    """Return the values of a hinge with its matrix positive to the last digit, and where it is zero, (k, 2 or 3)."""
+    across = _units(std)
     own, turn = _eigen(values, across)
-    zero = own <= 2 * NEGATIVE * max(abs(float(own[1])), 1.0)
+    zero = own <= 2 * NEGATIVE * max(abs(float(own[-1])), 1.0)
     if not zero.any():
-        return values, np.zeros((0, 2))
+        return values, np.zeros((0, len(across)))
     kept = (turn.T * np.where(zero, 0.0, own)) @ turn * np.outer(across, across)
-    return np.array([kept[0, 0], kept[1, 1], kept[0, 1]]), (turn / across)[zero]
+    return np.array([kept[place] for place in PLACES[: len(values)]]), (turn / across)[zero]
 
 
 def _eigen(values: Float1D, across: Float1D) -> tuple[Float1D, Float2D]:
-    """Return the two eigenvalues of a hinge's matrix, the smaller one first, and their vectors, a row each.
+    """Return the eigenvalues of a hinge's matrix, the smallest one first, and their vectors, a row each.
 
     Args:
-        values: Its two compliances, and the one between them.
-        across: (2,) units of both directions.
+        values: Its compliances, in the order of `PLACES`.
+        across: (2,) or (3,) units of the axes.
     """
+    if len(across) > 2:
+        several, vectors = np.linalg.eigh(_matrix(values) / np.outer(across, across))
+        return several, vectors.T
     a, b, c = values[0] / across[0] ** 2, values[1] / across[1] ** 2, values[2] / (across[0] * across[1])
     middle, apart = (a + b) / 2, np.hypot((a - b) / 2, c)
     angle = 0.5 * np.arctan2(2 * c, a - b)  # of the larger one
@@ -161,9 +189,10 @@ def _eigen(values: Float1D, across: Float1D) -> tuple[Float1D, Float2D]:
 
 
 def _equations(directions: Float2D, hinge: slice, count: int) -> Float2D:
-    """Return the (2 k, p) equations M w = 0 of a hinge's matrix."""
-    rows = np.zeros((2 * len(directions), count))
+    """Return the (d k, p) equations M w = 0 of a hinge's matrix, of k directions of d axes each."""
+    rows = np.zeros((directions.size, count))
     for k, w in enumerate(directions):
-        rows[2 * k, hinge] = w[0], 0.0, w[1]
-        rows[2 * k + 1, hinge] = 0.0, w[1], w[0]
+        own = rows[k * len(w) : (k + 1) * len(w), hinge]  # a view
+        for place, (i, j) in enumerate(PLACES[: own.shape[1]]):
+            own[i, place], own[j, place] = w[j], w[i]
     return rows

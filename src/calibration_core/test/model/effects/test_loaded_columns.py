@@ -167,6 +167,23 @@ def test_tool_springs_turn_the_flange(chain: Chain, readings: tuple) -> None:
     np.testing.assert_allclose(slides, here.force[:, 6], rtol=1e-9)
 
 
+def test_a_tool_on_an_oblique_hinge_is_a_sum_of_six_columns(chain: Chain, readings: tuple) -> None:
+    q, wrench = readings
+    here = state(chain, q, wrench, STIFF)
+    columns = chosen(here, "tool_compliance", "oblique rotation").columns(here)
+    axis = np.array([0.48, -0.6, 0.64])
+    across = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+
+    def turned(a: float) -> Chain:
+        turn = np.eye(3) + np.sin(a) * across + (1 - np.cos(a)) * across @ across
+        return dataclasses.replace(chain, flange_rotation=chain.flange_rotation @ turn)
+
+    x, y, z = axis
+    for row in (1, 6, 20):
+        seen = columns[row] @ [x * x, y * y, x * y, z * z, x * z, y * z]
+        np.testing.assert_allclose(seen, spring(chain, q[row], wrench[row], turned, TIP), rtol=1e-5, atol=1e-4)
+
+
 def test_a_link_bends_as_a_beam_clamped_at_its_joint(chain: Chain, readings: tuple) -> None:
     """A point force F at the tip of a cantilever of length L and stiffness EI: deflection F L^3/3EI."""
     q, wrench = readings
