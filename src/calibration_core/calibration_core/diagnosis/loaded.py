@@ -229,7 +229,9 @@ def _anomalies(
     kinds = {anomaly.kind for anomaly in checked.anomalies}
     seen = attempt.seen
     if jumps is not None:  # what a joint does is no noise of the tracker; of one point alone nothing else is seen
-        seen = dataclasses.replace(seen, shared=0.0, freedom=seen.freedom if len(readings.points) > 1 else 0)
+        seen = dataclasses.replace(
+            seen, shared=0.0, least_shared=0.0, freedom=seen.freedom if len(readings.points) > 1 else 0
+        )
     noise = () if kinds & {"loose_target"} else noise_understated(seen, identification.noise.claimed)
     notes = tuple(anomaly for anomaly in identification.anomalies if anomaly.kind == "unsettled")
     return (*checked.anomalies, *noise, *outlier_readings(aside, size, readings), *notes)

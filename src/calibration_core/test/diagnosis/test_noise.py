@@ -10,6 +10,7 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.data_checks.adequacy import against_noise
+from calibration_core.diagnosis.data_checks.loaded_anomalies import noise_understated
 from calibration_core.diagnosis.data_checks.noise import claimed, directions, scatter, with_noise
 from calibration_core.diagnosis.data_checks.step_direction import Jumps, jumps_along_a_joint
 from calibration_core.identification.statistics.offsets import whitened
@@ -59,6 +60,19 @@ def test_what_the_points_of_a_step_share_is_told_from_their_own(prepared: Prepar
     noisy = with_noise(rows, prepared.problem.readings, found, axes)
     white, _ = whitened(noisy, (own + together)[:, :, None])
     assert np.mean(white**2) == pytest.approx(1.0, rel=0.2)
+
+
+def test_a_shared_part_that_may_last_is_no_understated_noise(prepared: PreparedLoaded) -> None:
+    """Where it may last over the steps, most of it is a smooth function of the load, and what is seen is little."""
+    rng, totals = np.random.default_rng(8), []
+    for _ in range(20):
+        own, shared = rng.standard_normal((450, 3)), 0.45 * np.repeat(rng.standard_normal((150, 3)), 3, axis=0)
+        claimed_noise = SIGMA / np.sqrt(1 + 0.45**2) * (own + shared)
+        found, twice = (seen(prepared, factor * claimed_noise)[2] for factor in (1.0, 2.0))
+        totals.append(found.total)
+        assert noise_understated(found, SIGMA) == ()
+        assert [one.kind for one in noise_understated(twice, SIGMA)] == ["noise_understated"]
+    assert max(totals) > 1.2  # a part that lasts is more likely by chance
 
 
 def test_range_and_angles_may_differ(prepared: PreparedLoaded) -> None:

@@ -146,7 +146,7 @@ def _geometry(state: State) -> Float3D:
 def noise_understated(seen: Scatter, claimed: float) -> tuple[Anomaly, ...]:
     """Say whether readings scatter more than the instrument claims (standard deviation `claimed`, m)."""
     certain = seen.freedom > 0 and f_tail(seen.total**2, seen.freedom, 10**6) < CERTAIN
-    if not certain or seen.total < UNDERSTATED:
+    if not certain or seen.least < UNDERSTATED:
         return ()
     text = (
         f"claimed {1e6 * claimed:.1f} µm per coordinate, seen {1e6 * claimed * seen.total:.1f} µm from step to step: "

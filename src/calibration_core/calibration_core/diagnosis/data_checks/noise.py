@@ -23,6 +23,7 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 SHARE = 0.8  # of the steps of a configuration that smooth functions may take up
 TRUSTED = 30  # degrees of freedom from which on the scatter sets the noise
 CONVINCING = 3.0  # nats by which a shared part must be more likely than none
+NEARLY = 2.0  # nats by which what explains the readings nearly as well is less likely: one chance in twenty
 LEAST, MOST = 0.2, 20.0  # bounds of the factor on the claim
 SHARED = (0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.5, 4.0, 8.0)  # shared over own variance
 MEMORY = (0.0, 0.3, 0.6, 0.8)  # of the shared part from one step to the next
@@ -37,17 +38,25 @@ class Scatter:
         shared: Common to the points of a step, over `own`.
         memory: Correlation of the shared part from one step to the next.
         freedom: Degrees of freedom on which this rests; 0 where steps are too few to tell.
+        least_shared: The smallest shared part, over `own`, that explains what is seen nearly as well: most of a part
+            that lasts over the steps is a smooth function of the load, of which nothing is seen.
     """
 
     own: tuple[float, float, float]
     shared: float
     memory: float
     freedom: int
+    least_shared: float = 0.0
 
     @property
     def total(self) -> float:
         """Standard deviation of one coordinate of one reading over the claimed one (root mean square)."""
         return float(np.sqrt(np.mean(np.square(self.own)) * (1 + self.shared**2)))
+
+    @property
+    def least(self) -> float:
+        """The smallest `total` that explains what is seen nearly as well."""
+        return dataclasses.replace(self, shared=self.least_shared).total
 
 
 def claimed(factor: float = 1.0) -> Scatter:
@@ -84,9 +93,9 @@ def scatter(rows: Rows, residual: Float2D, readings: Readings, axes: Float3D) ->
         within = np.full(3, within.mean())
     within = np.array([within[0], *[within[1:].mean()] * 2])
     own = np.sqrt(np.clip(within, LEAST**2, MOST**2))
-    shared, memory = _shared(groups, own)
+    shared, memory, least = _shared(groups, own)
     first, second, third = (float(value) for value in own)
-    return Scatter((first, second, third), shared, memory, freedom)
+    return Scatter((first, second, third), shared, memory, freedom, least)
 
 
 def with_noise(rows: Rows, readings: Readings, seen: Scatter, axes: Float3D) -> Rows:
@@ -212,16 +221,21 @@ def _alone(groups: list[StepGroup]) -> float:
     return squares / sum(3 * group.left for group in groups) - known
 
 
-def _shared(groups: list[StepGroup], own: Float1D) -> tuple[float, float]:
-    """Return size (over own) and memory of the shared part by maximum likelihood; zeros if it convinces too little."""
-    best, result, alone = -np.inf, (0.0, 0.0), -np.inf
-    for memory in MEMORY:
-        values = sum((_log_likelihoods(group, own, memory) for group in groups), np.zeros(len(SHARED)))
-        alone = float(values[0]) if memory == 0 else alone
-        most = int(np.argmax(values))
-        if values[most] > best:
-            best, result = float(values[most]), (float(np.sqrt(SHARED[most])), memory)
-    return result if best > alone + CONVINCING else (0.0, 0.0)
+def _shared(groups: list[StepGroup], own: Float1D) -> tuple[float, float, float]:
+    """Return size (over own) and memory of the shared part by maximum likelihood; zeros if it convinces too little.
+
+    Last, the smallest size that is nearly as likely.
+    """
+    sizes = np.sqrt(SHARED)
+    several = [(memory, sum((_log_likelihoods(group, own, memory) for group in groups), np.zeros(len(SHARED))))
+               for memory in MEMORY]  # fmt: skip
+    likely = np.array([values for _, values in several])
+    row, most = np.unravel_index(int(np.argmax(likely)), likely.shape)
+    best = float(likely[row, most])
+    if best <= float(likely[0, 0]) + CONVINCING:
+        return 0.0, 0.0, 0.0
+    least = float(sizes[np.flatnonzero((likely > best - NEARLY).any(axis=0))[0]])
+    return float(sizes[most]), several[row][0], least
 
 
 def _log_likelihoods(group: StepGroup, own: Float1D, memory: float) -> Float1D:
