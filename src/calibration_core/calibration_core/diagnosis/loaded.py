@@ -48,6 +48,7 @@ from calibration_core.identification.result.estimate import Anomaly, Identificat
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
 from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.stiffness.loaded import (
+from calibration_core.identification.geometry.frames import FrameFit
     Options,
     PreparedLoaded,
     identify_prepared,
@@ -56,6 +57,7 @@ from calibration_core.identification.stiffness.loaded import (
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects import candidates, effects_with
+    refitted_frames,
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
@@ -113,7 +115,8 @@ def diagnose_loaded(
     anomalies = _anomalies(checked, attempt, identification, jumps)
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
-        registered = registration_findings(prepared, extended.state, readings)
+        frames = _frames_beside(prepared, extended, cell)
+        registered = registration_findings(prepared, extended.state, readings, frames)
         findings = by_size((*findings, *registered))
     verdict = rest.verdict(found=bool(findings))
     if law is not None:
@@ -163,6 +166,18 @@ def _with_whole_steps(rest: Rest, extended: ExtendedLoadedModel, checked: Checke
     """Say of steps that were set aside whole that no gross error of the tracker explains them."""
     readings, rows = extended.problem.readings, extended.problem.linearise(extended.compliance).rows
     moved = whole_steps(readings, extended.raw, rows.noise, extended.used, np.flatnonzero(checked.sound))
+def _frames_beside(prepared: PreparedLoaded, extended: ExtendedLoadedModel, cell: Cell) -> FrameFit | None:
+    """Return the frames, fitted once more less what the findings move under the robot's own weight.
+
+    A base that gives way tilts the robot in all configurations, as a tracker that stands elsewhere does.
+    """
+    if prepared.frames is None or not extended.accepted:
+        return prepared.frames
+    several = ((extended.design.candidates[k], extended.values_of(k)[0]) for k in extended.accepted)
+    moved = sum((one.columns(extended.state) @ value for one, value in several), np.zeros((extended.state.m, 3)))
+    return refitted_frames(prepared, cell, extended.compliance, moved, extended.used)
+
+
     if not len(moved):
         return rest
     steps = sorted({(int(readings.configuration[k]), int(readings.step[k])) for k in moved})

@@ -23,20 +23,34 @@ from calibration_core.timeseries import Float1D, Float2D, Readings
 BEYOND = 4.5  # times how well cells are set up, their uncertainty included
 
 
-def registration_findings(prepared: PreparedLoaded, state: State, readings: Readings) -> tuple[Finding, ...]:
+def registration_findings(
+    prepared: PreparedLoaded, state: State, readings: Readings, beside: FrameFit | None = None
+) -> tuple[Finding, ...]:
     """Return tracker and points that stand elsewhere than stated, beyond usual care and doubt.
+
+    What was found in the robot moves points under its own weight, too: what only seems elsewhere because of it is none.
 
     Args:
         prepared: With the refitted frames, and where cell file or given model put them.
         state: The null model, for the size of the effect on the measured deflections.
         readings: The recording.
+        beside: The frames as they fit best beside what was found; None: nothing was.
     """
-    frames = prepared.frames
-    if frames is None or prepared.stated_by is None:
+    if prepared.frames is None or prepared.stated_by is None:
         return ()
+    found = _elsewhere(prepared.frames, prepared, state, readings)
+    if beside is None or not found:
+        return found
+    places = {one.effect: one.location for one in found}
+    still = _elsewhere(beside, prepared, state, readings)
+    return tuple(one for one in still if places.get(one.effect) == one.location)
+
+
+def _elsewhere(frames: FrameFit, prepared: PreparedLoaded, state: State, readings: Readings) -> tuple[Finding, ...]:
+    """Return tracker and points that these frames put elsewhere than stated, beyond usual care and doubt."""
     steps = len(readings) / max(len(np.unique(readings.configuration)), 1) / len(readings.points)
     covariance = frames.covariance * max(steps, 1.0)  # steps of one configuration share its geometric error
-    nominal, by = prepared.nominal.tracker, prepared.stated_by
+    nominal, by = prepared.nominal.tracker, str(prepared.stated_by)
     found = []
     turn = rotation_vector(frames.tracker[:3, :3] @ nominal[:3, :3].T)
     usual = typical("registration_rotation", state.rated_load)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import IdentificationError
+from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.checks.exclusion_anomalies import anomalies_of
 from calibration_core.identification.checks.noise_audit import audit, rigid_triangle, window_scatter, zero_return
 from calibration_core.identification.checks.preconditions import check_preconditions
@@ -242,6 +242,26 @@ def _with_frames(
     fit = _fitted_frames(kept, cell, chain, believed, guess)
     fitted = dict(zip(readings.points, fit.points, strict=True))
     return believed.replace(tracker=fit.tracker, points={**believed.points, **fitted}), fit
+
+
+def refitted_frames(
+    prepared: PreparedLoaded, cell: Cell, compliance: Float1D, moved: Float2D, used: Int1D
+) -> FrameFit | None:
+    """Return the frames that fit best beside other compliances and effects; those that were fitted where none can.
+
+    Args:
+        prepared: With frames.
+        cell: The cell file.
+        compliance: (n,) rad/(N*m).
+        moved: (m, 3) m, base axes, what the effects move the points.
+        used: Indices of the readings to use.
+    """
+    believed, readings = prepared.parameters.replace(compliance=compliance), prepared.problem.readings
+    without = dataclasses.replace(readings, position=readings.position - moved @ believed.tracker[:3, :3])
+    try:
+        return _fitted_frames(without.select(used), cell, prepared.problem.chain, believed, believed.tracker)
+    except (EquilibriumError, IdentificationError):
+        return prepared.frames
 
 
 def _fitted_frames(
