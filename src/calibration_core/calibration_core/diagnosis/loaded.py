@@ -14,7 +14,11 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
     outlier_readings,
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter, claimed, directions, scatter, with_noise
-from calibration_core.diagnosis.data_checks.outlier_readings import readings_to_use, whole_steps
+from calibration_core.diagnosis.data_checks.outlier_readings import (
+    moved_with_their_step,
+    readings_to_use,
+    whole_steps,
+)
 from calibration_core.diagnosis.data_checks.step_direction import Jumps, jumps_along_a_joint
 from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
@@ -44,20 +48,20 @@ from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.choose import NONE_ASKED, choose
 from calibration_core.diagnosis.proposals.loaded import LoadedKnowledge
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest, by_size
+from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.result.estimate import Anomaly, Identification
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
 from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.stiffness.loaded import (
-from calibration_core.identification.geometry.frames import FrameFit
     Options,
     PreparedLoaded,
     identify_prepared,
     prepare_loaded,
+    refitted_frames,
 )
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects import candidates, effects_with
-    refitted_frames,
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
@@ -162,10 +166,6 @@ def diagnose_loaded(
     )
 
 
-def _with_whole_steps(rest: Rest, extended: ExtendedLoadedModel, checked: Checked) -> Rest:
-    """Say of steps that were set aside whole that no gross error of the tracker explains them."""
-    readings, rows = extended.problem.readings, extended.problem.linearise(extended.compliance).rows
-    moved = whole_steps(readings, extended.raw, rows.noise, extended.used, np.flatnonzero(checked.sound))
 def _frames_beside(prepared: PreparedLoaded, extended: ExtendedLoadedModel, cell: Cell) -> FrameFit | None:
     """Return the frames, fitted once more less what the findings move under the robot's own weight.
 
@@ -178,6 +178,11 @@ def _frames_beside(prepared: PreparedLoaded, extended: ExtendedLoadedModel, cell
     return refitted_frames(prepared, cell, extended.compliance, moved, extended.used)
 
 
+def _with_whole_steps(rest: Rest, extended: ExtendedLoadedModel, checked: Checked) -> Rest:
+    """Say of steps that were set aside whole that no gross error of the tracker explains them."""
+    readings, rows = extended.problem.readings, extended.problem.linearise(extended.compliance).rows
+    sound = np.flatnonzero(checked.sound)
+    moved = whole_steps(readings, extended.state.point.T, extended.raw, rows.noise, extended.used, sound)
     if not len(moved):
         return rest
     steps = sorted({(int(readings.configuration[k]), int(readings.step[k])) for k in moved})
@@ -259,6 +264,26 @@ def _without_offsets(extended: ExtendedLoadedModel, residual: Float2D) -> Float2
 
 
 def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Checked) -> Attempt:
+    """Search without the readings that the null model takes for gross errors; where some stay aside, with them, too.
+
+    A law that the null model does not know moves some readings far, all points of a step together, which no gross error
+    of a tracker does.  Left out, they cannot show the law.
+    """
+    sound = np.flatnonzero(checked.sound)
+    first = _settled(prepared, cell, options, checked, np.flatnonzero(checked.sound & prepared.rejection.used))
+    problem = prepared.problem
+    aside = np.setdiff1d(sound, first.extended.used)
+    rows = problem.linearise(prepared.fit.compliance).rows
+    extended, readings = first.extended, problem.readings
+    moved = moved_with_their_step(readings, extended.state.point.T, extended.raw, rows.noise, extended.used, aside)
+    if not len(moved):
+        return first
+    again = _settled(prepared, cell, options, checked, np.union1d(extended.used, moved))
+    explains = again.selection.accepted and len(again.extended.used) > len(extended.used)
+    return again if explains else first
+
+
+def _settled(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Checked, used: Int1D) -> Attempt:
     """Select and extend until operating point, readings used and noise stand still.
 
     A strong missing effect spoils all three: the null model's compliances are wrong, good readings look bad under it,
@@ -268,7 +293,6 @@ def _search(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Che
     hypotheses = _hypotheses(prepared, cell)
     axes = _axes(prepared)
     sound = np.flatnonzero(checked.sound)
-    used = np.flatnonzero(checked.sound & prepared.rejection.used)
     linear = problem.linearise(compliance)
     seen = _seen(linear.rows, linear.residual, problem, axes, used)
     noise_seen = seen.freedom > 0

@@ -11,7 +11,7 @@ from loaded_cases import TRUE, planted, true_state
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.data_checks.outlier_readings import whole_steps
+from calibration_core.diagnosis.data_checks.outlier_readings import moved_with_their_step, whole_steps
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
@@ -137,7 +137,7 @@ def test_a_step_set_aside_whole_is_distinguished_from_gross_errors_by_the_shape_
     without = np.setdiff1d(every, step)
 
     def moved_steps(used: np.ndarray, sound: np.ndarray, moved: np.ndarray = residual) -> list[int]:
-        return list(whole_steps(readings, moved, noise, used, sound))
+        return list(whole_steps(readings, readings.position, moved, noise, used, sound))
 
     assert moved_steps(without, every) == list(step)
     assert moved_steps(every, every) == []
@@ -148,6 +148,27 @@ def test_a_step_set_aside_whole_is_distinguished_from_gross_errors_by_the_shape_
     assert moved_steps(without, every, wild) == []
     alone = np.setdiff1d(every, np.flatnonzero(readings.configuration == readings.configuration[0]))
     assert moved_steps(alone, every) == []  # nothing is left to compare the step with
+
+
+def test_what_moved_with_its_step_is_told_from_gross_errors_whatever_the_axes(cell: Cell) -> None:
+    """Residuals are in base axes, readings in those of the tracker: the tool's place in the base counts."""
+    readings = loaded_readings(cell, 5)
+    m, place = len(readings), true_state(readings, cell).point.T
+    noise = np.tile(1e-10 * np.eye(3), (m, 1, 1))
+    residual = 1e-5 * np.random.default_rng(2).standard_normal((m, 3))
+    steps = [np.flatnonzero((readings.configuration == c) & (readings.step == 2)) for c in (2, 5)]
+    for step in steps:
+        residual[step] += np.cross([2e-3, -1e-3, 3e-3], place[step] - place[step].mean(axis=0))
+        residual[step] += [4e-4, -3e-4, 4e-4]
+    along = place[steps[1][0]] - place[steps[1][1:]].mean(axis=0)
+    residual[steps[1][0]] += 3e-4 * along / np.linalg.norm(along)  # a gross error changes the shape
+    aside = np.array([steps[0][0], steps[0][2], steps[1][0]])
+    used = np.setdiff1d(np.arange(m), aside)
+    found = moved_with_their_step(readings, place, residual, noise, used, aside)
+    assert list(found) == [steps[0][0], steps[0][2]]
+    assert list(whole_steps(readings, place, residual, noise, np.setdiff1d(used, steps[0]), np.arange(m))) == list(
+        steps[0]
+    )
 
 
 def moved_flange(readings: Readings, cell: Cell, point: int, rows: np.ndarray, shift: np.ndarray) -> Readings:

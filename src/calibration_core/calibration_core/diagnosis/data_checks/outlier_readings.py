@@ -12,7 +12,7 @@ from calibration_core.timeseries import Float2D, Float3D, Int1D, Readings
 MOST = 0.05  # never more than this share of the readings
 ROUNDS = 12
 SHAPE = 3  # points, of which the shape is known
-OUT_OF_SHAPE = 0.01  # probability that noise alone changes the shape of a step more
+OUT_OF_SHAPE = 0.01  # probability that noise alone changes the shape of any step of a recording more
 
 
 def readings_to_use(rows: Rows, residual: Float2D, step: Int1D) -> Int1D:
@@ -39,7 +39,9 @@ def readings_to_use(rows: Rows, residual: Float2D, step: Int1D) -> Int1D:
     return used
 
 
-def whole_steps(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, sound: Int1D) -> Int1D:
+def whole_steps(
+    readings: Readings, place: Float2D, residual: Float2D, noise: Float3D, used: Int1D, sound: Int1D
+) -> Int1D:
     """Return the readings of steps that were set aside whole, although the tool kept its shape.
 
     A tracker errs at one point or another; where all points of a step moved as one rigid body, the robot did, or the
@@ -47,6 +49,7 @@ def whole_steps(readings: Readings, residual: Float2D, noise: Float3D, used: Int
 
     Args:
         readings: All m readings.
+        place: (m, 3) m, where their points are, in the axes of the residuals.
         residual: (m, 3) m, measured - model.
         noise: (m, 3, 3) m^2, covariance that each reading has of its own.
         used: Indices of those that are no gross errors.
@@ -57,23 +60,54 @@ def whole_steps(readings: Readings, residual: Float2D, noise: Float3D, used: Int
     found = [np.zeros(0, dtype=np.int64)]
     for key in np.unique(keys[aside], axis=0):
         rows = sound[(keys[sound] == key).all(axis=1)]
-        if len(rows) >= SHAPE and np.isin(rows, aside).all() and _moved_rigidly(readings, residual, noise, used, rows):
+        if (
+            len(rows) >= SHAPE
+            and np.isin(rows, aside).all()
+            and _moved_rigidly(readings, place, residual, noise, used, rows)
+        ):
             found.append(rows)
     return np.concatenate(found)
 
 
-def _moved_rigidly(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, rows: Int1D) -> bool:
+def moved_with_their_step(
+    readings: Readings, place: Float2D, residual: Float2D, noise: Float3D, used: Int1D, aside: Int1D
+) -> Int1D:
+    """Return those of the readings set aside whose step moved as one rigid body: no gross errors of a tracker.
+
+    An error at one of three points across their plane is a turn of all of them, and cannot be told from it.
+
+    Args:
+        readings: All m readings.
+        place: (m, 3) m, where their points are, in the axes of the residuals.
+        residual: (m, 3) m, measured - model.
+        noise: (m, 3, 3) m^2, covariance that each reading has of its own.
+        used: Indices of those that are no gross errors.
+        aside: Indices of those set aside.
+    """
+    known = np.union1d(used, aside)
+    steps = np.column_stack([readings.configuration, readings.step])
+    found = [np.zeros(0, dtype=np.int64)]
+    for step in np.unique(steps[aside], axis=0):
+        rows = known[(steps[known] == step).all(axis=1)]
+        if len(rows) >= SHAPE and _moved_rigidly(readings, place, residual, noise, np.setdiff1d(used, rows), rows):
+            found.append(np.intersect1d(rows, aside))
+    return np.concatenate(found)
+
+
+def _moved_rigidly(
+    readings: Readings, place: Float2D, residual: Float2D, noise: Float3D, used: Int1D, rows: Int1D
+) -> bool:
     """Say whether the points of a step moved as a rigid body against the used steps of their configuration."""
     same = readings.configuration[used] == readings.configuration[rows[0]]
     others = [used[same & (readings.point[used] == readings.point[row])] for row in rows]
     if not all(len(each) for each in others):
         return False
     moved = residual[rows] - np.stack([residual[each].mean(axis=0) for each in others])
-    lever = readings.position[rows] - readings.position[rows].mean(axis=0)
+    lever = place[rows] - place[rows].mean(axis=0)
     turns = np.cross(np.eye(3)[None], lever[:, None, :])  # (k, 3, 3): turn about every axis, what it moves
     rigid = np.concatenate([np.tile(np.eye(3), (len(rows), 1)), turns.transpose(0, 2, 1).reshape(-1, 3)], axis=1)
     motion, _, rank, _ = np.linalg.lstsq(rigid, moved.reshape(-1), rcond=1e-6)
     left = moved.reshape(-1) - rigid @ motion
     variance = float(np.mean(np.trace(noise[rows], axis1=1, axis2=2))) / 3
     variance *= 1 + float(np.mean([1 / len(each) for each in others]))
-    return bool(left @ left < variance * chi2_limit(OUT_OF_SHAPE, len(left) - int(rank)))
+    return bool(left @ left < variance * chi2_limit(OUT_OF_SHAPE / len(residual), len(left) - int(rank)))
