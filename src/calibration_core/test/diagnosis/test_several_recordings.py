@@ -142,6 +142,21 @@ def test_a_recording_at_rest_and_a_loaded_one_are_one_estimate(tmp_path: Path) -
     assert value == pytest.approx(STIFFNESS[1], abs=4 * std)
 
 
+def test_what_is_left_out_is_no_noise_of_its_recording(tmp_path: Path) -> None:
+    cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
+    counts = ((14, 0), (0, 24))
+    recordings = [
+        measured(cell, k, 60 + k, configurations=loaded, rest=rest, effects=(TILT,))
+        for k, (cell, (loaded, rest)) in enumerate(zip(cells, counts, strict=True))
+    ]
+    found = diagnose_together(together(recordings, cells))
+    assert ("off_axis_compliance", {"joint": "joint_2"}) in [(one.effect, dict(one.location)) for one in found.findings]
+    assert found.identification.together is not None
+    assert [one.scale for one in found.identification.together.contributions] == pytest.approx([1.0, 1.0], abs=0.1)
+    assert found.noise == pytest.approx(2e-5, rel=0.1)
+    assert found.rms_after == pytest.approx(found.noise, rel=0.1)
+
+
 def test_what_is_left_out_at_rest_is_shared_too(tmp_path: Path) -> None:
     cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
     wave = AppliedEffect("transmission_error", {"joint": "joint_3"}, "order 2", {"cosine": 4e-4, "sine": -2e-4})

@@ -16,6 +16,7 @@ import numpy as np
 
 from calibration_core.cell import Cell, Pose
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.identification.checks.noise_audit import MODEL_FREE
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.several.members import Member, displacements
 from calibration_core.identification.stiffness.predict import from_step_zero
@@ -117,9 +118,14 @@ def placed(
 def noise_factor(found: Identification) -> float:
     """Return the factor on a recording's claimed noise with which it stands beside the others, at least 1.
 
-    What positions at rest leave of the geometry that they show by themselves is no noise: the others show more of it.
+    What the standard's model leaves of a recording by itself is no noise: physics that is missing would weigh it less,
+    and hide in the noise of all.  Where three points on a rigid tool show the noise, it is as large as they show it.
     """
-    return found.noise.scale if found.kind == "loaded" or found.noise.understated else 1.0
+    noise = found.noise
+    if not noise.understated:
+        return 1.0
+    free = [check.seen / noise.claimed for check in noise.checks if check.source in MODEL_FREE]
+    return max(1.0, *free) if free and found.kind == "loaded" else noise.scale
 
 
 def _require_points(member: Member, names: tuple[str, ...]) -> None:
