@@ -158,6 +158,8 @@ def test_noise_that_is_understated_counts_by_what_it_is(tmp_path: Path) -> None:
     alone = identify(recordings[0], claims[0])
     assert found.together is not None
     assert found.together.contributions[1].scale == pytest.approx(10, rel=0.1)
+    (anomaly,) = [one for one in found.anomalies if one.kind == "noise_understated"]
+    assert anomaly.location == {"instrument": "tracker", "recording": "B.csv"}
     assert np.all(deviations(found) < deviations(alone))
     assert np.abs((values(found) - TRUE) / deviations(found)).max() < 3.5
 

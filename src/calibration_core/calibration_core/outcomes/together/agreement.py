@@ -1,29 +1,33 @@
-"""Whether recordings that are evaluated together show the same robot: each is compared with all the others.
+"""Whether recordings that are evaluated together show the same robot: which of them shows a parameter otherwise.
 
-The parameters that a recording shows by itself differ from what the others show together by d, normal about a change
-with the sum of both covariances; changes are looked for joint by joint as between measurements of different times
-(`acceptance.comparison`), at the same level for all recordings together.
+What the recordings show by themselves is normal about parameters that all share, but for a few changes, each of one
+parameter in one recording.  Changes are looked for one after the other, each beside those found before (forward
+selection by generalised least squares), at one level for all recordings and parameters together: a recording that
+differs is named, and does not make the others differ from what it spoils.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration_core.acceptance.comparison import COMPLIANCE, COVERAGE, STIFFNESS_LEVEL, changes, critical_size
+from calibration_core.acceptance.comparison import AS_GOOD, COMPLIANCE, COVERAGE, STIFFNESS_LEVEL, critical_size
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.result.together import Disagreement
 from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.timeseries import Float1D, Float2D
 
 GEOMETRY = "geometry."
 GROUPS = (COMPLIANCE, GEOMETRY)
+ALIKE = 1e-6  # length of what is left of a column of length one: nothing
 
 
 def agreement(
     files: Sequence[str], estimates: Sequence[GaussianEstimate]
 ) -> tuple[tuple[str, ...], tuple[Disagreement, ...]]:
-    """Compare every recording with the others.
+    """Say which recordings show a parameter otherwise than the others.
 
     Compliances are compared joint by joint where two recordings know them; corrections of the geometry among
     recordings that fit the same ones and the same compliances, since each depends on which others are fitted.
@@ -34,7 +38,7 @@ def agreement(
 
     Returns:
         compared: Names of the parameters that were compared.
-        disagreements: What differs, recording by recording.
+        disagreements: What differs, the clearest first.
     """
     compared: list[str] = []
     found: list[Disagreement] = []
@@ -43,15 +47,9 @@ def agreement(
         if group == GEOMETRY:
             sets = [{name for name in one.names if name.startswith(GROUPS)} for one in estimates]
             parts = [p if sets.count(s) > 1 else GaussianEstimate.nothing() for p, s in zip(parts, sets, strict=True)]
-        members = [k for k, part in enumerate(parts) if part.names]
-        if len(members) < 2:
-            continue
-        judged = members if len(members) > 2 else members[-1:]  # of two, the later one has changed
-        for k in judged:
-            others = _combined([parts[j] for j in members if j != k])
-            names = [name for name in parts[k].names if name in others.names]
-            compared += [name for name in names if name not in compared]
-            found += _differences(files[k], parts[k], others, names, STIFFNESS_LEVEL / len(GROUPS) / len(judged))
+        whole = _stacked(parts)
+        compared += dict.fromkeys(whole.names[row] for row in whole.judged)
+        found += _differences(files, whole)
     return tuple(compared), tuple(found)
 
 
@@ -97,39 +95,115 @@ def _known(estimate: GaussianEstimate, group: str) -> GaussianEstimate:
     return estimate.chosen(rows)
 
 
-def _combined(parts: Sequence[GaussianEstimate]) -> GaussianEstimate:
-    """Return what independent estimates say together, by generalised least squares in units of the first one's."""
-    names = list(dict.fromkeys(name for part in parts for name in part.names))
-    units = {name: unit for part in parts for name, unit in zip(part.names, part.units, strict=True)}
-    scale = np.array([max(part.std[part.names.index(n)] for part in parts if n in part.names) for n in names])
-    matrix, vector = np.zeros((len(names),) * 2), np.zeros(len(names))
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Stacked:
+    """What all recordings show by themselves, r numbers below each other, whitened.
+
+    Attributes:
+        names: Of the parameters, (r,).
+        units: Of the parameters, (r,).
+        recordings: Index of the recording of each, (r,).
+        value: (r,) whitened values.
+        root: (r, r) whitening matrix; its columns are what a change of each number would do.
+        shared: (r, p) whitened columns of the parameters that all share.
+        common: (r,) which of these each number is.
+        judged: Numbers that a change is looked for in: some other recording knows the parameter, too.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    recordings: tuple[int, ...]
+    value: Float1D
+    root: Float2D
+    shared: Float2D
+    common: tuple[int, ...]
+    judged: tuple[int, ...]
+
+
+def _stacked(parts: Sequence[GaussianEstimate]) -> _Stacked:
+    names = tuple(name for part in parts for name in part.names)
+    units = tuple(unit for part in parts for unit in part.units)
+    recordings = tuple(k for k, part in enumerate(parts) for _ in part.names)
+    root, begin = np.zeros((len(names),) * 2), 0
     for part in parts:
-        rows = [names.index(name) for name in part.names]
-        own = scale[rows]
-        precision = np.linalg.inv(part.covariance / np.outer(own, own))
-        matrix[np.ix_(rows, rows)] += precision
-        vector[rows] += precision @ (part.value / own)
-    covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-    return GaussianEstimate(
-        tuple(names), tuple(units[n] for n in names), scale * (covariance @ vector), covariance * np.outer(scale, scale)
+        rows = slice(begin, begin + len(part.names))
+        own = part.std
+        root[rows, rows] = np.linalg.inv(np.linalg.cholesky(part.covariance / np.outer(own, own))) / own
+        begin = rows.stop
+    distinct = list(dict.fromkeys(names))
+    common = tuple(distinct.index(name) for name in names)
+    shared = np.zeros((len(names), len(distinct)))
+    for row, column in enumerate(common):
+        shared[:, column] += root[:, row]
+    value = np.concatenate([np.zeros(0), *(part.value for part in parts)])
+    # of two recordings that alone know a parameter, the later one has changed
+    judged = tuple(
+        row
+        for row, name in enumerate(names)
+        if names.count(name) > 2 or (names.count(name) == 2 and name in names[:row])
     )
+    return _Stacked(names, units, recordings, root @ value, root, shared, common, judged)
 
 
-def _differences(
-    file: str, one: GaussianEstimate, others: GaussianEstimate, names: Sequence[str], level: float
+def _differences(files: Sequence[str], whole: _Stacked) -> list[Disagreement]:
+    critical = critical_size(STIFFNESS_LEVEL / len(GROUPS), len(whole.judged))
+    chosen: list[int] = []
+    near: dict[int, tuple[str, ...]] = {}
+    while len(chosen) < len(whole.judged):
+        size = _sizes(whole, chosen)
+        best = int(np.argmax(size))
+        if size[best] <= critical:
+            break
+        alike = [k for k in whole.judged if k != best and size[k] > 0 and size[best] ** 2 - size[k] ** 2 < AS_GOOD]
+        near[best] = tuple(_place(files, whole, k, best) for k in alike)
+        chosen.append(best)
+    return _stated(files, whole, chosen, near) if chosen else []
+
+
+def _sizes(whole: _Stacked, chosen: Sequence[int]) -> Float1D:
+    """Return (r,) how many standard deviations a further change of each number is from zero; -1: not looked for."""
+    known = np.column_stack([_scaled(whole.shared), _scaled(whole.root[:, list(chosen)])])
+    basis, values, _ = np.linalg.svd(known, full_matrices=False)
+    basis = basis[:, values > ALIKE * values[0]]
+    further = _scaled(whole.root)
+    left = further - basis @ (basis.T @ further)
+    length = np.linalg.norm(left, axis=0)
+    score = np.abs(left.T @ whole.value) / np.maximum(length, ALIKE)
+    size = np.full(len(whole.names), -1.0)
+    open_ = [row for row in whole.judged if row not in chosen and length[row] > ALIKE]
+    size[open_] = score[open_]
+    return size
+
+
+def _scaled(columns: Float2D) -> Float2D:
+    """Return columns of length one: parameters have sizes of their own."""
+    return columns / np.linalg.norm(columns, axis=0)
+
+
+def _place(files: Sequence[str], whole: _Stacked, row: int, best: int) -> str:
+    """Return where a change explains nearly as much: the joint, and the recording where it is another one."""
+    joint = _joint(whole.names[row])
+    return joint if whole.recordings[row] == whole.recordings[best] else f"{joint} in {files[whole.recordings[row]]}"
+
+
+def _stated(
+    files: Sequence[str], whole: _Stacked, chosen: Sequence[int], near: Mapping[int, tuple[str, ...]]
 ) -> list[Disagreement]:
-    own, rest = (part.chosen([part.names.index(name) for name in names]) for part in (one, others))
-    difference, covariance = own.value - rest.value, own.covariance + rest.covariance
+    """Return changes, fitted beside each other, with their intervals."""
+    columns = np.column_stack([whole.shared, whole.root[:, list(chosen)]])
+    length = np.linalg.norm(columns, axis=0)
+    inverse = np.linalg.pinv(columns / length) / length[:, None]
+    fitted, spread = inverse @ whole.value, np.linalg.norm(inverse, axis=1)
     found = []
-    for k, near in changes(difference, covariance, critical_size(level, len(names))).items():
-        std = float(np.sqrt(covariance[k, k]))
-        ends = [float(difference[k]) + side * COVERAGE * std for side in (-1, 1)]
-        change, unit, alike = float(difference[k]), own.units[k], tuple(_joint(names[j]) for j in near)
-        if names[k].startswith(COMPLIANCE):  # K = 1/C: a compliance that grows is a stiffness that falls
-            change, *ends = (-d / (rest.value[k] + d) for d in (difference[k], *reversed(ends)))
+    for place, row in enumerate(chosen, start=whole.shared.shape[1]):
+        change, unit = float(fitted[place]), whole.units[row]
+        ends = [change + side * COVERAGE * float(spread[place]) for side in (-1, 1)]
+        if whole.names[row].startswith(COMPLIANCE):  # K = 1/C: a compliance that grows is a stiffness that falls
+            others = float(fitted[whole.common[row]])
+            change, *ends = (-d / (others + d) for d in (change, *reversed(ends)))
             unit = "1"
-        low, high = (float(end) for end in ends)
-        found.append(Disagreement(file, names[k], _joint(names[k]), float(change), low, high, unit, alike))
+        file, name = files[whole.recordings[row]], whole.names[row]
+        found.append(Disagreement(file, name, _joint(name), change, ends[0], ends[1], unit, near[row]))
     return found
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration_core.identification.checks.noise_audit import MODEL_FREE
 from calibration_core.identification.identify import fit_freed, with_given
 from calibration_core.identification.result.estimate import Anomaly, Identification, ParameterEstimate, Precondition
 from calibration_core.identification.result.together import Contribution, Together
@@ -28,6 +29,7 @@ from calibration_core.outcomes.together.prepare import Prepared
 from calibration_core.timeseries import Bool1D, Float2D
 
 FOUND = "what was found"
+UNDERSTATED = "noise_understated"
 
 
 def identify_together(prepared: Prepared) -> Identification:
@@ -98,8 +100,35 @@ def covered(prepared: Prepared, model: ModelParameters) -> ValidRange:
 
 
 def located_anomalies(anomalies: Sequence[Anomaly], prepared: Prepared) -> tuple[Anomaly, ...]:
-    """Return the anomalies, each with its recording where it is about a set-up."""
-    return tuple(dataclasses.replace(one, location=with_recording(one.location, prepared.members)) for one in anomalies)
+    """Return the anomalies, each with its recording where it is in one alone, and noise that one's claim understates.
+
+    The claims that stand beside each other are right already, so that the whole shows no such noise any more.
+    """
+    members = prepared.members
+    located = [dataclasses.replace(one, location=_location(one, members)) for one in anomalies]
+    if any(one.kind == UNDERSTATED for one in anomalies):
+        return tuple(located)
+    noise = [
+        dataclasses.replace(one, location={**one.location, "recording": member.file}, text=f"{member.file}: {one.text}")
+        for member, alone in zip(members, prepared.alone, strict=True)
+        for one in alone.anomalies
+        if one.kind == UNDERSTATED and any(check.source in MODEL_FREE for check in alone.noise.checks)
+    ]
+    return (*noise, *located)
+
+
+def _location(one: Anomaly, members: Sequence[Member]) -> dict[str, Any]:
+    """Return where an anomaly is, with its recording where all its configurations are of one."""
+    found = with_recording(one.location, members)
+    if one.configurations is not None and "recording" not in found:
+        holding = next((member for member in members if _within(one.configurations, numbered(member))), None)
+        if holding is not None:
+            found["recording"] = holding.file
+    return found
+
+
+def _within(some: tuple[int, int], all_: tuple[int, int]) -> bool:
+    return all_[0] <= min(some) and max(some) <= all_[1]
 
 
 def with_recording(location: Mapping[str, Any], members: Sequence[Member]) -> dict[str, Any]:

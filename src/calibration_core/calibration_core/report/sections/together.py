@@ -40,8 +40,8 @@ def agreement_line(together: Together) -> str:
         return "agreement: cannot tell, no parameter of the robot is known from two of the recordings"
     if not together.disagreements:
         return f"agreement: the recordings agree in {counted(len(together.compared), 'parameter')} of the robot"
-    joints = ", ".join(dict.fromkeys(one.location for one in together.disagreements))
-    return f"agreement: the recordings differ at {joints}; the common value holds for none of them"
+    places = "; ".join(dict.fromkeys(f"{one.location} in {one.file}" for one in together.disagreements))
+    return f"agreement: the recordings differ ({places}); the common values there hold for none of them"
 
 
 def together_blocks(together: Together, stiffness: Sequence[JointStiffness]) -> tuple[Block, ...]:
