@@ -59,36 +59,36 @@ def _share(problem: LoadedProblem, compliance: Float1D) -> float:
     return float(np.sqrt(np.mean(left**2) / max(float(np.mean(seen**2)), 1e-30)))
 
 
-def reproduction(readings: Readings, cell: Cell) -> Reproduction:
-    """Say whether the cell file's model reproduces a simulation to the claimed noise.
+def reproduction(readings: Readings, cell: Cell, seen: float | None = None) -> Reproduction:
+    """Say whether the cell file's model reproduces a simulation to its noise.
 
     Args:
         readings: The simulation.
         cell: The cell file.
+        seen: m per coordinate, noise that is seen in the simulation where that is more than claimed; None: as claimed.
     """
     model = nominal_parameters(cell)
     try:
-        return _reproduction(readings, cell, model)
+        return _reproduction(readings, cell, model, seen)
     except EquilibriumError as error:
         text = f"The core's model cannot reproduce the simulation: under its loads there is {error}."
         nan = float("nan")
         return Reproduction(False, nan, nan, nan, {}, text)
 
 
-def _reproduction(readings: Readings, cell: Cell, model: ModelParameters) -> Reproduction:
+def _reproduction(readings: Readings, cell: Cell, model: ModelParameters, seen: float | None) -> Reproduction:
     noise = coordinate_std(position_covariance(readings, cell))
     absolute = _absolute(readings, cell, model)
-    near = not absolute > NOISE * noise  # NaN: no absolute positions to compare
+    most, to_noise = (NOISE, "the claimed noise") if seen is None else (NOISE * seen / noise, "the noise seen in it")
+    near = not absolute > most * noise  # NaN: no absolute positions to compare
     if not _bends(readings, model):
         words = "The core's model, with the cell file's values, "
         words += "reproduces the simulation's positions." if near else _far(absolute, noise)
         return Reproduction(near, float("nan"), float("nan"), absolute, {}, words)
     problem = build_problem(readings, cell, chain_of(cell), model)
     ratio = _ratio(problem, model.compliance)
-    if ratio <= NOISE:
-        text = (
-            "The core's model reproduces the simulation's deflections to the claimed noise with the cell file's values"
-        )
+    if ratio <= most:
+        text = f"The core's model reproduces the simulation's deflections to {to_noise} with the cell file's values"
         text += "." if near else f", and in the positions {_far(absolute, noise)}"
         return Reproduction(near, ratio, float("nan"), absolute, {}, text)
     fit = fit_compliance(problem, model.compliance)
@@ -102,7 +102,7 @@ def _reproduction(readings: Readings, cell: Cell, model: ModelParameters) -> Rep
         f"The core's model does not reproduce the simulation with the cell file's values: its deflections are left "
         f"with {ratio:.1f} times the claimed noise"
     )
-    if again <= NOISE:
+    if again <= most:
         listed = ", ".join(f"{joint} {100 * change:+z.0f} %" for joint, change in changes.items())
         text += f"; with other stiffnesses it does ({listed or 'all within 2 %'} against the cell file)."
     else:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from calibration_core.diagnosis.comparison.result import Difference, Side, farther_off
-from calibration_core.timeseries import Float1D, Float2D, Int1D
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 UNITS = {"the recording in mm": 1000.0, "the simulation in mm": 0.001}
 CLOSE = 0.2  # relative: how near to a unit's factor the spread must be
@@ -17,6 +17,7 @@ TURNED, SHIFTED = 5e-3, 1e-2  # rad and m: frames that are set up with care diff
 BETTER = 0.2  # of the distance that is left: an exchange of names or axes must do at least so well
 LEAST = 5e-4  # m: below, nothing is exchanged
 MOST_NAMES = 5  # points whose exchange is tried
+ELSEWHERE = 2e-3  # m: points that are mounted with care stand nearer to each other
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,7 +38,12 @@ class Placed:
 
 
 def place(
-    recorded: Float2D, simulated: Float2D, point: Int1D, names: tuple[str, ...], far: tuple[float, float]
+    recorded: Float2D,
+    simulated: Float2D,
+    point: Int1D,
+    names: tuple[str, ...],
+    far: tuple[float, float],
+    flange: Float3D | None = None,
 ) -> Placed:
     """Bring simulated positions into the recording's frame, and say what it takes.
 
@@ -49,8 +55,10 @@ def place(
         point: (m,) index of the point.
         names: Of the points.
         far: m per coordinate, how far recording and simulation are from the cell file's own prediction.
+        flange: (m, 3, 3) whose columns are the flange's axes in the recording's frame; None: they are not known.
     """
     side = farther_off(*far)
+    offset = np.zeros_like(recorded)
     found: list[Difference] = []
     factor = _unit(recorded, simulated)
     if factor != 1.0:
@@ -82,6 +90,11 @@ def place(
         where, further = {"tracker": "tracker"}, {"points": list(names)}
         found.append(Difference("point_order", where, side, 1.0, "1", text, True, remedy, further))
     else:
+        apart = None if flange is None else _elsewhere(recorded, source @ rotation.T + shift, point, len(names), flange)
+        if apart is not None and flange is not None:
+            offset = np.einsum("mab,mb->ma", flange, apart[point])
+            rotation, shift, rms = rigid(recorded - offset, source)
+            found.append(_other_tool(apart, names, side))
         angle = math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
         centre = source.mean(axis=0)
         moved = float(np.linalg.norm(rotation @ centre + shift - centre))
@@ -91,7 +104,47 @@ def place(
                 f"{1e3 * moved:.1f} mm on average; taken out before the comparison."
             )
             found.append(Difference("tracker_frame", {"tracker": "tracker"}, side, moved, "m", text, False))
-    return Placed(rotation, source @ rotation.T + shift, rms, tuple(found))
+    return Placed(rotation, source @ rotation.T + shift + offset, rms, tuple(found))
+
+
+def _elsewhere(recorded: Float2D, placed: Float2D, point: Int1D, count: int, flange: Float3D) -> Float2D | None:
+    """Return by how much every point stands elsewhere on the flange, (count, 3) m, flange axes; None where none does.
+
+    Found together with what turns and shifts the frame besides, to first order.
+
+    Args:
+        recorded: (m, 3) m.
+        placed: (m, 3) m, simulated positions in the recording's frame as it fits best.
+        point: (m,) index of the point.
+        count: Number of points.
+        flange: (m, 3, 3) as of `place`.
+    """
+    usual = float(np.sqrt(np.mean((recorded - placed) ** 2)))
+    m, arm = len(recorded), placed - placed.mean(axis=0)
+    columns = np.zeros((m, 3, 6 + 3 * count))
+    columns[:, :, :3] = np.cross(np.eye(3)[None], arm[:, None], axis=2).transpose(0, 2, 1)
+    columns[:, :, 3:6] = np.eye(3)
+    for k in range(count):
+        columns[point == k, :, 6 + 3 * k : 9 + 3 * k] = flange[point == k]
+    found = np.linalg.lstsq(columns.reshape(3 * m, -1), (recorded - placed).ravel(), rcond=1e-6)[0]
+    apart = np.asarray(found[6:].reshape(count, 3))
+    left = rigid(recorded - np.einsum("mab,mb->ma", flange, apart[point]), placed)[2]
+    explained = usual > LEAST and left < BETTER * usual
+    return apart if explained and np.linalg.norm(apart, axis=1).max() > ELSEWHERE else None
+
+
+def _other_tool(apart: Float2D, names: tuple[str, ...], side: Side) -> Difference:
+    """Say which points stand elsewhere on the flange, and how far, (p, 3) m."""
+    length = np.linalg.norm(apart, axis=1)
+    which = [k for k in range(len(names)) if length[k] > ELSEWHERE]
+    listed = ", ".join(f"{names[k]} by {1e3 * length[k]:.1f} mm" for k in which)
+    text = (
+        f"Measurement points stand elsewhere on the flange: {listed}. Tool, targets or the zero of the last joint are "
+        "not the same; taken out of the positions before the comparison."
+    )
+    return Difference(
+        "points", {"point": ", ".join(names[k] for k in which)}, side, float(length.max()), "m", text, False
+    )
 
 
 def position_unit(side: Side, text: str) -> Difference:

@@ -44,7 +44,7 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell, own: OwnFaults 
     """
     own = OwnFaults((), np.ones(len(simulated), dtype=bool), None) if own is None else own
     sound = simulated.select(own.sound)
-    same = reproduction(sound, cell)
+    same = reproduction(sound, cell, own.noise)
     pairing = _paired(recorded, simulated, cell).without(~own.sound)
     found = list(pairing.differences)
     steps = postures = None
@@ -67,6 +67,8 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell, own: OwnFaults 
     else:
         text = "Nothing of the simulation corresponds to the recording: no comparison step by step is possible."
         found.append(Difference("configurations", {"robot": "robot"}, "either", 0.0, "1", text, False))
+    if not same.reproduced and any(d.spoils and d.kind != "loads" and d.side != "recording" for d in found):
+        same = dataclasses.replace(same, text="The core's model does not reproduce the simulation as it stands.")
     found += own.differences
     numbers = np.unique(recorded.configuration[pairing.recorded])
     notes = [same.text, own.note] if own.note else [same.text]
@@ -228,7 +230,8 @@ def _frames(
         text = f"The {which} holds displacements from step 0, the other positions."
         remedy = "state measurements.points: displacement in the cell file, or record positions"
         return [Difference("no_relation", {"tracker": "tracker"}, which, 0.0, "m", text, True, remedy)], None
-    placed = place(ours.position, theirs.position, ours.point, ours.points, (far[0].absolute, far[1].absolute))
+    apart = far[0].absolute, far[1].absolute
+    placed = place(ours.position, theirs.position, ours.point, ours.points, apart, _flange_axes(ours, cell, chain))
     found = list(placed.differences)
     if placed.rms > WRONG_FILE * chain.reach and not known:
         side = farther_off(_rigid_misfit(ours, cell), _rigid_misfit(theirs, cell))
@@ -240,6 +243,20 @@ def _frames(
         remedy = "use the file of this robot, and check its joint zeros and signs"
         found.append(Difference("wrong_robot_file", {"robot": "robot"}, side, placed.rms, "m", text, True, remedy))
     return found, placed
+
+
+def _flange_axes(readings: Readings, cell: Cell, chain: Chain) -> Float3D | None:
+    """Return (m, 3, 3) whose columns are the flange's axes in the frame of the positions; None without a tracker pose.
+
+    How that frame stands, the positions themselves show.
+    """
+    if cell.frames.tracker is None:
+        return None
+    model = nominal_parameters(cell)
+    still = readings if readings.wrench is None else dataclasses.replace(readings, wrench=0 * readings.wrench)
+    turn = rigid(readings.position, predict_readings(still, cell, model))[0] @ model.tracker[:3, :3].T
+    flange = posture(chain, readings.q).flange.transpose(2, 1, 0)
+    return np.ascontiguousarray(np.einsum("ab,mbc->mac", turn, flange))
 
 
 def _displacement_unit(ours: Readings, theirs: Readings) -> list[Difference]:
