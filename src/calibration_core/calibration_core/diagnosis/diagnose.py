@@ -18,7 +18,7 @@ from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.geometry.named_estimate import with_known_effects
 from calibration_core.identification.identify import with_given
 from calibration_core.identification.stiffness.end_effector import accounted
-from calibration_core.identification.stiffness.known_effects import without_effects
+from calibration_core.identification.stiffness.known_effects import in_own_set_up, without_effects
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.given import GivenModel
@@ -65,6 +65,7 @@ def diagnose(
     """
     options = options or Options()
     given = accounted(cell, given) if is_loaded(readings) else given
+    given = None if given is None else in_own_set_up(given, readings, cell)
     if simulation is None:
         return _judged(_with_location(readings, cell, options, test, offers, given))
     from calibration_core.diagnosis.simulated import compare_checked  # slow to load, and seldom needed

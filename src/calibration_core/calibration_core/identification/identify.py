@@ -13,7 +13,7 @@ from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.standard.phases import holds_phases, identify_phases
 from calibration_core.identification.standard.standard_geometry import standard_geometry
 from calibration_core.identification.stiffness.end_effector import accounted
-from calibration_core.identification.stiffness.known_effects import without_effects
+from calibration_core.identification.stiffness.known_effects import in_own_set_up, without_effects
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.observations.kinds import holds_both, is_loaded
@@ -44,6 +44,7 @@ def identify(
     given = accounted(cell, given) if is_loaded(readings) else given
     if given is None:
         return fit_freed(readings, cell, options, test)
+    given = in_own_set_up(given, readings, cell)
     freed, test = (None if one is None else without_effects(one, cell, given) for one in (readings, test))
     assert freed is not None  # noqa: S101 - readings are
     return with_given(fit_freed(freed, cell, dataclasses.replace(options, start=given.start), test), given)

@@ -8,11 +8,51 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
 from calibration_core.cell import Cell
 from calibration_core.errors import ModelFileError
-from calibration_core.identification.stiffness.predict import from_step_zero, require_points, shift_by_effects
+from calibration_core.identification.stiffness.predict import (
+    from_step_zero,
+    predict_readings,
+    require_points,
+    shift_by_effects,
+)
 from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Note, Readings
+
+ANOTHER = 3.0  # times: so much nearer are the positions to the cell file's frames where the model is of another set-up
+
+
+def in_own_set_up(given: GivenModel, readings: Readings, cell: Cell) -> GivenModel:
+    """Return a given model of the robot in the set-up of a recording: with the cell file's frames, if they are meant.
+
+    A model file has tracker, points and sensor as they stood when it was made.  Where they were set up anew since, the
+    cell file says where they stand, and the recording is clearly nearer to that; else those of the model are better.
+
+    Args:
+        given: The model.
+        readings: The recording.
+        cell: Its cell file.
+
+    Raises:
+        EquilibriumError: The load is beyond what the joints of the model can carry.
+    """
+    model, nominal = given.start, nominal_parameters(cell)
+    if cell.frames.tracker is None or not set(readings.points) <= set(model.points):
+        return given
+    frames = {name: getattr(nominal, name) for name in ("tracker", "points", "wrench_point", "force_torque")}
+    own = model.replace(**frames)
+    if _distance(readings, cell, model) <= ANOTHER * _distance(readings, cell, own):
+        return given
+    return dataclasses.replace(given, parameters=given.parameters.replace(**frames))
+
+
+def _distance(readings: Readings, cell: Cell, model: ModelParameters) -> float:
+    """Return how far readings are from what a model predicts, rms per coordinate, m."""
+    return float(np.sqrt(np.mean((readings.position - predict_readings(readings, cell, model)) ** 2)))
 
 
 def without_effects(readings: Readings, cell: Cell, given: GivenModel) -> Readings:

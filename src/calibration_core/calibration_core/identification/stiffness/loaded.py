@@ -182,8 +182,7 @@ def prepare_loaded(readings: Readings, cell: Cell, options: Options) -> Prepared
     """
     nominal = nominal_parameters(cell) if options.start is None else options.start
     chain = chain_of(cell).corrected(nominal.geometry)
-    stated_by = "the given model" if options.start is not None else "the cell file" if cell.frames.tracker else None
-    stated_by = stated_by if readings.recording is None else None  # set-ups are fitted before they are put together
+    stated_by = _who_states(nominal, options, cell) if readings.recording is None else None  # set-ups are fitted before
     guess = None if stated_by is None else nominal.tracker
     require_load(readings)
     parameters, frames = _with_frames(readings, cell, chain, nominal, guess)
@@ -220,6 +219,13 @@ def require_load(readings: Readings) -> None:
         raise IdentificationError(path, "configuration", found, f"{expected} (CWA 17384, 5.1, asks for 12)")
     if not np.any(np.ptp(readings.wrench, axis=0) > 0):
         raise IdentificationError(path, "fx ... tz", "the same wrench everywhere", "a load that changes between steps")
+
+
+def _who_states(nominal: ModelParameters, options: Options, cell: Cell) -> str | None:
+    """Say who states where the tracker is; a given model may have the frames of the cell file."""
+    if cell.frames.tracker is not None and np.array_equal(nominal.tracker, nominal_parameters(cell).tracker):
+        return "the cell file"
+    return None if options.start is None else "the given model"
 
 
 def _with_frames(
