@@ -22,6 +22,7 @@ from calibration_core.timeseries import Float1D, Float2D
 GEOMETRY = "geometry."
 GROUPS = (COMPLIANCE, GEOMETRY)
 ALIKE = 1e-6  # length of what is left of a column of length one: nothing
+LEAST = 1e-12  # of a correlation matrix's eigenvalues: nothing is known better
 
 
 def agreement(
@@ -128,7 +129,8 @@ def _stacked(parts: Sequence[GaussianEstimate]) -> _Stacked:
     for part in parts:
         rows = slice(begin, begin + len(part.names))
         own = part.std
-        root[rows, rows] = np.linalg.inv(np.linalg.cholesky(part.covariance / np.outer(own, own))) / own
+        variances, axes = np.linalg.eigh(part.covariance / np.outer(own, own))
+        root[rows, rows] = (axes / np.sqrt(np.maximum(variances, LEAST))).T / own
         begin = rows.stop
     distinct = list(dict.fromkeys(names))
     common = tuple(distinct.index(name) for name in names)
