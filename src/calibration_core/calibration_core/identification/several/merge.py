@@ -9,14 +9,13 @@ displacements the others become displacements too: one offset per configuration 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from calibration_core.cell import Cell, Pose
 from calibration_core.errors import RecordingError, quoted
-from calibration_core.identification.checks.noise_audit import MODEL_FREE
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.several.members import Member, displacements
 from calibration_core.identification.stiffness.predict import from_step_zero
@@ -118,14 +117,17 @@ def placed(
 def noise_factor(found: Identification) -> float:
     """Return the factor on a recording's claimed noise with which it stands beside the others, at least 1.
 
-    What the standard's model leaves of a recording by itself is no noise: physics that is missing would weigh it less,
-    and hide in the noise of all.  Where three points on a rigid tool show the noise, it is as large as they show it.
+    Where three points on a rigid tool show that the claim holds, what the standard's model leaves of a recording by
+    itself is no noise: physics that is missing would weigh it less, and hide in the noise of all.
     """
-    noise = found.noise
-    if not noise.understated:
-        return 1.0
-    free = [check.seen / noise.claimed for check in noise.checks if check.source in MODEL_FREE]
-    return max(1.0, *free) if free and found.kind == "loaded" else noise.scale
+    return found.noise.scale if found.noise.understated else 1.0
+
+
+def with_readmitted(found: Identification, readmitted: Collection[object]) -> Identification:
+    """Return what a recording shows by itself; readings used all the same by its user's word make its noise larger."""
+    if not readmitted:
+        return found
+    return dataclasses.replace(found, noise=dataclasses.replace(found.noise, understated=True))
 
 
 def _require_points(member: Member, names: tuple[str, ...]) -> None:

@@ -22,7 +22,7 @@ from calibration_core.identification.checks.space import operating_space
 from calibration_core.identification.result.estimate import Anomaly, Exclusion, Identification, Residuals, Unidentified
 from calibration_core.identification.several.first import SET_UP, estimate_of_set_up, of_set_up
 from calibration_core.identification.several.members import Member
-from calibration_core.identification.several.merge import Merged, merge, placed, start_of
+from calibration_core.identification.several.merge import Merged, merge, placed, start_of, with_readmitted
 from calibration_core.identification.several.mixture import identify_mixture
 from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.standard.phases import holds_phases
@@ -127,7 +127,7 @@ def parts_of(readings: Readings, cell: Cell, options: Options) -> Parts:
     loaded, still = Member(_part(readings, ~rest), cell, 1, 0), Member(_part(readings, rest), cell, 2, apart)
     start = options.start
     alone = (
-        identify_steps(loaded.readings, cell, options),
+        with_readmitted(identify_steps(loaded.readings, cell, options), options.readmit),
         identify_absolute(still.readings, cell, robust=options.robust, readmit=options.readmit, believed=start),
     )
     merged = merge((loaded, still), alone, 0)

@@ -8,7 +8,14 @@ from collections.abc import Sequence
 from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.several.members import Member
-from calibration_core.identification.several.merge import Merged, merge, placed, start_of, wrench_reference
+from calibration_core.identification.several.merge import (
+    Merged,
+    merge,
+    placed,
+    start_of,
+    with_readmitted,
+    wrench_reference,
+)
 from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import without_effects
 from calibration_core.identification.stiffness.loaded import Options
@@ -81,7 +88,7 @@ def prepare(
             options, readmit=_own_keys(options.readmit, member), start=None if own is None else own.start
         )
         freed.append(dataclasses.replace(member, readings=readings))
-        alone.append(fit_freed(readings, member.cell, asked, None))
+        alone.append(with_readmitted(fit_freed(readings, member.cell, asked, None), asked.readmit))
         known.append(own)
     first = named[0]
     merged = merge(freed, alone, first)
