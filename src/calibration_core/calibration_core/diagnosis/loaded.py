@@ -25,6 +25,7 @@ from calibration_core.diagnosis.empirical.wording import law_findings, law_sente
 from calibration_core.diagnosis.evidence.aliases import aliases
 from calibration_core.diagnosis.evidence.block_scatter import scattered_covariance
 from calibration_core.diagnosis.evidence.design import Design
+from calibration_core.diagnosis.evidence.doubt import doubted
 from calibration_core.diagnosis.evidence.extended import (
     ExtendedLoadedModel,
     beside_small_effects,
@@ -310,7 +311,7 @@ def _settled(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Ch
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
         if still or not remaining or not attempt.selection.accepted:
             whole = beside_small_effects(extended, cell, hypotheses, prepared.frames, attempt.selection)
-            return dataclasses.replace(attempt, extended=whole)
+            return dataclasses.replace(attempt, extended=doubted(whole, attempt.selection))
         seen, used, compliance = again, kept, np.clip(extended.compliance, 0.2 * compliance, 3 * compliance)
     raise AssertionError  # the last round returns
 

@@ -139,6 +139,10 @@ class Extended:
         wide = slice(self.flat + block.start, self.flat + block.stop)
         return self.value[block], self.covariance[wide, wide]
 
+    def of_part(self, index: int) -> Float1D:
+        """Return the values of all parameters, (p,), zero but for those of one part."""
+        return self._of([index], self.value)
+
     def shift(self, chosen: Sequence[int]) -> Float2D:
         """Return the (m, 3) m that some parts move the points beyond what the compliances do."""
         return self._metres(self.linear.own.effects @ self._of(chosen, self.value - self.held))

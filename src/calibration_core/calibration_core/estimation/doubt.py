@@ -1,0 +1,188 @@
+"""What a recording leaves open about the structure that gives way, in the covariance of everything beside it.
+
+That a bearing tilts may be sure, and at which joint, or about which axes, may not be: where axes meet in one point, one
+joint tilts as another one turns.  Compliances depend on which of the places is taken, so that the values of one place
+alone are too sure.
+
+    places:  C + sum_k w_k ((a_k - a)(a_k - a)' + (C_k - C)+),  a_k and C_k with the effect at place k, w_k its
+             probability, ()+ the part by which less is known
+    forms:   what a form takes for equal or zero is normal about it, with a share of the effect as its size
+
+Source: Bayesian model averaging (Hoeting, Madigan, Raftery and Volinsky 1999); consider parameters (Schmidt 1966).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from calibration_core.estimation.equivalents import equivalents
+from calibration_core.estimation.leave_out import RIDGE
+from calibration_core.estimation.refit import Extended
+from calibration_core.estimation.search import Search, Selection
+from calibration_core.model.effects.candidate import Candidate
+from calibration_core.timeseries import Float1D, Float2D, Int1D
+
+STRUCTURE = "structure"
+UNEQUAL = 0.3  # share of an effect that its form may take for equal or zero, one standard deviation
+SEEN = 1e-9  # of the squared length of a form's columns: what is left of less is rounding
+
+
+def doubted(extended: Extended, search: Search, selection: Selection, members: Mapping[int, Sequence[int]]) -> Extended:
+    """Return the extended model with a covariance that says what place and form of structural effects leave open.
+
+    Args:
+        extended: The model.
+        search: Rows, hypotheses and what was asked of them.
+        selection: What was accepted.
+        members: Hypothesis accepted -> indices of its parts in the model.
+    """
+    hypotheses = search.field.offered.hypotheses
+    ways = [np.zeros((len(extended.length), 0))]
+    for index in selection.accepted:
+        if hypotheses[index].family != STRUCTURE or len(members[index]) != 1:
+            continue
+        ways += list(_elsewhere(extended, search, selection, index, members[index][0]))
+        ways += list(_unequal(extended, search.field.offered.candidates, members[index][0]))
+    more = np.column_stack(ways)
+    return dataclasses.replace(extended, covariance=extended.covariance + more @ more.T)
+
+
+def _elsewhere(extended: Extended, search: Search, selection: Selection, index: int, part: int) -> Iterator[Float2D]:
+    """Yield (f + p, c) for each place that does as well: what everything else may be off by, by its probability."""
+    candidates, hypotheses = search.field.offered.candidates, search.field.offered.hypotheses
+    stated = selection.gain[selection.accepted.index(index)]
+    as_well = equivalents(search, selection, (index,))
+    several = [(hypotheses[i].members[0], nats - stated) for i, nats in as_well if len(hypotheses[i].members) == 1]
+    white, used, length = extended.linear.white, np.repeat(extended.model.used, 3), extended.length
+    moved = np.where(used, white.effects @ extended.of_part(part), 0.0)
+    own = np.arange(len(length))[extended.flat :][extended.block(part)]
+    for (k, _), share in zip(several, shares([nats for _, nats in several]), strict=True):
+        candidate = candidates[k]
+        columns = _white(extended, candidate)
+        prior = extended.parts[part].size * np.array([one.typical for one in candidate.parameters])
+        ways = instead(
+            extended.gram + np.diag(extended.ridge),
+            own,
+            white.against(moved) / length,
+            white.against(columns) / length[:, None],
+            columns.T @ columns + np.diag(extended.variance / prior**2),
+            columns.T @ (moved + np.where(used, extended.rest, 0.0)),
+            extended.variance,
+        )
+        yield np.sqrt(share) * ways / length[:, None]
+
+
+def shares(nats: Sequence[float]) -> Float1D:
+    """Return the probabilities of places, (k,), from how much more probable they are than the one that was taken.
+
+    None is taken for more probable than that one: the search has judged it, and taken another.
+    """
+    odds = np.exp(np.minimum(np.array(nats, dtype=np.float64), 0.0))
+    return np.asarray(odds / (1.0 + odds.sum()))
+
+
+def instead(
+    normal: Float2D, own: Int1D, moved: Float1D, taken: Float2D, other: Float2D, seen: Float1D, variance: float
+) -> Float2D:
+    """Return (q, c) what q parameters may be off by where another effect stands in the stead of an accepted one.
+
+    The first column is by how much they change, the square of the others by how much less is known of them.
+
+    Args:
+        normal: (q, q) products of all columns, with the precision of their priors.
+        own: Which of the columns are those of the accepted effect; they do not change.
+        moved: (q,) products of all columns with what that effect moves.
+        taken: (q, k) products of all columns with those of the other effect.
+        other: (k, k) products of the latter, with the precision of their priors.
+        seen: (k,) their products with what the accepted effect moves and what everything leaves.
+        variance: Of a row.
+    """
+    others = np.setdiff1d(np.arange(len(normal)), own)
+    count, across = len(others), taken[others]
+    unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    known = np.linalg.inv(normal / np.outer(unit, unit) + RIDGE * np.eye(len(unit)))[np.ix_(others, others)]
+    whole = np.block([[normal[np.ix_(others, others)], across], [across.T, other]])
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    inverse = np.linalg.inv(whole / np.outer(scale, scale) + RIDGE * np.eye(len(scale)))
+    change = (inverse @ (np.concatenate([moved[others], seen]) / scale))[:count]
+    std = np.sqrt(np.diag(known))
+    less, turn = np.linalg.eigh((inverse[:count, :count] - known) / np.outer(std, std))
+    some = less > SEEN
+    root = np.sqrt(variance) * std[:, None] * turn[:, some] * np.sqrt(less[some])
+    ways = np.zeros((len(normal), 1 + int(some.sum())))
+    ways[others] = np.column_stack([change, root]) / scale[:count, None]
+    return ways
+
+
+def fuller_form(mine: Candidate, candidates: Sequence[Candidate]) -> Candidate | None:
+    """Return the first form of an effect at its place that has several sizes where it has one; None: there is none."""
+    if len(mine.parameters) > 1:
+        return None
+    several = (one for one in candidates if one.place == mine.place and one.shape == mine.shape)
+    return next((one for one in several if len(one.parameters) > 1), None)
+
+
+def neglected(mine: Float1D, fuller: Float2D, mine_one: Candidate, fuller_one: Candidate, value: float) -> Float2D:
+    """Return the columns, (r, k - 1), of what a form of one size takes for equal or zero, as large as it usually is.
+
+    Args:
+        mine: (r,) column of the form, per unit.
+        fuller: (r, k) columns of the one with k sizes, per unit.
+        mine_one: The form.
+        fuller_one: The other one.
+        value: Size of the effect.
+    """
+    scale = np.array([one.typical for one in fuller_one.parameters]) / mine_one.parameters[0].typical
+    along, *_ = np.linalg.lstsq(fuller * scale, mine, rcond=SEEN)
+    across = np.linalg.svd(along[None])[2][1:].T  # combinations that leave the sum as it is
+    return np.asarray(UNEQUAL * abs(value) * (fuller * scale) @ across)
+
+
+def left_open(normal: Float2D, variance: float, taken: Float2D, own: Float2D, seen: Float1D) -> Float2D:
+    """Return (q, c + 1) what q parameters may be off by: their covariance less what is known is its square.
+
+    Args:
+        normal: (q, q) products of all columns, with the precision of their priors.
+        variance: Of a row.
+        taken: (q, c) products of all columns with those of what is neglected, as large as one standard deviation.
+        own: (c, c) products of the latter.
+        seen: (c,) their products with what everything leaves.
+    """
+    unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    gain = np.linalg.solve(normal / np.outer(unit, unit) + RIDGE * np.eye(len(unit)), taken / unit[:, None])
+    gain /= unit[:, None]
+    left = own - taken.T @ gain + variance * np.eye(len(own))
+    root = np.sqrt(variance) * np.linalg.inv(np.linalg.cholesky(left)).T
+    return np.asarray(gain @ np.column_stack([root, np.linalg.solve(left, seen)]))
+
+
+def _unequal(extended: Extended, candidates: Sequence[Candidate], part: int) -> Iterator[Float2D]:
+    """Yield (f + p, c): what everything else may be off by where a part of one size has several in truth."""
+    mine = extended.parts[part].candidate
+    fuller = fuller_form(mine, candidates)
+    if fuller is None:
+        return
+    value = float(extended.value[extended.block(part)][0])
+    columns = neglected(_white(extended, mine)[:, 0], _white(extended, fuller), mine, fuller, value)
+    white, length = extended.linear.white, extended.length
+    rest = np.where(np.repeat(extended.model.used, 3), extended.rest, 0.0)
+    yield (
+        left_open(
+            extended.gram + np.diag(extended.ridge),
+            extended.variance,
+            white.against(columns) / length[:, None],
+            columns.T @ columns,
+            columns.T @ rest,
+        )
+        / length[:, None]
+    )
+
+
+def _white(extended: Extended, candidate: Candidate) -> Float2D:
+    """Return the columns of a candidate per unit, (3 m, k), as independent rows; zero where a reading is not used."""
+    model = extended.model
+    columns = extended.whitening(model.moves([candidate], np.arange(len(model.readings))))
+    return np.asarray(columns * np.repeat(model.used, 3)[:, None])
