@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from calibration_core.estimation.controls import EQUIVALENT
 from calibration_core.estimation.equivalents import equivalents
 from calibration_core.estimation.leave_out import RIDGE
 from calibration_core.estimation.refit import Extended
@@ -51,16 +52,20 @@ def doubted(extended: Extended, search: Search, selection: Selection, members: M
 
 
 def _elsewhere(extended: Extended, search: Search, selection: Selection, index: int, part: int) -> Iterator[Float2D]:
-    """Yield (f + p, c) for each place that does as well: what everything else may be off by, by its probability."""
+    """Yield (f + p, c) for each place and form that does as well: what everything may be off by, by its probability.
+
+    Of one at another place no form is known: the fullest freedom that it may have is taken.
+    """
     candidates, hypotheses = search.field.offered.candidates, search.field.offered.hypotheses
     stated = selection.gain[selection.accepted.index(index)]
-    as_well = equivalents(search, selection, (index,))
-    several = [(hypotheses[i].members[0], nats - stated) for i, nats in as_well if len(hypotheses[i].members) == 1]
+    as_well = [(i, nats - stated) for i, nats in equivalents(search, selection, (index,))]
+    as_well += other_forms(search, selection, index)
+    several = [(hypotheses[i].members[0], nats) for i, nats in as_well if len(hypotheses[i].members) == 1]
     white, used, length = extended.linear.white, np.repeat(extended.model.used, 3), extended.length
     moved = np.where(used, white.effects @ extended.of_part(part), 0.0)
     own = np.arange(len(length))[extended.flat :][extended.block(part)]
     for (k, _), share in zip(several, shares([nats for _, nats in several]), strict=True):
-        candidate = candidates[k]
+        candidate = fuller_form(candidates[k], candidates) or candidates[k]
         columns = _white(extended, candidate)
         prior = extended.parts[part].size * np.array([one.typical for one in candidate.parameters])
         ways = instead(
@@ -73,6 +78,17 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
             extended.variance,
         )
         yield np.sqrt(share) * ways / length[:, None]
+
+
+def other_forms(search: Search, selection: Selection, index: int) -> list[tuple[int, float]]:
+    """Return other forms of an accepted hypothesis at its own place, and by how much they are more probable, nats."""
+    hypotheses = search.field.offered.hypotheses
+    gain = search.scores(tuple(i for i in selection.accepted if i != index)).nats
+    own = gain[search.place[index]]
+    same = [
+        (i, float(gain[k] - own)) for i, k in search.place.items() if hypotheses[i].place == hypotheses[index].place
+    ]
+    return [(i, nats) for i, nats in same if i != index and abs(nats) <= EQUIVALENT]
 
 
 def shares(nats: Sequence[float]) -> Float1D:

@@ -258,3 +258,19 @@ def test_a_residual_that_is_large_everywhere_is_never_consistent(cell: Cell, mon
     assert judged.compliance_covariance is not None
     wider = np.sqrt(np.diag(judged.compliance_covariance) / np.diag(found.compliance_covariance))
     assert np.all((wider > 2.4) & (wider < 3.6))
+
+
+@pytest.mark.parametrize("sizes", [(1.0, 0.6, 0.0), (0.5, 1.0, 0.2)])
+@pytest.mark.parametrize("joint", [3, 4, 5])
+def test_intervals_hold_the_truth_whatever_axes_of_the_wrist_a_bearing_tilts_about(
+    cell: Cell, joint: int, sizes: tuple[float, ...]
+) -> None:
+    """The axes of the wrist meet: a bearing may tilt as another joint turns, and the recording cannot tell them."""
+    values = [0.4 * size * TRUE[joint] for size in sizes]
+    readings = planted(cell, 1, "off_axis_compliance", "before", values, joint=f"joint_{joint + 1}")
+    answer = diagnose(readings, cell)
+    assert {finding.effect for finding in answer.findings} == {"off_axis_compliance"}
+    assert answer.compliance is not None
+    assert answer.compliance_covariance is not None
+    off = (answer.compliance - TRUE) / np.sqrt(np.diag(answer.compliance_covariance))
+    assert np.abs(off).max() < 2.5

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.design import Design
+from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
 from calibration_core.estimation.doubt import STRUCTURE, fuller_form, instead, left_open, neglected, shares
 from calibration_core.identification.statistics.offsets import whitened
+from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Float1D, Float2D
 
 
@@ -46,7 +47,7 @@ def doubted(extended: ExtendedLoadedModel, selection: LoadedSelection) -> Extend
     if not choices:
         return extended
     fit = _fitted(design, extended.accepted)
-    ways = [way for choice in choices for way in (*_elsewhere(design, fit, choice), *_unequal(extended, fit, choice))]
+    ways = [way for choice in choices for way in (*_elsewhere(extended, fit, choice), *_unequal(extended, fit, choice))]
     count = len(extended.covariance)
     unit = np.concatenate([np.ones(design.n), *(design.prior[design.blocks[i]] for i in extended.accepted)])
     more = np.column_stack([np.zeros((count, 0)), *(way[:count] * unit[:, None] for way in ways)])
@@ -67,15 +68,19 @@ def _fitted(design: Design, accepted: tuple[int, ...]) -> _Fit:
     return _Fit(columns, normal, value, design.residual - columns @ value, own)
 
 
-def _elsewhere(design: Design, fit: _Fit, choice: Choice) -> Iterator[Float2D]:
-    """Yield (q, c) for each place that does as well: what everything else may be off by, by its probability."""
-    own = fit.own[choice.candidate]
+def _elsewhere(extended: ExtendedLoadedModel, fit: _Fit, choice: Choice) -> Iterator[Float2D]:
+    """Yield (q, c) for each place and form that does as well: what everything else may be off by, by its probability.
+
+    Of one at another place no form is known: the fullest freedom that it may have is taken.
+    """
+    candidates, own = extended.design.candidates, fit.own[choice.candidate]
     moved = fit.columns[:, own] @ fit.value[own]
-    nats = [one - choice.log_bayes_factor for _, one in choice.equivalents]
-    for (index, _), share in zip(choice.equivalents, shares(nats), strict=True):
-        columns = design.columns[:, design.blocks[index]]
-        if not columns.shape[1] or index in fit.own:
+    as_well = (*((index, nats - choice.log_bayes_factor) for index, nats in choice.equivalents), *choice.forms)
+    for (index, _), share in zip(as_well, shares([nats for _, nats in as_well]), strict=True):
+        if index in fit.own:
             continue
+        other = fuller_form(candidates[index], candidates) or candidates[index]
+        columns = _white(extended, other) * (PRIOR_WIDTH * np.array([one.typical for one in other.parameters]))
         ways = instead(
             fit.normal,
             np.arange(own.start, own.stop),
@@ -90,14 +95,16 @@ def _elsewhere(design: Design, fit: _Fit, choice: Choice) -> Iterator[Float2D]:
 
 def _unequal(extended: ExtendedLoadedModel, fit: _Fit, choice: Choice) -> Iterator[Float2D]:
     """Yield (q, c): what everything else may be off by where a form of one size has several in truth."""
-    design, state = extended.design, extended.state
+    design = extended.design
     mine = design.candidates[choice.candidate]
     fuller = fuller_form(mine, design.candidates)
     if fuller is None:
         return
-    data = np.concatenate([mine.columns(state), fuller.columns(state)], axis=2)
-    white, _ = whitened(extended.rows, data, extended.used)
-    own = fit.own[choice.candidate]
-    value = float(fit.value[own][0] * design.prior[design.blocks[choice.candidate]][0])
-    columns = neglected(white[:, 0], white[:, 1:], mine, fuller, value)
+    value = float(fit.value[fit.own[choice.candidate]][0] * design.prior[design.blocks[choice.candidate]][0])
+    columns = neglected(_white(extended, mine)[:, 0], _white(extended, fuller), mine, fuller, value)
     yield left_open(fit.normal, 1.0, fit.columns.T @ columns, columns.T @ columns, columns.T @ fit.rest)
+
+
+def _white(extended: ExtendedLoadedModel, candidate: Candidate) -> Float2D:
+    """Return the whitened columns of a candidate, (r, k), per unit of its parameters."""
+    return whitened(extended.rows, candidate.columns(extended.state), extended.used)[0]

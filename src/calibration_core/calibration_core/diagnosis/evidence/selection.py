@@ -23,6 +23,7 @@ from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.comparisons import STEPS
 from calibration_core.estimation.controls import Controls
+from calibration_core.estimation.doubt import other_forms
 from calibration_core.estimation.equivalents import equivalents, nearest_first, resembling
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import LAW, Hypothesis, Offered, offer
@@ -46,12 +47,14 @@ class Choice:
         equivalents: Other places that come within five nats at a plausible size, nearest first, and their log Bayes
             factors.
         refinements: Accepted candidates that are this one's law or neighbour, not causes of their own.
+        forms: Other forms at its place that come within five nats, and by how much they are more probable, nats.
     """
 
     candidate: int
     log_bayes_factor: float
     equivalents: tuple[tuple[int, float], ...] = ()
     refinements: tuple[int, ...] = ()
+    forms: tuple[tuple[int, float], ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -119,7 +122,8 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
                 choices[k] = dataclasses.replace(choice, refinements=(*choice.refinements, candidate))
                 break
         else:
-            choices.append(Choice(candidate, gain, _other_places(search, found, index)))
+            forms = tuple((hypotheses[i].members[0], nats) for i, nats in other_forms(search, found, index))
+            choices.append(Choice(candidate, gain, _other_places(search, found, index), forms=forms))
     chosen = tuple(hypotheses[index].members[0] for index in found.accepted)
     unsure = tuple(_lent(design, search, found.accepted, index) for index in found.accepted)
     return LoadedSelection(tuple(choices), chosen, found.level, unsure)
