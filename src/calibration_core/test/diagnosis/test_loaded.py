@@ -171,6 +171,23 @@ def test_what_moved_with_its_step_is_told_from_gross_errors_whatever_the_axes(ce
     )
 
 
+def test_a_gross_error_that_turns_the_tool_by_itself_did_not_move_with_its_step(cell: Cell) -> None:
+    """Of one point across the plane of three: no length between them changes, but the others stand where they stood."""
+    readings = loaded_readings(cell, 5)
+    m, place = len(readings), true_state(readings, cell).point.T
+    noise = np.tile(1e-10 * np.eye(3), (m, 1, 1))
+    residual = 1e-5 * np.random.default_rng(2).standard_normal((m, 3))
+    step = np.flatnonzero((readings.configuration == 2) & (readings.step == 2))
+    across = np.cross(place[step[1]] - place[step[0]], place[step[2]] - place[step[0]])
+    residual[step[1]] += 5e-4 * across / np.linalg.norm(across)
+    aside = step[[1]]
+    used = np.setdiff1d(np.arange(m), aside)
+    assert not len(moved_with_their_step(readings, place, residual, noise, used, aside))
+    residual[step[[0, 2]]] += 3e-4
+    residual[step[1]] += 3e-4
+    assert list(moved_with_their_step(readings, place, residual, noise, used, aside)) == list(aside)
+
+
 def moved_flange(readings: Readings, cell: Cell, point: int, rows: np.ndarray, shift: np.ndarray) -> Readings:
     """Return the readings with one point displaced in the flange frame, (r, 3) m, in some rows."""
     axes = np.moveaxis(true_state(readings, cell).at.flange, -1, 0)

@@ -74,7 +74,7 @@ def moved_with_their_step(
 ) -> Int1D:
     """Return those of the readings set aside whose step moved as one rigid body: no gross errors of a tracker.
 
-    An error at one of three points across their plane is a turn of all of them, and cannot be told from it.
+    An error at one of three points across their plane is a turn of all of them.  So the others must have moved, too.
 
     Args:
         readings: All m readings.
@@ -89,25 +89,54 @@ def moved_with_their_step(
     found = [np.zeros(0, dtype=np.int64)]
     for step in np.unique(steps[aside], axis=0):
         rows = known[(steps[known] == step).all(axis=1)]
-        if len(rows) >= SHAPE and _moved_rigidly(readings, place, residual, noise, np.setdiff1d(used, rows), rows):
+        elsewhere = np.setdiff1d(used, rows)
+        if (
+            len(rows) >= SHAPE
+            and _moved(readings, residual, noise, elsewhere, np.setdiff1d(rows, aside))
+            and _moved_rigidly(readings, place, residual, noise, elsewhere, rows)
+        ):
             found.append(np.intersect1d(rows, aside))
     return np.concatenate(found)
+
+
+def _moved(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, rows: Int1D) -> bool:
+    """Say whether readings of one step, none of them gross by itself, moved by more than noise; of no readings: yes."""
+    if not len(rows):
+        return True
+    against = _against_others(readings, residual, noise, used, rows)
+    if against is None:
+        return False
+    moved, variance = against
+    return bool((moved**2).sum() > variance * chi2_limit(OUT_OF_SHAPE / len(residual), moved.size))
+
+
+def _against_others(
+    readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, rows: Int1D
+) -> tuple[Float2D, float] | None:
+    """Return how far readings of a step moved against used steps of their configuration, (k, 3) m, and its variance.
+
+    None where a point was read at no other step.
+    """
+    same = readings.configuration[used] == readings.configuration[rows[0]]
+    others = [used[same & (readings.point[used] == readings.point[row])] for row in rows]
+    if not all(len(each) for each in others):
+        return None
+    moved = residual[rows] - np.stack([residual[each].mean(axis=0) for each in others])
+    variance = float(np.mean(np.trace(noise[rows], axis1=1, axis2=2))) / 3
+    return moved, variance * (1 + float(np.mean([1 / len(each) for each in others])))
 
 
 def _moved_rigidly(
     readings: Readings, place: Float2D, residual: Float2D, noise: Float3D, used: Int1D, rows: Int1D
 ) -> bool:
     """Say whether the points of a step moved as a rigid body against the used steps of their configuration."""
-    same = readings.configuration[used] == readings.configuration[rows[0]]
-    others = [used[same & (readings.point[used] == readings.point[row])] for row in rows]
-    if not all(len(each) for each in others):
+    against = _against_others(readings, residual, noise, used, rows)
+    if against is None:
         return False
-    moved = residual[rows] - np.stack([residual[each].mean(axis=0) for each in others])
+    moved, variance = against
     lever = place[rows] - place[rows].mean(axis=0)
     turns = np.cross(np.eye(3)[None], lever[:, None, :])  # (k, 3, 3): turn about every axis, what it moves
     rigid = np.concatenate([np.tile(np.eye(3), (len(rows), 1)), turns.transpose(0, 2, 1).reshape(-1, 3)], axis=1)
     motion, _, rank, _ = np.linalg.lstsq(rigid, moved.reshape(-1), rcond=1e-6)
     left = moved.reshape(-1) - rigid @ motion
-    variance = float(np.mean(np.trace(noise[rows], axis1=1, axis2=2))) / 3
-    variance *= 1 + float(np.mean([1 / len(each) for each in others]))
     return bool(left @ left < variance * chi2_limit(OUT_OF_SHAPE / len(residual), len(left) - int(rank)))
