@@ -23,9 +23,9 @@ from calibration_core.diagnosis.data_checks.step_direction import Jumps, jumps_a
 from calibration_core.diagnosis.empirical.law import empirical_law
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
 from calibration_core.diagnosis.evidence.aliases import aliases
+from calibration_core.diagnosis.evidence.alternatives import with_alternatives
 from calibration_core.diagnosis.evidence.block_scatter import scattered_covariance
 from calibration_core.diagnosis.evidence.design import Design
-from calibration_core.diagnosis.evidence.doubt import doubted
 from calibration_core.diagnosis.evidence.extended import (
     ExtendedLoadedModel,
     beside_small_effects,
@@ -311,7 +311,7 @@ def _settled(prepared: PreparedLoaded, cell: Cell, options: Options, checked: Ch
         still = abs(again.total / seen.total - 1) < SETTLED and moved < MOVED and np.array_equal(kept, used)
         if still or not remaining or not attempt.selection.accepted:
             whole = beside_small_effects(extended, cell, hypotheses, prepared.frames, attempt.selection)
-            return dataclasses.replace(attempt, extended=doubted(whole, attempt.selection))
+            return dataclasses.replace(attempt, extended=with_alternatives(whole, attempt.selection))
         seen, used, compliance = again, kept, np.clip(extended.compliance, 0.2 * compliance, 3 * compliance)
     raise AssertionError  # the last round returns
 

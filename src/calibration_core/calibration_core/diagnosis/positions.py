@@ -27,8 +27,8 @@ from calibration_core.diagnosis.proposals.choose import NONE_ASKED, Proposals
 from calibration_core.diagnosis.proposals.loaded import propose_loads
 from calibration_core.diagnosis.proposals.postures import Known, propose_postures
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, by_size
+from calibration_core.estimation.alternatives.equivalents import equivalents
 from calibration_core.estimation.blocks import posture_blocks, time_blocks
-from calibration_core.estimation.equivalents import equivalents
 from calibration_core.estimation.estimate import Estimate, estimate
 from calibration_core.estimation.hypotheses import is_axial
 from calibration_core.estimation.refit import Extended

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.estimation.alternatives.covariance import with_alternatives
 from calibration_core.estimation.blocks import Blocks, posture_blocks, time_blocks
 from calibration_core.estimation.controls import controls
-from calibration_core.estimation.doubt import doubted
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import SAG, Hypothesis, Offered, is_axial, offer, physics
 from calibration_core.estimation.noise.strata import fit_whitening, strata_of
@@ -100,20 +100,20 @@ def estimate(readings: Readings, cell: Cell, evaluated: Evaluated, sound: Bool1D
         model, found = _with_geometry(model, found, evaluated.choice.term)
     used = settled(found.extended)
     if np.array_equal(used, model.used):
-        return _doubted(found)
+        return _with_alternatives(found)
     again = np.mean(used != model.used) > MORE
     model = dataclasses.replace(model, used=used)
     refitted = _again(found, model)
     if not again and refitted.extended.variance >= QUIETER * found.extended.variance:
-        return _doubted(refitted)
+        return _with_alternatives(refitted)
     known = refitted if _sags(refitted) else None
     del found, refitted  # a search holds a hundred megabytes, and two more follow
-    return _doubted(_searched(model, known))
+    return _with_alternatives(_searched(model, known))
 
 
-def _doubted(found: Estimate) -> Estimate:
+def _with_alternatives(found: Estimate) -> Estimate:
     """Return the estimate with a covariance that says what place and form of an effect leave open."""
-    extended = doubted(found.extended, found.search, found.selection, found.members)
+    extended = with_alternatives(found.extended, found.search, found.selection, found.members)
     return dataclasses.replace(found, extended=extended)
 
 

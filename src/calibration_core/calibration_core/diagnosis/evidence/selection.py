@@ -20,11 +20,11 @@ from calibration_core.diagnosis.evidence.confounding import (
     same_deflection,
 )
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
+from calibration_core.estimation.alternatives.covariance import other_forms
+from calibration_core.estimation.alternatives.equivalents import equivalents, nearest_first, resembling
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.comparisons import STEPS
 from calibration_core.estimation.controls import Controls
-from calibration_core.estimation.doubt import other_forms
-from calibration_core.estimation.equivalents import equivalents, nearest_first, resembling
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import LAW, Hypothesis, Offered, offer
 from calibration_core.estimation.likelihood.small_effects import NONE, visible

@@ -10,7 +10,7 @@ from calibration_core.diagnosis.findings.building import confounded_with, found_
 from calibration_core.diagnosis.findings.causes import FROM_WHERE, LEFT, causes
 from calibration_core.diagnosis.result.evidence_words import OF_ANY_LAW, UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
-from calibration_core.estimation.equivalents import equivalents
+from calibration_core.estimation.alternatives.equivalents import equivalents
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended

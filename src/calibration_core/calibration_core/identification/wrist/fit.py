@@ -67,10 +67,10 @@ def fit_wrist(
     m, k, _ = seen.shape
     white = np.linalg.inv(np.linalg.cholesky(noise))
     prior = np.zeros((6, 6)) if covariance is None or not np.any(covariance) else _prior(covariance)
-    doubted = len(prior) > 6
+    with_alternatives = len(prior) > 6
     values = np.concatenate([flange, position, np.zeros(len(prior) - 6)])
     turns = _rotations(points - flange, seen - position)
-    now = _linearised(seen, white, points, values, turns, doubted=doubted)
+    now = _linearised(seen, white, points, values, turns, with_alternatives=with_alternatives)
     for _ in range(ITERATIONS):
         matrix, vector = now.matrix + prior, now.vector - prior @ np.concatenate([np.zeros(6), values[6:]])
         size = 1 / np.sqrt(np.diag(now.matrix)[:6])
@@ -82,7 +82,7 @@ def fit_wrist(
         values = values + step
         about = now.about - now.slope @ step
         turns = np.stack([rotation_about(angle) @ turn for angle, turn in zip(about, turns, strict=True)])
-        now = _linearised(seen, white, points, values, turns, doubted=doubted)
+        now = _linearised(seen, white, points, values, turns, with_alternatives=with_alternatives)
         if np.abs(step).max() < CONVERGED:
             break
     freedom = (3 * k - 3) * m - 6
@@ -105,15 +105,15 @@ class _Linearised:
 
 
 def _linearised(
-    seen: Float3D, white: Float4D, points: Float2D, values: Float1D, turns: Float3D, *, doubted: bool
+    seen: Float3D, white: Float4D, points: Float2D, values: Float1D, turns: Float3D, *, with_alternatives: bool
 ) -> _Linearised:
     m, k, _ = seen.shape
-    local = points - values[:3] + (values[6:].reshape(k, 3) if doubted else 0.0)
+    local = points - values[:3] + (values[6:].reshape(k, 3) if with_alternatives else 0.0)
     arms = local @ np.swapaxes(turns, 1, 2)
     columns = np.zeros((m, k, 3, len(values)))
     columns[..., :3] = -turns[:, None]
     columns[..., 3:6] = np.eye(3)
-    for j in range(k if doubted else 0):
+    for j in range(k if with_alternatives else 0):
         columns[:, j, :, 6 + 3 * j : 9 + 3 * j] = turns
     residual = seen - values[3:6] - arms
     flat, turning, data = (

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.estimation.doubt import UNEQUAL, fuller_form, instead, left_open, neglected, shares
+from calibration_core.estimation.alternatives.covariance import (
+    UNEQUAL,
+    fuller_form,
+    instead,
+    left_open,
+    neglected,
+    shares,
+)
 from calibration_core.model.effects.candidate import Candidate, Parameter
 
 ROWS, OTHERS = 60, 4

@@ -18,8 +18,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from calibration_core.estimation.alternatives.equivalents import equivalents
 from calibration_core.estimation.controls import EQUIVALENT
-from calibration_core.estimation.equivalents import equivalents
 from calibration_core.estimation.leave_out import RIDGE
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.search import Search, Selection
@@ -31,7 +31,9 @@ UNEQUAL = 0.3  # share of an effect that its form may take for equal or zero, on
 SEEN = 1e-9  # of the squared length of a form's columns: what is left of less is rounding
 
 
-def doubted(extended: Extended, search: Search, selection: Selection, members: Mapping[int, Sequence[int]]) -> Extended:
+def with_alternatives(
+    extended: Extended, search: Search, selection: Selection, members: Mapping[int, Sequence[int]]
+) -> Extended:
     """Return the extended model with a covariance that says what place and form of structural effects leave open.
 
     Args:

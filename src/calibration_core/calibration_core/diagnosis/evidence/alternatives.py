@@ -10,7 +10,14 @@ import numpy as np
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
-from calibration_core.estimation.doubt import STRUCTURE, fuller_form, instead, left_open, neglected, shares
+from calibration_core.estimation.alternatives.covariance import (
+    STRUCTURE,
+    fuller_form,
+    instead,
+    left_open,
+    neglected,
+    shares,
+)
 from calibration_core.identification.statistics.offsets import whitened
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Float1D, Float2D
@@ -35,7 +42,7 @@ class _Fit:
     own: dict[int, slice]
 
 
-def doubted(extended: ExtendedLoadedModel, selection: LoadedSelection) -> ExtendedLoadedModel:
+def with_alternatives(extended: ExtendedLoadedModel, selection: LoadedSelection) -> ExtendedLoadedModel:
     """Return the model with a covariance that says what place and form of structural effects leave open.
 
     Args:
