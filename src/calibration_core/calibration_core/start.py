@@ -14,24 +14,22 @@ ENDINGS = {signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "terminate
 
 
 def main() -> int:
-    """Load the program and run it; return the exit code."""
-    before = {number: signal.signal(number, _end) for number in ENDINGS}
+    """Load the program and run it; return the exit code.
+
+    Outside of what a command does, which has handlers of its own, the ones of this module stay.
+    """
+    for number in ENDINGS:
+        signal.signal(number, _end)
     from calibration_core import cli
 
-    for number, handler in before.items():
-        signal.signal(number, handler)
-    try:
-        return cli.main()
-    except KeyboardInterrupt:  # while the arguments are read; what comes then ends by itself
-        _end(signal.SIGINT, None)
-        return ENDINGS[signal.SIGINT][0]
+    return cli.main()
 
 
 def _end(number: int, _: FrameType | None) -> None:
-    """End the process at once: nothing has begun yet, so that nothing is left half done."""
+    """End the process at once: nothing that could be left half done is under way."""
     code, word = ENDINGS[signal.Signals(number)]
     if sys.stderr is not None:
-        os.write(2, f"calibration: {word}, nothing was written\n".encode())
+        os.write(2, f"calibration: {word}\n".encode())
     os._exit(code)
 
 

@@ -191,6 +191,7 @@ sys.exit(carry_out("identify", Path("x"), Path("y"), action))
             [sys.executable, "-c", code, str(int(number))], capture_output=True, cwd=tmp_path, check=False
         )
         assert (done.returncode, done.stdout) == (code_of_exit, b"")
+        assert len(done.stderr.splitlines()) == 1  # Python tells nothing of what it ignored
         assert time.monotonic() - began < 10.0
 
 

@@ -111,8 +111,9 @@ def _terminable() -> Iterator[None]:
     """Turn SIGINT and SIGTERM into an exception, so that what was begun is cleared up.
 
     An exception that arrives in a callback of the interpreter, for example while a module is imported, is ignored;
-    therefore it is raised again every `AGAIN` until the command ends by it.  Compiled code that is being imported turns
-    it into an error of its own (`ImportError: initialization failed`): what fails after a signal fails because of it.
+    therefore it is raised again every `AGAIN` until the command ends by it, and Python prints nothing of it.  Compiled
+    code that is being imported turns it into an error of its own (`ImportError: initialization failed`): what fails
+    after a signal fails because of it.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -125,8 +126,15 @@ def _terminable() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, AGAIN)
         raise kinds[-1]
 
+    tell = sys.unraisablehook
+
+    def ignored(what: sys.UnraisableHookArgs) -> None:
+        if not issubclass(what.exc_type, tuple(kinds)):
+            tell(what)
+
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     before = {number: signal.signal(number, end) for number in numbers}
+    sys.unraisablehook = ignored
     try:
         yield
     except Exception:
@@ -135,6 +143,7 @@ def _terminable() -> Iterator[None]:
         raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+        sys.unraisablehook = tell
         for number, handler in before.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 

@@ -26,7 +26,7 @@ BEYOND = 4.5  # times how well cells are set up, their uncertainty included
 def registration_findings(
     prepared: PreparedLoaded, state: State, readings: Readings, beside: FrameFit | None = None
 ) -> tuple[Finding, ...]:
-    """Return tracker and points that stand elsewhere than stated, beyond usual care and doubt.
+    """Return tracker and points that stand elsewhere than stated, beyond usual care and uncertainty.
 
     What was found in the robot moves points under its own weight, too: what only seems elsewhere because of it is none.
 
@@ -47,7 +47,7 @@ def registration_findings(
 
 
 def _elsewhere(frames: FrameFit, prepared: PreparedLoaded, state: State, readings: Readings) -> tuple[Finding, ...]:
-    """Return tracker and points that these frames put elsewhere than stated, beyond usual care and doubt."""
+    """Return tracker and points that these frames put elsewhere than stated, beyond usual care and uncertainty."""
     steps = len(readings) / max(len(np.unique(readings.configuration)), 1) / len(readings.points)
     covariance = frames.covariance * max(steps, 1.0)  # steps of one configuration share its geometric error
     nominal, by = prepared.nominal.tracker, str(prepared.stated_by)

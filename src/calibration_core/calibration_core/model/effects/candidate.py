@@ -134,6 +134,7 @@ class Effect:
             than can be listed.
         sentence: What a report says of it, `{place}` standing for where; empty: its name and place.
         traits: What it has besides that which all of its family have (`traits.OF_A_FAMILY`).
+        stated: Value of the cell file, as in `frames.tracker`, whose error it looks like; empty: none.
     """
 
     name: str
@@ -148,6 +149,7 @@ class Effect:
     restore: Callable[[AppliedEffect, State], Candidate | None] | None = None
     sentence: str = ""
     traits: frozenset[Trait] = frozenset()
+    stated: str = ""
 
     def has(self, trait: Trait) -> bool:
         """Say whether it has a property, of its own or by its family."""

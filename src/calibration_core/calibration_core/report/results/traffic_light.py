@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from calibration_core.identification.result.stiffness_interval import DETERMINED
+from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.words import effect_sentence
 
 BLOCKING = frozenset({
@@ -15,13 +16,6 @@ BLOCKING = frozenset({
 })  # fmt: skip
 
 EQUAL_CAUSES = 2  # that are named beside a finding, if the recording cannot tell them from it
-STATED = {
-    "wrench_frame_misalignment": "frames.force_torque",
-    "wrench_point_offset": "frames.wrench_point",
-    "measurement_point_offset": "frames.measurement_points",
-    "tracker_frame_misalignment": "frames.tracker",
-}
-"""Effects that a wrong value of the cell file looks like, and which value that is."""
 EXPLAINED = "the model explains the recording to its noise"
 WORDS = {
     "yes": "Usable",
@@ -134,8 +128,8 @@ def _missing(content: Mapping[str, Any]) -> tuple[str, str]:
     names = "; ".join(dict.fromkeys(map(_sentence, findings)))
     rest = ", and a part of the residual stays unexplained" if content["verdict"] == "partly_explained" else ""
     step = "use the extended model that diagnose writes (model.yaml)"
-    several = [one["effect"] for finding in findings for one in _alike(finding)]
-    stated = list(dict.fromkeys(STATED[effect] for effect in several if effect in STATED))
+    several = {one["effect"] for finding in findings for one in _alike(finding)}
+    stated = [effect.stated for effect in catalogue() if effect.stated and effect.name in several]
     if stated:
         step = f"hold {' and '.join(stated)} of the cell file against what is mounted, and correct it; else {step}"
     return f"the standard's model leaves something out ({names}){rest}", step

@@ -13,6 +13,7 @@ import pytest
 from robots import STIFFNESS, write_cell
 
 import calibration_core
+from calibration_core.cell import Frames
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects import catalogue, effect_named, effects_with
 from calibration_core.model.effects.candidate import Candidate
@@ -207,6 +208,12 @@ def listed(code: str) -> set[str]:
             if len(own) > 1 or (own and isinstance(node, ast.Set | ast.Dict)):
                 found |= own
     return found
+
+
+def test_what_an_effect_looks_like_an_error_of_is_a_value_of_the_cell_file() -> None:
+    stated = {effect.stated for effect in catalogue()} - {""}
+    assert stated
+    assert stated <= {f"frames.{name}" for name in Frames.model_fields}
 
 
 def test_no_list_of_effects_stands_anywhere() -> None:

@@ -40,4 +40,5 @@ EFFECT = Effect(
     candidates=_candidates,
     absolute=False,
     sentence="the force/torque sensor is turned against the cell file",
+    stated="frames.force_torque",
 )

@@ -39,4 +39,5 @@ EFFECT = Effect(
     candidates=_candidates,
     absolute=False,
     sentence="the load pulls at another point than stated",
+    stated="frames.wrench_point",
 )

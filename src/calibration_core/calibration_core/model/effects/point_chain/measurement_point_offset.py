@@ -45,4 +45,5 @@ EFFECT = Effect(
     absolute=False,
     sentence="target {place} is at another place than stated",
     traits=frozenset({Trait.FRAMES}),
+    stated="frames.measurement_points",
 )

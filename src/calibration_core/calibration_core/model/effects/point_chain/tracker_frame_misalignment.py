@@ -38,4 +38,5 @@ EFFECT = Effect(
     absolute=False,
     sentence="the tracker stands turned against the cell file",
     traits=frozenset({Trait.FRAMES}),
+    stated="frames.tracker",
 )
