@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.planning.plan import PLAN, plan_files
-from calibration_core.commands.shared.common import next_line, report_line, report_progress
+from calibration_core.commands.shared.common import report_line, report_progress, typed
 from calibration_core.model.identified.given import read_given
 from calibration_core.outcomes.inputs import digest_of, refuse_lengths
 from calibration_core.outcomes.simulation import BAG, TABLE, Simulated, for_streams, simulate
@@ -39,8 +39,8 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 0.5, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, files_of(simulated, cell, report=arguments.report))
     where = f"recording: {arguments.out / BAG} and {arguments.out / TABLE}"
-    following = next_line("identify", arguments.out / BAG, "--cell", arguments.cell)
-    return f"{simulation_summary(simulated)}\n{where}\n{report_line(arguments)}\n{following}"
+    following = typed("identify", arguments.out / BAG, "--cell", arguments.cell)
+    return f"{simulation_summary(simulated)}\n{where}\n{report_line(arguments)}\nnext: {following}"
 
 
 def files_of(simulated: Simulated, cell: Cell, *, report: bool) -> dict[str, Content]:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from calibration_core.commands.shared.common import next_line, report_line, report_progress
+from calibration_core.commands.shared.common import report_line, report_progress, typed
 from calibration_core.errors import InputError
 from calibration_core.input_checks.cell_file import Remark
 from calibration_core.outcomes.cell_check import CheckedCell, examine
@@ -53,12 +53,10 @@ def run(arguments: argparse.Namespace) -> str:
     lines += [f"{one.role} ({one.topic}): {one.text}" for one in checked.topics]
     lines += [*checked.readings, f"drawing: {arguments.out / DRAWING} and {arguments.out / PICTURE}"]
     recording = "RECORDING" if arguments.recording is None else arguments.recording
-    following = next_line("identify", recording, "--cell", arguments.cell)
+    following = typed("identify", recording, "--cell", arguments.cell)
     if arguments.recording is None and checked.cell.frames.tracker is not None:
-        following = (
-            f"{next_line('plan', '--cell', arguments.cell)}; once it is measured: {following.partition(': ')[2]}"
-        )
-    return "\n".join([*lines, report_line(arguments), following])
+        following = f"{typed('plan', '--cell', arguments.cell)}; once it is measured: {following}"
+    return "\n".join([*lines, report_line(arguments), f"next: {following}"])
 
 
 def _unusual(one: Remark) -> str:

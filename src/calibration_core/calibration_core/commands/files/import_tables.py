@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from calibration_core.commands.shared.common import next_line
+from calibration_core.commands.shared.common import typed
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.files.written import json_bytes
 from calibration_core.files.yaml_file import read_yaml
@@ -39,7 +39,8 @@ def run(arguments: argparse.Namespace) -> str:
         {TABLE: lambda path: write_table(path, imported.readings), RESULT: result},
     )
     table = arguments.out / TABLE
-    return "\n".join([*summary(imported), f"table: {table}", next_line("identify", table, "--cell", "CELL.yaml")])
+    following = typed("identify", table, "--cell", "CELL.yaml")
+    return "\n".join([*summary(imported), f"table: {table}", f"next: {following}"])
 
 
 def summary(imported: Imported) -> list[str]:

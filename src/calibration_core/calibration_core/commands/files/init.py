@@ -16,7 +16,7 @@ from calibration_core.cell.schema import cell_schema_text
 from calibration_core.cell.serial_chain import SerialChain, serial_chain
 from calibration_core.commands.files.cell_text import SCHEMA_NAME, URDF_NAME, Answers, cell_text, guessed
 from calibration_core.commands.files.init_arguments import numbers, point, points
-from calibration_core.commands.shared.common import next_line
+from calibration_core.commands.shared.common import typed
 from calibration_core.errors import InputError, OutputError, RecordingError, shown_path
 from calibration_core.files.written import json_bytes
 from calibration_core.model.robot import chain_of
@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> str:
     lines = [f"Robot: {asked.robot}, {len(joints)} joints, {asked.rated_load:g} kg", f"Source: {asked.source}"]
     if guessed(asked):
         lines.append("Usual values, to be measured: " + ", ".join(guessed(asked)))
-    return "\n".join([*lines, f"cell file: {target}", next_line("check", target)])
+    return "\n".join([*lines, f"cell file: {target}", f"next: {typed('check', target)}"])
 
 
 def _robot(arguments: argparse.Namespace, urdf: Path) -> tuple[str, Answers | None]:

@@ -39,7 +39,7 @@ from calibration_core.commands.planning.recheck import (
     recheck_summary,
     require_asked,
 )
-from calibration_core.commands.shared.common import next_line, report_line, report_progress
+from calibration_core.commands.shared.common import report_line, report_progress, typed
 from calibration_core.commands.shared.population_arguments import asked_population
 from calibration_core.diagnosis.proposals.protocol import PROTOCOLS, Worth
 from calibration_core.errors import InputError, quoted
@@ -159,9 +159,8 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 0.8, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, planned.files(report=arguments.report))
     where = f"plan: {arguments.out / PLAN} and {arguments.out / TABLE_1}"
-    following = next_line("identify", "RECORDING", "--cell", arguments.cell)
-    following = following.replace("next: ", "next: measure it, then ")
-    return f"{planned.summary}\n{where}\n{report_line(arguments)}\n{following}"
+    following = typed("identify", "RECORDING", "--cell", arguments.cell)
+    return f"{planned.summary}\n{where}\n{report_line(arguments)}\nnext: measure it, then {following}"
 
 
 def make(arguments: argparse.Namespace, cell: Cell, given: GivenModel | None) -> Planned:

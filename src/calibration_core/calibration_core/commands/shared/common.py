@@ -30,6 +30,6 @@ def report_line(arguments: argparse.Namespace) -> str:
     return f"report: {arguments.out / REPORT_HTML} and {arguments.out / REPORT_PDF}"
 
 
-def next_line(*words: str | Path) -> str:
-    """Return the line that says which command to type next; words are quoted as a shell needs it."""
-    return f"next: {shlex.join(['calibration', *map(str, words)])}"
+def typed(*words: str | Path) -> str:
+    """Return a command as it is typed; words are quoted as a shell needs it."""
+    return shlex.join(["calibration", *map(str, words)])

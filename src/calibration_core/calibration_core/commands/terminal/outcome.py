@@ -126,11 +126,11 @@ def _terminable() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, AGAIN)
         raise kinds[-1]
 
-    tell = sys.unraisablehook
+    hook = sys.unraisablehook
 
     def ignored(what: sys.UnraisableHookArgs) -> None:
         if not issubclass(what.exc_type, tuple(kinds)):
-            tell(what)
+            hook(what)
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     before = {number: signal.signal(number, end) for number in numbers}
@@ -143,7 +143,7 @@ def _terminable() -> Iterator[None]:
         raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        sys.unraisablehook = tell
+        sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from calibration_core.identification.statistics.distributions import chi2_limit
@@ -55,18 +57,15 @@ def whole_steps(
         used: Indices of those that are no gross errors.
         sound: Indices of those that may be used at all.
     """
-    keys = np.column_stack([readings.configuration, readings.step])
     aside = np.setdiff1d(sound, used)
-    found = [np.zeros(0, dtype=np.int64)]
-    for key in np.unique(keys[aside], axis=0):
-        rows = sound[(keys[sound] == key).all(axis=1)]
-        if (
-            len(rows) >= SHAPE
-            and np.isin(rows, aside).all()
-            and _moved_rigidly(readings, place, residual, noise, used, rows)
-        ):
-            found.append(rows)
-    return np.concatenate(found)
+    found = [
+        rows
+        for rows in _steps_of(readings, aside, sound)
+        if len(rows) >= SHAPE
+        and np.isin(rows, aside).all()
+        and _moved_rigidly(readings, place, residual, noise, used, rows)
+    ]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *found])
 
 
 def moved_with_their_step(
@@ -84,11 +83,8 @@ def moved_with_their_step(
         used: Indices of those that are no gross errors.
         aside: Indices of those set aside.
     """
-    known = np.union1d(used, aside)
-    steps = np.column_stack([readings.configuration, readings.step])
     found = [np.zeros(0, dtype=np.int64)]
-    for step in np.unique(steps[aside], axis=0):
-        rows = known[(steps[known] == step).all(axis=1)]
+    for rows in _steps_of(readings, aside, np.union1d(used, aside)):
         elsewhere = np.setdiff1d(used, rows)
         if (
             len(rows) >= SHAPE
@@ -97,6 +93,13 @@ def moved_with_their_step(
         ):
             found.append(np.intersect1d(rows, aside))
     return np.concatenate(found)
+
+
+def _steps_of(readings: Readings, some: Int1D, among: Int1D) -> Iterator[Int1D]:
+    """Yield for each step that some readings are of all its readings among others, as indices."""
+    keys = np.column_stack([readings.configuration, readings.step])
+    for key in np.unique(keys[some], axis=0):
+        yield among[(keys[among] == key).all(axis=1)]
 
 
 def _moved(readings: Readings, residual: Float2D, noise: Float3D, used: Int1D, rows: Int1D) -> bool:
