@@ -217,11 +217,13 @@ def test_a_jogged_robot_is_not_read_and_a_load_device_not_believed(suite: Any, p
         somebody.await_phase(number, 1, MeasurementStep.LOADING)
         somebody.jog(1, angle)
         end = time.monotonic() + LONG
-        while len(rejected := somebody.texts(SessionEvent.READING_REJECTED)) == before:
+        # On a busy machine a reading may be rejected for another reason, too, and is then taken again by itself.
+        while not any(
+            said.startswith("joint_2: found ") and said.endswith(words)
+            for said in somebody.texts(SessionEvent.READING_REJECTED)[before:]
+        ):
             assert time.monotonic() < end, somebody.account()
             time.sleep(0.05)
-        assert rejected[before].startswith("joint_2: found ")
-        assert rejected[before].endswith(words)
         time.sleep(0.5)
         somebody.resume()
     assert somebody.texts(SessionEvent.PAUSED)

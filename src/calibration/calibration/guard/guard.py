@@ -40,6 +40,7 @@ from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
+from calibration_core.motion.clock_watch import ClockWatch
 from calibration_core.motion.guard import Guard, GuardDecision
 from calibration_core.motion.robot_status import Reason
 from calibration_core.motion.speed import Monitored
@@ -99,7 +100,7 @@ class GuardNode(CalibrationNode):
         self._q = np.full(self.monitored.chain.n, math.nan)
         self._last: GuardDecision | None = None
         self._evidence_sent = -math.inf
-        self._looked_at_clock = (0, 0.0)  # the clock of messages, ns, when it was looked at last, s
+        self._clock_watch = ClockWatch(self.value("clock_jump"))
 
     def on_activate(self) -> None:
         """Watch from now on."""
@@ -196,7 +197,8 @@ class GuardNode(CalibrationNode):
 
     def _on_pulse(self) -> None:
         now = time.monotonic()
-        self._watch_clock(now)
+        if self._clock_watch.jumped(self.now_ns(), now):
+            self.guard.on_clock_jump()
         report = self._known(now)
         if report.status != self._report.status:  # a source fell silent, or a confirmation ended
             self._report = report
@@ -233,12 +235,6 @@ class GuardNode(CalibrationNode):
             self.guard.on_second_guard()
             self._decide(time.monotonic())
         super().on_second(words, younger)
-
-    def _watch_clock(self, now: float) -> None:
-        (before, at), self._looked_at_clock = self._looked_at_clock, (self.now_ns(), now)
-        advance = (self._looked_at_clock[0] - before) / NANOSECONDS
-        if before and not -1e-3 <= advance <= self.value("clock_jump") * max(now - at, 1.0):
-            self.guard.on_clock_jump()
 
     def _decide(self, now: float) -> None:
         with self._deciding:

@@ -38,7 +38,7 @@ PARAMETERS = (
     *MOTION_INTERFACE,
     Declared("sequencer_age", 0.1, "s, of the sequencer's sign of life while it moves the robot.", low=0.05, high=5.0),
     Declared("trace", "", "File for the monotonic clock's ns of what it stops; empty: none."),
-    Declared("clock_jump", 2.0, "s, the clock may advance between two decisions.", low=0.1, high=3600.0),
+    Declared("clock_jump", 2.0, "s, the clock of messages may advance in a second.", low=0.1, high=3600.0),
     Declared("robot_state.adapter", "native", "How the controller's state is understood.", choices=NAMES),
     Declared("robot_state.topics", [], "Names of topics other than the driver's defaults, as key=name."),
     Declared("robot_state.max_ages", [], "s, that a source's last message counts, other than usual, as key=seconds."),

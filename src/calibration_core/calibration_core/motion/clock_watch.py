@@ -1,0 +1,40 @@
+"""Did the clock by which messages are stamped jump?  The rule, without a clock of its own."""
+
+from __future__ import annotations
+
+import math
+
+from calibration_core.timeseries import NANOSECONDS
+
+BACKWARDS = 1e-3  # s, that a clock may go back by: two threads that read it at the same moment
+SHORTEST = 1.0  # s, no shorter time is laid at the base of what a clock may advance by
+
+
+class ClockWatch:
+    """Compares the clock of messages with a steady one.
+
+    A simulation's clock is as old as its last message: a process that was held up for ten seconds still reads the time
+    of before, and a moment later that of now.  What it may advance by is therefore counted from when it was last seen
+    to advance, not from when it was last looked at.
+
+    Args:
+        rate: What the clock may advance by in a second, s.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._seen, self._since = 0, math.nan
+
+    def jumped(self, clock: int, now: float) -> bool:
+        """Look at the clock; tell whether it went back or leapt since it was last seen to advance.
+
+        Args:
+            clock: ns of the clock of messages; 0: it does not run yet.
+            now: s of the steady clock.
+        """
+        advance = (clock - self._seen) / NANOSECONDS
+        if not advance:
+            return False
+        runs, elapsed = bool(self._seen), now - self._since
+        self._seen, self._since = clock, now
+        return runs and not -BACKWARDS <= advance <= self._rate * max(elapsed, SHORTEST)

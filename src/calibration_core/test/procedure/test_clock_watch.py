@@ -1,0 +1,60 @@
+"""The clock of messages against a steady one: what is a jump, and what is only a process that was held up."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calibration_core.motion.clock_watch import ClockWatch
+from calibration_core.timeseries import NANOSECONDS
+
+BEGAN = 5 * NANOSECONDS
+
+
+def ns(seconds: float) -> int:
+    return BEGAN + round(seconds * NANOSECONDS)
+
+
+@pytest.mark.parametrize("back", [0.002, 0.5, 3.0])
+def test_a_clock_that_goes_back(back: float) -> None:
+    watch = ClockWatch(2.0)
+    assert not watch.jumped(ns(10.0), 100.0)
+    assert watch.jumped(ns(10.0 - back), 100.05)
+    assert not watch.jumped(ns(10.05 - back), 100.1)  # it is said once
+
+
+def test_a_clock_that_leaps() -> None:
+    watch = ClockWatch(2.0)
+    assert not watch.jumped(ns(0.0), 0.0)
+    assert not watch.jumped(ns(1.9), 0.05)
+    assert watch.jumped(ns(4.0), 0.1)
+    assert not watch.jumped(ns(4.05), 0.15)
+
+
+def test_a_clock_that_begins_to_run_is_no_jump() -> None:
+    watch = ClockWatch(2.0)
+    assert not watch.jumped(0, 0.0)
+    assert not watch.jumped(ns(1e9), 0.05)
+
+
+def test_a_process_that_was_held_up() -> None:
+    """Twelve seconds without a look, and the first look still sees the time of before: the leap after it is none."""
+    watch = ClockWatch(100.0)
+    assert not watch.jumped(ns(8.0), 1.0)
+    assert not watch.jumped(ns(8.0), 13.0)
+    assert not watch.jumped(ns(8.0 + 12.05 * 20.0), 13.05)
+    assert watch.jumped(ns(8.0 + 12.05 * 20.0 + 101.0), 13.1)
+
+
+@given(
+    looks=st.lists(st.tuples(st.floats(1e-3, 20.0), st.booleans()), min_size=1, max_size=50),
+    speed=st.floats(0.1, 20.0),
+)
+def test_a_steady_clock_never_jumps_however_old_it_is_read(looks: list[tuple[float, bool]], speed: float) -> None:
+    watch, now, read = ClockWatch(20.5), 1.0, ns(speed)
+    assert not watch.jumped(read, now)
+    for pause, fresh in looks:
+        now += pause
+        read = ns(speed * now) if fresh else read
+        assert not watch.jumped(read, now)
