@@ -72,7 +72,13 @@ def fit_freed(readings: Readings, cell: Cell, options: Options, test: Readings |
         return identify_loaded(readings, cell, options, test)
     readings = readings.with_notes(*_without_effect(options))
     found = identify_absolute(
-        readings, cell, robust=options.robust, test=test, readmit=options.readmit, believed=options.start
+        readings,
+        cell,
+        robust=options.robust,
+        test=test,
+        readmit=options.readmit,
+        believed=options.start,
+        corrected=options.corrected,
     )
     if readings.recording is not None:
         return found

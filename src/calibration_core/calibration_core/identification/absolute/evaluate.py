@@ -91,6 +91,7 @@ def identify_absolute(
     test: Readings | None = None,
     readmit: frozenset[Key] = frozenset(),
     believed: ModelParameters | None = None,
+    corrected: bool = False,
 ) -> Identification:
     """Identify frames, geometry and, where the recording proves it, elasticity from absolute positions.
 
@@ -101,12 +102,13 @@ def identify_absolute(
         test: A second recording, predicted but not fitted.
         readmit: (configuration, step, point) of readings that must be used whatever they look like.
         believed: Model to start from; None: what the cell file believes.
+        corrected: Correct the geometry even where configurations left out do not prove that it helps.
 
     Raises:
         CellError: A wrench was recorded and a frame for it is missing.
         IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
     """
-    case = evaluate_absolute(readings, cell, robust=robust, readmit=readmit, believed=believed)
+    case = evaluate_absolute(readings, cell, robust=robust, readmit=readmit, believed=believed, corrected=corrected)
     return identification_of(case, readings, cell, test=test)
 
 
@@ -162,6 +164,7 @@ def evaluate_absolute(
     robust: bool = True,
     readmit: frozenset[Key] = frozenset(),
     believed: ModelParameters | None = None,
+    corrected: bool = False,
 ) -> Evaluated:
     """Take all decisions: gross errors, identifiable geometry, stages of the model; arguments as `identify_absolute`.
 
@@ -191,13 +194,14 @@ def evaluate_absolute(
     stated = nominal_with_tracker(problem, nominal, start, known=known)
     fold = folds(readings.configuration)
     selected = SelectionCase(problem, used, fold, readings.configuration, uncertainty)
-    staged = select_stages(selected, stated, start, terms, choice)
+    staged = select_stages(selected, stated, start, terms, choice, corrected=corrected)
     if robust:
         final = staged.final.fit
         rejection = reject_gross_errors(problem, final.parameters, final.terms, used, protected, final.prior)
         if not np.array_equal(rejection.used, used):
             used = rejection.used
-            staged = select_stages(dataclasses.replace(selected, used=used), stated, start, terms, choice)
+            again = dataclasses.replace(selected, used=used)
+            staged = select_stages(again, stated, start, terms, choice, corrected=corrected)
     return Evaluated(problem, stated, terms, hidden, choice, staged, used, rejection)
 
 

@@ -102,6 +102,8 @@ def select_stages(
     start: ModelParameters,
     frame_terms: list[Term],
     choice: ParameterSelection,
+    *,
+    corrected: bool = False,
 ) -> StagedSelection:
     """Add frames, geometry and elasticity, each kept only if held-out configurations gain clearly.
 
@@ -115,6 +117,7 @@ def select_stages(
         start: First guess of the frames.
         frame_terms: Tracker pose and points.
         choice: The corrections of the geometry that can be identified.
+        corrected: Keep them whatever they gain.
     """
     first = case.fit_stage(nominal, [])
     frames = case.fit_stage(start, frame_terms)
@@ -135,6 +138,8 @@ def select_stages(
     if not kept and elastic is not None:  # what gives way under its weight may hide the geometry
         both = case.improvement(frames, elastic)
         kept, verdict = both.clear, f"no clear gain by itself; with elasticity: {both.text}"
+    if not kept and corrected and geometry.fit.converged:
+        kept, verdict = True, "kept as asked"
     counted = f"{len(choice.chosen)} identifiable parameters, {len(choice.nominal)} stay nominal"
     reason = f"{counted}; {gain.text}; {verdict}"
     stages.append(Stage("geometry", _size(geometry), geometry.rms, geometry.held_out_rms, kept, reason))

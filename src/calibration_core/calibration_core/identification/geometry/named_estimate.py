@@ -34,7 +34,7 @@ def named_estimate(names: Sequence[str], covariance: Float2D, model: ModelParame
         KeyError: A name is none of the model's.
     """
     kept = in_model_file(names, cell)
-    paths = _paths(cell)
+    paths = model_paths(cell)
     chosen = tuple(paths[names[k]] for k in kept)
     slides = dict(zip(cell.robot.joints, cell.prismatic, strict=True))
     matrix = np.array(covariance)[np.ix_(kept, kept)]
@@ -105,7 +105,7 @@ def _later(name: str, count: int) -> str:
     return f"effects.{int(number) + count}.{parameter}"
 
 
-def _paths(cell: Cell) -> dict[str, str]:
+def model_paths(cell: Cell) -> dict[str, str]:
     """Return what the fits call a parameter -> its path in the model file."""
     joints = cell.robot.joints
     paths = {c.name: f"geometry.{joints[c.joint]}.{CORRECTIONS[c.kind]}" for c in candidates(cell)}

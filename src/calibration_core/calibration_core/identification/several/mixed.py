@@ -128,7 +128,14 @@ def parts_of(readings: Readings, cell: Cell, options: Options) -> Parts:
     start = options.start
     alone = (
         with_readmitted(identify_steps(loaded.readings, cell, options), options.readmit),
-        identify_absolute(still.readings, cell, robust=options.robust, readmit=options.readmit, believed=start),
+        identify_absolute(
+            still.readings,
+            cell,
+            robust=options.robust,
+            readmit=options.readmit,
+            believed=start,
+            corrected=options.corrected,
+        ),
     )
     merged = merge((loaded, still), alone, 0)
     merged = dataclasses.replace(
@@ -196,7 +203,14 @@ def _at_rest_alone(readings: Readings, cell: Cell, options: Options, test: Readi
     count = len(loaded_configurations(readings))
     text = f"{count} with loaded steps is too few for a stiffness (at least {MIN_CONFIGURATIONS}): first steps are used"
     some = readings.select(standing(readings)).with_notes(Note("few_loaded", "configuration", text, count))
-    case = evaluate_absolute(some, cell, robust=options.robust, readmit=options.readmit, believed=options.start)
+    case = evaluate_absolute(
+        some,
+        cell,
+        robust=options.robust,
+        readmit=options.readmit,
+        believed=options.start,
+        corrected=options.corrected,
+    )
     return identification_of(case, some, cell, test=test)
 
 

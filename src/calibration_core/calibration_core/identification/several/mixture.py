@@ -56,7 +56,14 @@ def identify_mixture(readings: Readings, cell: Cell, options: Options, test: Rea
     rows = standing(readings)
     some = readings.select(rows)
     believed = start.replace(compliance=loaded.model.compliance)
-    case = evaluate_absolute(some, cell, robust=options.robust, readmit=options.readmit, believed=believed)
+    case = evaluate_absolute(
+        some,
+        cell,
+        robust=options.robust,
+        readmit=options.readmit,
+        believed=believed,
+        corrected=options.corrected,
+    )
     still = Standing(rows, case, identification_of(case, some, cell))
     started = dataclasses.replace(options, start=start.replace(geometry=still.found.model.geometry))
     found = _with_geometry(identify_loaded(readings, cell, started), still)

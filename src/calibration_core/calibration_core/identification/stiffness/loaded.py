@@ -56,6 +56,7 @@ class Options:
         robust: Set gross errors aside.
         readmit: Readings that must be used: (configuration, step, point).
         start: Model to start from; None: what the cell file believes.
+        corrected: Correct the geometry even where configurations left out do not prove that it helps.
     """
 
     method: Method = "equilibrium"
@@ -64,6 +65,7 @@ class Options:
     robust: bool = True
     readmit: frozenset[Key] = frozenset()
     start: ModelParameters | None = None
+    corrected: bool = False
 
     def in_words(self) -> str:
         """Describe the method for the report."""

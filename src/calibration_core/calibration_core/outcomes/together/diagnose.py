@@ -10,14 +10,17 @@ from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.diagnosis.findings.registration import registration_findings
 from calibration_core.diagnosis.loaded import FRAMES_SPOILED
 from calibration_core.diagnosis.proposals.candidates import Offer, Offers
-from calibration_core.diagnosis.result.finding import Alternative, Diagnosis, Finding, Location, Verdict, by_size
+from calibration_core.diagnosis.result.finding import Alternative, Diagnosis, Finding, Verdict, by_size
 from calibration_core.identification.result.estimate import Anomaly
+from calibration_core.identification.result.together import Disagreement
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.kinds import holds_both, is_loaded
 from calibration_core.outcomes.together.agreement import as_anomalies
+from calibration_core.outcomes.together.by_themselves import by_themselves, effects_in
+from calibration_core.outcomes.together.changes import changes_of, without_changes
 from calibration_core.outcomes.together.evaluate import (
     answered,
     estimate_of_first,
@@ -26,10 +29,11 @@ from calibration_core.outcomes.together.evaluate import (
     with_recording,
 )
 from calibration_core.outcomes.together.prepare import Prepared
+from calibration_core.outcomes.together.wider import factors, widened
 from calibration_core.timeseries import Readings
 
 EFFECTS = "effects."
-SET_UP = {RECORDING, "point"}  # what the place of an effect names that does not belong to the robot
+ROUNDS = 3  # of looking for what differs
 BESIDE_FINDINGS: dict[Verdict, Verdict] = {
     "consistent": "missing_physics",
     "unexplained": "partly_explained",
@@ -50,14 +54,12 @@ def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagn
     Raises:
         InputError: They cannot be evaluated together.
     """
-    merged = prepared.merged
-    offered = None if offers is None else _beside_all(offers, prepared)
-    found = diagnose(merged.readings, merged.cell, prepared.options, prepared.test, offers=offered)
-    shared = [] if found.model is None else [one for one in found.model.effects if not SET_UP & set(one.location)]
+    found, prepared = _explained(prepared, offers)
+    extended = found.model
     if prepared.given is not None:
         found = with_given_effects(found, prepared.given)
     excluded = found.identification.residuals.excluded
-    identification = answered(found.identification, prepared, found.residual, excluded, shared)
+    identification = answered(found.identification, prepared, found.residual, excluded, extended)
     together = identification.together
     assert together is not None  # noqa: S101 - of several recordings
     model, estimate = found.model, found.estimate
@@ -76,6 +78,39 @@ def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagn
         model=model,
         estimate=estimate,
     )
+
+
+def _explained(prepared: Prepared, offers: Offers | None) -> tuple[Diagnosis, Prepared]:
+    """Diagnose the recordings as one, and where they differ once more less what differs; return the better answer.
+
+    A joint that is softer in one recording is no physics that the model leaves out, but a sensor that couples its axes
+    in that recording explains much of it; the other way round such a sensor makes joints of that recording differ.
+    What predicts configurations that were left out better is taken.  What differs is looked for without effects first,
+    and then beside those of the best answer so far.
+    """
+    best = _diagnosed(prepared, offers), prepared
+    seen, model = set(), None
+    for _ in range(ROUNDS):
+        changes = changes_of(prepared, model)
+        if changes and changes not in seen:
+            best = min(best, _less(prepared, changes, offers), key=lambda answer: answer[0].held_out_after)
+        seen.add(changes)
+        model = best[0].model
+    return best
+
+
+def _less(prepared: Prepared, changes: Sequence[Disagreement], offers: Offers | None) -> tuple[Diagnosis, Prepared]:
+    """Diagnose the recordings less what differs; those that have changed do not tell what the others are like."""
+    less = without_changes(prepared, changes)
+    files = [member.file for member in prepared.members]
+    wider = factors(changes, files, by_themselves(prepared))
+    return widened(_diagnosed(less, offers), less.merged.cell, wider), less
+
+
+def _diagnosed(prepared: Prepared, offers: Offers | None) -> Diagnosis:
+    merged = prepared.merged
+    offered = None if offers is None else _beside_all(offers, prepared)
+    return diagnose(merged.readings, merged.cell, prepared.options, prepared.test, offers=offered)
 
 
 def _beside_all(offers: Offers, prepared: Prepared) -> Offers:
@@ -130,10 +165,7 @@ def _of_first(
     """Return model and estimate with frames, points and effects of the first recording's set-up, and of the robot."""
     own = str(prepared.members[prepared.first].number)
     kept = [k for k, one in enumerate(model.effects) if one.location.get(RECORDING, own) == own]
-    effects = tuple(
-        dataclasses.replace(one, location=_location_of_first(one.location, prepared))
-        for one in (model.effects[k] for k in kept)
-    )
+    effects = effects_in(model.effects, prepared, prepared.first)
     rows, names = [], []
     for row, name in enumerate(estimate.names):
         number, _, parameter = name.removeprefix(EFFECTS).partition(".")
@@ -145,14 +177,3 @@ def _of_first(
             names.append(f"{EFFECTS}{kept.index(int(number))}.{parameter}")
     chosen = estimate.chosen(rows).renamed(names)
     return of_first(model.replace(effects=effects), prepared), estimate_of_first(chosen, prepared)
-
-
-def _location_of_first(location: Location, prepared: Prepared) -> Location:
-    """Return the place of an effect as the first recording has it by itself; points are counted among its own."""
-    member = prepared.members[prepared.first]
-    found = {key: value for key, value in location.items() if key != RECORDING}
-    point = str(location.get("point", ""))
-    if point.startswith("#"):
-        name = prepared.merged.readings.points[int(point[1:])]
-        found["point"] = f"#{[member.point(own) for own in member.readings.points].index(name)}"
-    return found

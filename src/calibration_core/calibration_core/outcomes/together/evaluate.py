@@ -15,20 +15,16 @@ from calibration_core.identification.result.together import Contribution, Togeth
 from calibration_core.identification.several.first import SET_UP, estimate_of_set_up, of_set_up
 from calibration_core.identification.several.members import Member, numbered
 from calibration_core.identification.several.merge import noise_factor
-from calibration_core.identification.stiffness.known_effects import without_effects
-from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.chain import xyz_rpy
 from calibration_core.model.identified.calibrated import ValidRange
 from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.identified.valid_range import range_of
-from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.parameters import AppliedEffect, ModelParameters
+from calibration_core.model.parameters import ModelParameters
 from calibration_core.outcomes.together.agreement import agreement, as_anomalies
+from calibration_core.outcomes.together.by_themselves import by_themselves
 from calibration_core.outcomes.together.prepare import Prepared
 from calibration_core.timeseries import Bool1D, Float2D
 
-FOUND = "what was found"
 UNDERSTATED = "noise_understated"
 
 
@@ -50,7 +46,7 @@ def answered(
     prepared: Prepared,
     residual: Float2D,
     excluded: Bool1D,
-    effects: Sequence[AppliedEffect] = (),
+    model: ModelParameters | None = None,
 ) -> Identification:
     """Return the answer as it is handed out: model and frames of the first recording, and what each contributes.
 
@@ -59,9 +55,9 @@ def answered(
         prepared: The recordings.
         residual: (m, 3) m, what the common model leaves of every reading.
         excluded: (m,) readings that were not used.
-        effects: Of the robot, found in all recordings together: they are no reason for recordings to differ.
+        model: Of all together with the effects that were found: these are no reason for recordings to differ.
     """
-    together = _together(found, prepared, residual, excluded, effects)
+    together = _together(found, prepared, residual, excluded, model)
     own = [one for one in found.parameters if one.group not in SET_UP]
     parameters = [
         dataclasses.replace(one, name=_beside(one, prepared.members[k]))
@@ -149,10 +145,10 @@ def _beside(one: ParameterEstimate, member: Member) -> str:
 
 
 def _together(
-    found: Identification, prepared: Prepared, residual: Float2D, excluded: Bool1D, effects: Sequence[AppliedEffect]
+    found: Identification, prepared: Prepared, residual: Float2D, excluded: Bool1D, model: ModelParameters | None
 ) -> Together:
     files = [member.file for member in prepared.members]
-    compared, differing = agreement(files, _by_themselves(found, prepared, effects))
+    compared, differing = agreement(files, by_themselves(prepared.measured, model))
     each = []
     for k in prepared.named:
         rows = prepared.merged.readings.recording == prepared.members[k].number - 1
@@ -160,32 +156,11 @@ def _together(
     return Together(tuple(each), compared, differing)
 
 
-def _by_themselves(
-    found: Identification, prepared: Prepared, effects: Sequence[AppliedEffect]
-) -> list[GaussianEstimate]:
-    """Return what each recording shows by itself, less the effects of the robot that were found in all of them.
-
-    What the standard's model leaves out moves the parameters of each recording otherwise, for their postures differ;
-    so does a compliance that one recording at rest shows and another one does not: all start from the common ones.
-    """
-    if not effects:
-        return [one.estimate for one in prepared.alone]
-    estimates = []
-    for member, alone, start in zip(prepared.members, prepared.alone, prepared.starts, strict=True):
-        shared = found.model
-        model = alone.model.replace(compliance=shared.compliance, geometry=shared.geometry, effects=tuple(effects))
-        freed = without_effects(member.readings, member.cell, GivenModel(model, FOUND, ""))
-        believed = (start or nominal_parameters(member.cell)).replace(compliance=shared.compliance)
-        options = Options(robust=prepared.options.robust, start=believed)
-        estimates.append(fit_freed(freed, member.cell, options, None).estimate)
-    return estimates
-
-
 def _contribution(
     found: Identification, prepared: Prepared, k: int, residual: Float2D, excluded: Bool1D
 ) -> Contribution:
     """Return what one recording contributes; residual (m, 3) m and readings not used, (m,), of that one."""
-    member, alone = prepared.members[k], prepared.alone[k]
+    member, alone = prepared.members[k], prepared.measured.alone[k]
     readings, left = member.readings, residual[~excluded]
     displacement = member.cell.measurements.points == "displacement"
     steps = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+from calibration_core.cell import Cell
 from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.several.members import Member
@@ -37,9 +38,13 @@ class Prepared:
         named: Indices of the members in the order in which they were named.
         merged: All of them as one recording.
         options: How to evaluate that one.
-        given: The model to start from, with the first recording's end effector; None: the cell file's.
-        test: A recording of the first one's set-up, that is predicted and not fitted.
-        starts: The model that each of the recordings starts from by itself; None: what its cell file believes.
+        test: A recording of the first one's set-up, that is predicted and not fitted, as it stands beside those of all.
+        bare: The same as in its own files, less what is known.
+        known: The model that each of the recordings starts from by itself, with its own frames and end effector; None:
+            what its cell file believes.
+        asked: How it was asked to evaluate.
+        believed: The model that was given for all; None: none was.
+        with_changes: The recordings as they were measured, where these are free of what differs between them.
     """
 
     members: tuple[Member, ...]
@@ -47,14 +52,32 @@ class Prepared:
     named: tuple[int, ...]
     merged: Merged
     options: Options
-    given: GivenModel | None
     test: Readings | None
-    starts: tuple[ModelParameters | None, ...]
+    bare: Readings | None
+    known: tuple[GivenModel | None, ...]
+    asked: Options
+    believed: GivenModel | None
+    with_changes: Prepared | None = None
+
+    @property
+    def given(self) -> GivenModel | None:
+        """The model to start from, with the first recording's end effector; None: the cell file's."""
+        return self.known[self.first]
+
+    @property
+    def starts(self) -> tuple[ModelParameters | None, ...]:
+        """The numbers that each of the recordings starts from by itself; None: what its cell file believes."""
+        return tuple(None if own is None else own.start for own in self.known)
 
     @property
     def first(self) -> int:
         """Index of the recording that was named first: model file and test belong to its set-up."""
         return self.named[0]
+
+    @property
+    def measured(self) -> Prepared:
+        """The recordings as they were measured, changes of the robot between them included."""
+        return self.with_changes or self
 
     def placed(self, readings: Readings) -> Readings:
         """Return further readings of the first recording's set-up, as they stand beside those of all."""
@@ -80,26 +103,62 @@ def prepare(
     Raises:
         InputError: A recording cannot be evaluated by itself; the message names it.
     """
-    freed, alone, known = [], [], []
-    for member in members:
-        own = _own(given, member)
-        readings = member.readings if own is None else without_effects(member.readings, member.cell, own)
+    known = tuple(_own(given, member) for member in members)
+    freed = [
+        dataclasses.replace(member, readings=_bare(member.readings, member.cell, own))
+        for member, own in zip(members, known, strict=True)
+    ]
+    first = named[0]
+    bare = None if test is None else _bare(test, members[first].cell, known[first])
+    return evaluated(freed, known, named, options, bare, given)
+
+
+def evaluated(
+    members: Sequence[Member],
+    known: Sequence[GivenModel | None],
+    named: Sequence[int],
+    options: Options,
+    test: Readings | None,
+    believed: GivenModel | None,
+) -> Prepared:
+    """Evaluate recordings by themselves that are free of what is known, and put them together.
+
+    Args:
+        members: The recordings, in the order of their numbers.
+        known: The model that each starts from by itself.
+        named: As `prepare`.
+        options: As `prepare`.
+        test: As `prepare`, free of what is known, too.
+        believed: The model that was given for all.
+
+    Raises:
+        InputError: As `prepare`.
+    """
+    alone = []
+    for member, own in zip(members, known, strict=True):
         asked = dataclasses.replace(
             options, readmit=_own_keys(options.readmit, member), start=None if own is None else own.start
         )
-        freed.append(dataclasses.replace(member, readings=readings))
-        alone.append(with_readmitted(fit_freed(readings, member.cell, asked, None), asked.readmit))
-        known.append(own)
+        alone.append(with_readmitted(fit_freed(member.readings, member.cell, asked, None), asked.readmit))
     first = named[0]
-    merged = merge(freed, alone, first)
-    believed = nominal_parameters(merged.cell) if given is None else given.start
-    if test is not None:
-        own, member = known[first], freed[first]
-        bare = test if own is None else without_effects(test, member.cell, own)
-        test = _placed(bare, freed, alone, first, merged)
-    together = dataclasses.replace(options, start=start_of(believed, merged))
-    starts = tuple(None if own is None else own.start for own in known)
-    return Prepared(tuple(freed), tuple(alone), tuple(named), merged, together, known[first], test, starts)
+    merged = merge(members, alone, first)
+    start = start_of(nominal_parameters(merged.cell) if believed is None else believed.start, merged)
+    return Prepared(
+        members=tuple(members),
+        alone=tuple(alone),
+        named=tuple(named),
+        merged=merged,
+        options=dataclasses.replace(options, start=start),
+        test=None if test is None else _placed(test, members, alone, first, merged),
+        bare=test,
+        known=tuple(known),
+        asked=options,
+        believed=believed,
+    )
+
+
+def _bare(readings: Readings, cell: Cell, own: GivenModel | None) -> Readings:
+    return readings if own is None else without_effects(readings, cell, own)
 
 
 def _placed(

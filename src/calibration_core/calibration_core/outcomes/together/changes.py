@@ -1,0 +1,60 @@
+"""Recordings as they would be if none of them showed the robot otherwise than the others do."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from calibration_core.acceptance.comparison import COMPLIANCE
+from calibration_core.cell import Cell
+from calibration_core.identification.result.together import Disagreement
+from calibration_core.identification.stiffness.predict import predict_readings
+from calibration_core.model.identified.named_values import value_of, with_values
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.outcomes.together.agreement import agreement, described
+from calibration_core.outcomes.together.by_themselves import by_themselves
+from calibration_core.outcomes.together.prepare import Prepared, evaluated
+from calibration_core.timeseries import Note, Readings
+
+
+def changes_of(prepared: Prepared, found: ModelParameters | None = None) -> tuple[Disagreement, ...]:
+    """Return what differs between the recordings, beside the effects of a model of all of them.
+
+    Raises:
+        InputError: A recording cannot be evaluated by itself.
+    """
+    return agreement([member.file for member in prepared.members], by_themselves(prepared, found))[1]
+
+
+def without_changes(prepared: Prepared, changes: Sequence[Disagreement]) -> Prepared:
+    """Return the recordings less what differs between them.
+
+    A joint that is softer in one recording, or stands elsewhere, moves that one's points by what its own model with
+    and without the change predicts.  The change is taken as it stands, fixed and without doubt.
+
+    Raises:
+        InputError: A recording cannot be evaluated by itself without its change.
+    """
+    members, first, test = list(prepared.members), prepared.first, prepared.bare
+    for k, (member, alone) in enumerate(zip(prepared.members, prepared.alone, strict=True)):
+        own = [one for one in changes if one.file == member.file]
+        if not own:
+            continue
+        members[k] = dataclasses.replace(member, readings=_less(member.readings, member.cell, alone.model, own))
+        if test is not None and k == first:
+            test = _less(test, member.cell, alone.model, own)
+    less = evaluated(members, prepared.known, prepared.named, prepared.asked, test, prepared.believed)
+    return dataclasses.replace(less, with_changes=prepared)
+
+
+def _less(readings: Readings, cell: Cell, model: ModelParameters, changes: Sequence[Disagreement]) -> Readings:
+    values = {}
+    for one in changes:
+        value = value_of(model, one.parameter)
+        compliance = one.parameter.startswith(COMPLIANCE)  # its change is that of the stiffness, relative
+        values[one.parameter] = value * (1 + one.change) if compliance else value - one.change
+    others = with_values(model, values)
+    shift = predict_readings(readings, cell, model) - predict_readings(readings, cell, others)
+    text = " ".join(f"What differs is taken off its readings: {described(one)}." for one in changes)
+    note = Note("recordings_differ", readings.provenance.path, text, len(readings))
+    return dataclasses.replace(readings, position=readings.position - shift).with_notes(note)
