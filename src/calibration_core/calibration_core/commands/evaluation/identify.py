@@ -183,6 +183,10 @@ def _searched_together(found: Identification, prepared: Prepared) -> tuple[Ident
         note = Note("search", "missing physics", f"could not be looked for: {error}")
         return dataclasses.replace(found, notes=(*found.notes, note)), None
     together = searched.identification.together  # recordings are compared less what was found in all of them
+    if together is not None and together.taken_off:
+        from calibration_core.outcomes.together.evaluate import identify_less
+
+        found = identify_less(prepared, together.taken_off)
     anomalies = with_own_outliers(searched.anomalies, found.anomalies)
     found = dataclasses.replace(with_bias(found, searched), anomalies=anomalies, together=together)
     return found, dataclasses.replace(searched, anomalies=anomalies)

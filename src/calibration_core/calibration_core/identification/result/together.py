@@ -84,8 +84,11 @@ class Together:
         contributions: One for each recording, in the order in which they were named.
         compared: Parameters that were compared between recordings.
         disagreements: What a recording shows otherwise than the others; empty where they agree.
+        taken_off: What was taken off the readings of recordings that differ, so that the common values are those of the
+            others; empty where nothing was.
     """
 
     contributions: tuple[Contribution, ...]
     compared: tuple[str, ...]
     disagreements: tuple[Disagreement, ...]
+    taken_off: tuple[Disagreement, ...] = ()

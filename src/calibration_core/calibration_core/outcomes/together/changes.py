@@ -35,7 +35,8 @@ def without_changes(prepared: Prepared, changes: Sequence[Disagreement]) -> Prep
     Raises:
         InputError: A recording cannot be evaluated by itself without its change.
     """
-    members, first, test = list(prepared.members), prepared.first, prepared.bare
+    members, first = list(prepared.members), prepared.first
+    test = None if prepared.test is None else prepared.bare
     for k, (member, alone) in enumerate(zip(prepared.members, prepared.alone, strict=True)):
         own = [one for one in changes if one.file == member.file]
         if not own:
@@ -44,7 +45,8 @@ def without_changes(prepared: Prepared, changes: Sequence[Disagreement]) -> Prep
         if test is not None and k == first:
             test = _less(test, member.cell, alone.model, own)
     less = evaluated(members, prepared.known, prepared.named, prepared.asked, test, prepared.believed)
-    return dataclasses.replace(less, with_changes=prepared)
+    options = dataclasses.replace(prepared.options, start=less.options.start)
+    return dataclasses.replace(less, options=options, with_changes=prepared, changes=tuple(changes))
 
 
 def _less(readings: Readings, cell: Cell, model: ModelParameters, changes: Sequence[Disagreement]) -> Readings:

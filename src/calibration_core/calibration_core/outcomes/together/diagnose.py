@@ -19,7 +19,7 @@ from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.kinds import holds_both, is_loaded
 from calibration_core.outcomes.together.agreement import as_anomalies
-from calibration_core.outcomes.together.by_themselves import by_themselves, effects_in
+from calibration_core.outcomes.together.by_themselves import effects_in
 from calibration_core.outcomes.together.changes import changes_of, without_changes
 from calibration_core.outcomes.together.evaluate import (
     answered,
@@ -29,7 +29,7 @@ from calibration_core.outcomes.together.evaluate import (
     with_recording,
 )
 from calibration_core.outcomes.together.prepare import Prepared
-from calibration_core.outcomes.together.wider import factors, widened
+from calibration_core.outcomes.together.wider import factors_of, widened
 from calibration_core.timeseries import Readings
 
 EFFECTS = "effects."
@@ -102,9 +102,7 @@ def _explained(prepared: Prepared, offers: Offers | None) -> tuple[Diagnosis, Pr
 def _less(prepared: Prepared, changes: Sequence[Disagreement], offers: Offers | None) -> tuple[Diagnosis, Prepared]:
     """Diagnose the recordings less what differs; those that have changed do not tell what the others are like."""
     less = without_changes(prepared, changes)
-    files = [member.file for member in prepared.members]
-    wider = factors(changes, files, by_themselves(prepared))
-    return widened(_diagnosed(less, offers), less.merged.cell, wider), less
+    return widened(_diagnosed(less, offers), less.merged.cell, factors_of(less)), less
 
 
 def _diagnosed(prepared: Prepared, offers: Offers | None) -> Diagnosis:

@@ -11,7 +11,7 @@ import numpy as np
 from calibration_core.identification.checks.noise_audit import MODEL_FREE
 from calibration_core.identification.identify import fit_freed, with_given
 from calibration_core.identification.result.estimate import Anomaly, Identification, ParameterEstimate, Precondition
-from calibration_core.identification.result.together import Contribution, Together
+from calibration_core.identification.result.together import Contribution, Disagreement, Together
 from calibration_core.identification.several.first import SET_UP, estimate_of_set_up, of_set_up
 from calibration_core.identification.several.members import Member, numbered
 from calibration_core.identification.several.merge import noise_factor
@@ -22,7 +22,9 @@ from calibration_core.model.identified.valid_range import range_of
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.outcomes.together.agreement import agreement, as_anomalies
 from calibration_core.outcomes.together.by_themselves import by_themselves
+from calibration_core.outcomes.together.changes import without_changes
 from calibration_core.outcomes.together.prepare import Prepared
+from calibration_core.outcomes.together.wider import factors_of, widened_identification
 from calibration_core.timeseries import Bool1D, Float2D
 
 UNDERSTATED = "noise_understated"
@@ -39,6 +41,18 @@ def identify_together(prepared: Prepared) -> Identification:
     if prepared.given is not None:
         found = with_given(found, prepared.given)
     return answered(found, prepared, found.residuals.residual, found.residuals.excluded)
+
+
+def identify_less(prepared: Prepared, changes: Sequence[Disagreement]) -> Identification:
+    """Identify from all recordings together, less what differs between them.
+
+    Recordings that have changed do not tell what the robot of the others is like, and intervals say so.
+
+    Raises:
+        InputError: A recording cannot be evaluated by itself without its change.
+    """
+    less = without_changes(prepared, changes)
+    return widened_identification(identify_together(less), less.merged.cell, factors_of(less))
 
 
 def answered(
@@ -153,7 +167,7 @@ def _together(
     for k in prepared.named:
         rows = prepared.merged.readings.recording == prepared.members[k].number - 1
         each.append(_contribution(found, prepared, k, residual[rows], excluded[rows]))
-    return Together(tuple(each), compared, differing)
+    return Together(tuple(each), compared, differing, prepared.changes)
 
 
 def _contribution(

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from calibration_core.cell import Cell
 from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.result.together import Disagreement
 from calibration_core.identification.several.members import Member
 from calibration_core.identification.several.merge import (
     Merged,
@@ -45,6 +46,7 @@ class Prepared:
         asked: How it was asked to evaluate.
         believed: The model that was given for all; None: none was.
         with_changes: The recordings as they were measured, where these are free of what differs between them.
+        changes: What differs, and is taken off.
     """
 
     members: tuple[Member, ...]
@@ -58,6 +60,7 @@ class Prepared:
     asked: Options
     believed: GivenModel | None
     with_changes: Prepared | None = None
+    changes: tuple[Disagreement, ...] = ()
 
     @property
     def given(self) -> GivenModel | None:

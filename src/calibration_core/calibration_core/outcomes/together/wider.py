@@ -7,7 +7,7 @@ with them about that parameter, and would count as if it had shown it.  Its shar
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -17,24 +17,19 @@ from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.geometry.named_estimate import model_paths
 from calibration_core.identification.result.estimate import Identification, JointStiffness
 from calibration_core.identification.result.stiffness_interval import joint_stiffness
-from calibration_core.identification.result.together import Disagreement
 from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.outcomes.together.by_themselves import by_themselves
+from calibration_core.outcomes.together.prepare import Prepared
 from calibration_core.timeseries import Float1D, Float2D
 
 
-def factors(
-    changes: Sequence[Disagreement], files: Sequence[str], estimates: Sequence[GaussianEstimate]
-) -> dict[str, float]:
-    """Return parameter -> factor on its standard deviation, at least 1.
-
-    Args:
-        changes: What differs.
-        files: The recordings.
-        estimates: What each shows by itself.
-    """
+def factors_of(less: Prepared) -> dict[str, float]:
+    """Return parameter -> factor on its standard deviation, at least 1, of recordings that are free of what differs."""
+    files = [member.file for member in less.members]
+    estimates = by_themselves(less.measured)
     found = {}
-    for parameter in {one.parameter for one in changes}:
-        changed = {one.file for one in changes if one.parameter == parameter}
+    for parameter in {one.parameter for one in less.changes}:
+        changed = {one.file for one in less.changes if one.parameter == parameter}
         known = {file: _information(one, parameter) for file, one in zip(files, estimates, strict=True)}
         rest = sum(value for file, value in known.items() if file not in changed)
         found[parameter] = float(np.sqrt(sum(known.values()) / rest)) if rest > 0 else np.inf
@@ -47,7 +42,7 @@ def widened(found: Diagnosis, cell: Cell, wider: Mapping[str, float]) -> Diagnos
     covariance = found.compliance_covariance
     return dataclasses.replace(
         found,
-        identification=_identified(found.identification, cell, wider),
+        identification=widened_identification(found.identification, cell, wider),
         stiffness={
             joint: (value, std * wider.get(f"{COMPLIANCE}{joint}", 1.0))
             for joint, (value, std) in found.stiffness.items()
@@ -57,7 +52,8 @@ def widened(found: Diagnosis, cell: Cell, wider: Mapping[str, float]) -> Diagnos
     )
 
 
-def _identified(found: Identification, cell: Cell, wider: Mapping[str, float]) -> Identification:
+def widened_identification(found: Identification, cell: Cell, wider: Mapping[str, float]) -> Identification:
+    """Return an identification whose standard deviations are larger by factors, parameter by parameter."""
     paths = model_paths(cell)
     own = {name: wider.get(path, 1.0) for name, path in paths.items()}
     return dataclasses.replace(

@@ -18,6 +18,7 @@ def together_dict(together: Together) -> dict[str, Any]:
             "agree": not together.disagreements,
             "compared": list(together.compared),
             "differences": [vars(one) for one in together.disagreements],
+            "taken_off": [vars(one) for one in together.taken_off],
         },
     }
 

@@ -10,6 +10,7 @@ from calibration_core.identification.result.together import Contribution, Togeth
 from calibration_core.report.document import Block, Column, Items, Paragraph, Table
 from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed, shortened, spread
 
+COMMON = "the common values there hold for none of them"
 COLUMNS = (
     Column("No"),
     Column("Recording", "left", wide=True),
@@ -41,7 +42,9 @@ def agreement_line(together: Together) -> str:
     if not together.disagreements:
         return f"agreement: the recordings agree in {counted(len(together.compared), 'parameter')} of the robot"
     places = "; ".join(dict.fromkeys(f"{one.location} in {one.file}" for one in together.disagreements))
-    return f"agreement: the recordings differ ({places}); the common values there hold for none of them"
+    off = bool(together.taken_off)
+    common = "this is taken off, and the common values are those of the others" if off else COMMON
+    return f"agreement: the recordings differ ({places}); {common}"
 
 
 def together_blocks(together: Together, stiffness: Sequence[JointStiffness]) -> tuple[Block, ...]:
