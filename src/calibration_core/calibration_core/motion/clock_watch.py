@@ -7,7 +7,7 @@ import math
 from calibration_core.timeseries import NANOSECONDS
 
 BACKWARDS = 1e-3  # s, that a clock may go back by: two threads that read it at the same moment
-SHORTEST = 1.0  # s, no shorter time is laid at the base of what a clock may advance by
+SHORTEST = 1.0  # s, an advance in a shorter time is judged as if it had taken so long
 
 
 class ClockWatch:
@@ -26,7 +26,7 @@ class ClockWatch:
         self._seen, self._since = 0, math.nan
 
     def jumped(self, clock: int, now: float) -> bool:
-        """Look at the clock; tell whether it went back or leapt since it was last seen to advance.
+        """Look at the clock; say whether it went back or leapt since it was last seen to advance.
 
         Args:
             clock: ns of the clock of messages; 0: it does not run yet.

@@ -1,4 +1,4 @@
-"""Corrections of the geometry from postures at rest are as doubtful as the compliances by which the robot sags."""
+"""Corrections of the geometry from postures at rest are as uncertain as the compliances by which the robot sags."""
 
 from __future__ import annotations
 

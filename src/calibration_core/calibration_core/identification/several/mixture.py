@@ -111,7 +111,7 @@ def _geometry_parameters(still: Standing, estimate: GaussianEstimate, cell: Cell
 
 
 def _beside(found: GaussianEstimate, still: Standing, cell: Cell) -> GaussianEstimate:
-    """Return what loads and postures at rest show as one: the geometry is as doubtful as the compliances make it.
+    """Return what loads and postures at rest show as one: the geometry is as uncertain as the compliances make it.
 
     At rest the robot sags by its compliances, which the loads have shown: an error of them is taken for geometry, with
     the sensitivity J = -(A^T A)^-1 A^T B of whitened columns A of what is fitted at rest and B of the compliances.

@@ -30,7 +30,7 @@ def without_changes(prepared: Prepared, changes: Sequence[Disagreement]) -> Prep
     """Return the recordings less what differs between them.
 
     A joint that is softer in one recording, or stands elsewhere, moves that one's points by what its own model with
-    and without the change predicts.  The change is taken as it stands, fixed and without doubt.
+    and without the change predicts.  The change is taken as a fixed value without uncertainty.
 
     Raises:
         InputError: A recording cannot be evaluated by itself without its change.
