@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import weakref
 
 import numpy as np
 import pytest
@@ -144,6 +145,16 @@ def test_rows_without_some_are_those_that_are_selected_afresh(aside: list[int]) 
         deleted(twice, residual[stays[:-1]])[0],
         deleted(again.select(np.arange(len(stays) - 1)), residual[stays[:-1]])[0],
     )
+
+
+def test_rows_left_after_some_were_set_aside_are_not_remembered() -> None:
+    """One by one, gross errors would else keep as many copies of all that is known of the rows as there are of them."""
+    rows = _rows(np.random.default_rng(12))
+    left = rows.without(np.array([3])).without(np.array([7]))
+    assert left.predictors
+    gone = weakref.ref(left)
+    del left
+    assert gone() is None
 
 
 def test_a_row_that_nothing_predicts_is_never_suspicious() -> None:

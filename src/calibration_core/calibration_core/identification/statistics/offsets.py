@@ -45,7 +45,7 @@ class Rows:
             return self
         key = ("select", rows.tobytes())
         if key not in self._derived:
-            self._derived[key] = Rows(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+            self._derived[key] = self._some(rows)
         return self._derived[key]
 
     def without(self, aside: Int1D) -> Rows:
@@ -56,22 +56,26 @@ class Rows:
         """
         stays = np.ones(len(self.configuration), dtype=bool)
         stays[aside] = False
-        left = self.select(np.flatnonzero(stays))
+        left = self._some(np.flatnonzero(stays))
         place = np.cumsum(stays) - 1
         changed = np.unique(self.configuration[aside])
         again = np.flatnonzero(np.isin(left.configuration, changed))
-        new = left.select(again)
+        new = left._some(again)
         whole = [~np.isin(group, changed) for group, *_ in self.groups]
-        known = zip(self.groups, self.predictors, whole, strict=True)
+        cuts = [slice(None) if same.all() else same for same in whole]  # a slice copies nothing
+        known = zip(self.groups, self.predictors, whole, cuts, strict=True)
         kept = [
-            ((group[same], place[index[same]], white[same], basis[same]), tuple(one[same] for one in predictor))
-            for (group, index, white, basis), predictor, same in known
+            ((group[cut], place[index[cut]], white[cut], basis[cut]), tuple(one[cut] for one in predictor))
+            for (group, index, white, basis), predictor, same, cut in known
             if same.any()
         ]
         found = [(group, again[index], white, basis) for group, index, white, basis in new.groups]
         left.__dict__["groups"] = (*(one for one, _ in kept), *found)
         left.__dict__["predictors"] = (*(one for _, one in kept), *new.predictors)
         return left
+
+    def _some(self, rows: Int1D) -> Rows:
+        return Rows(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
 
     def counting(self, used: Int1D | Bool1D) -> Rows:
         """Return the same rows, of which those not used (mask or indices) do not count for the offsets."""
