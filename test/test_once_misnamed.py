@@ -96,6 +96,7 @@ def test_what_is_missing_does_not_hide_the_geometry(
             245,
             {("hysteresis", "joint_1"), ("gravity_compensator", "joint_2")},
             id="friction as the joint arrived",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             9001, 259, {("hysteresis", "joint_6"), ("transmission_error", "joint_5")}, id="friction, hardly loaded"
@@ -108,6 +109,7 @@ def test_what_is_missing_does_not_hide_the_geometry(
             228,
             {("soft_zone", "joint_2"), ("gravity_compensator", "joint_2")},
             id="a spring that other effects of its joint imitate",
+            marks=pytest.mark.slow,
         ),
     ],
 )

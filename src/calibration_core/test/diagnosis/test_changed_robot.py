@@ -48,7 +48,7 @@ def differing(found: Diagnosis) -> list[tuple[str, str]]:
     return [(one.file, one.parameter) for one in found.identification.together.disagreements]
 
 
-@pytest.mark.parametrize("joint", [2, 3])
+@pytest.mark.parametrize("joint", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_a_joint_that_has_become_softer(tmp_path: Path, joint: int) -> None:
     """By themselves a sensor that couples its axes, and gross errors, explain most of it in that recording."""
     recordings, cells = recorded(tmp_path, 100, of_third={"stiffness": softened(joint)})

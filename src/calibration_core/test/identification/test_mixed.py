@@ -87,7 +87,7 @@ def interleaved(readings: Readings) -> Readings:
 @pytest.mark.parametrize(
     ("loaded", "rest", "effects", "mix"),
     [
-        (14, 40, (), True),
+        pytest.param(14, 40, (), True, marks=pytest.mark.slow),
         pytest.param(14, 12, (), False, marks=pytest.mark.slow),
         (2, 40, (), False),
         (12, 30, (TILT,), True),

@@ -47,7 +47,7 @@ def test_an_identification_names_its_own_outliers_where_the_search_has_some() ->
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
-@pytest.mark.parametrize(("name", "count"), [("fanuc", 2), ("motoman", 1)])
+@pytest.mark.parametrize(("name", "count"), [("fanuc", 2), pytest.param("motoman", 1, marks=pytest.mark.slow)])
 def test_all_that_identify_says_counts_the_same(
     name: str, count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

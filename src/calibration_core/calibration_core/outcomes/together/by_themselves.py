@@ -15,10 +15,9 @@ from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.outcomes.together.prepare import Prepared
 
 FOUND = "what was found"
-GEOMETRY = "geometry."
 
 
-def by_themselves(prepared: Prepared, found: ModelParameters | None = None) -> list[GaussianEstimate]:
+def by_themselves(prepared: Prepared, found: ModelParameters | None = None) -> tuple[GaussianEstimate, ...]:
     """Return what each recording shows by itself, less the effects that were found in all of them together.
 
     What the standard's model leaves out moves the parameters of each recording otherwise, for their postures differ;
@@ -32,17 +31,9 @@ def by_themselves(prepared: Prepared, found: ModelParameters | None = None) -> l
     Raises:
         InputError: A recording cannot be evaluated by itself.
     """
-    estimates = [one.estimate for one in prepared.alone]
-    corrected = any(map(_shows_geometry, estimates))
-    shared = found if found is not None and found.effects else None
-    if shared is not None:
-        return [_estimate(prepared, k, shared, corrected=corrected) for k in range(len(estimates))]
-    if not corrected:
-        return estimates
-    return [
-        one if _shows_geometry(one) else _estimate(prepared, k, shared, corrected=True)
-        for k, one in enumerate(estimates)
-    ]
+    if found is None or not found.effects:
+        return prepared.shown
+    return tuple(_less(prepared, k, found) for k in range(len(prepared.members)))
 
 
 def effects_in(effects: tuple[AppliedEffect, ...], prepared: Prepared, k: int) -> tuple[AppliedEffect, ...]:
@@ -70,20 +61,13 @@ def _at_its_own_place(effect: AppliedEffect, prepared: Prepared, k: int) -> Appl
     return dataclasses.replace(effect, location=location)
 
 
-def _shows_geometry(estimate: GaussianEstimate) -> bool:
-    return any(name.startswith(GEOMETRY) for name in estimate.names)
-
-
-def _estimate(prepared: Prepared, k: int, found: ModelParameters | None, *, corrected: bool) -> GaussianEstimate:
+def _less(prepared: Prepared, k: int, found: ModelParameters) -> GaussianEstimate:
     """Identify one recording by itself, less what was found in all of them."""
     member, start = prepared.members[k], prepared.starts[k]
-    readings, cell = member.readings, member.cell
-    options = Options(robust=prepared.options.robust, start=start, corrected=corrected)
-    if found is not None:
-        own = prepared.alone[k].model.replace(
-            compliance=found.compliance, geometry=found.geometry, effects=effects_in(found.effects, prepared, k)
-        )
-        readings = without_effects(readings, cell, GivenModel(own, FOUND, ""))
-        believed = (start or nominal_parameters(cell)).replace(compliance=found.compliance)
-        options = dataclasses.replace(options, start=believed)
-    return fit_freed(readings, cell, options, None).estimate
+    own = prepared.alone[k].model.replace(
+        compliance=found.compliance, geometry=found.geometry, effects=effects_in(found.effects, prepared, k)
+    )
+    readings = without_effects(member.readings, member.cell, GivenModel(own, FOUND, ""))
+    believed = (start or nominal_parameters(member.cell)).replace(compliance=found.compliance)
+    options = Options(robust=prepared.options.robust, start=believed, corrected=prepared.corrects)
+    return fit_freed(readings, member.cell, options, None).estimate

@@ -89,13 +89,17 @@ def _explained(prepared: Prepared, offers: Offers | None) -> tuple[Diagnosis, Pr
     and then beside those of the best answer so far.
     """
     best = _diagnosed(prepared, offers), prepared
-    seen, model = set(), None
+    seen: set[tuple[Disagreement, ...]] = set()
+    beside: ModelParameters | None = None
     for _ in range(ROUNDS):
-        changes = changes_of(prepared, model)
+        changes = changes_of(prepared, beside)
         if changes and changes not in seen:
             best = min(best, _less(prepared, changes, offers), key=lambda answer: answer[0].held_out_after)
         seen.add(changes)
-        model = best[0].model
+        found = best[0].model
+        if found is beside or (beside is None and (found is None or not found.effects)):
+            break  # the same would differ again
+        beside = found
     return best
 
 

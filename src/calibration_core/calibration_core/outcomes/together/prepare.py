@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 from calibration_core.cell import Cell
@@ -22,11 +23,14 @@ from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import without_effects
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.outlier_rejection import Key
+from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.timeseries import Readings
+
+GEOMETRY = "geometry."
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,6 +85,25 @@ class Prepared:
     def measured(self) -> Prepared:
         """The recordings as they were measured, changes of the robot between them included."""
         return self.with_changes or self
+
+    @property
+    def corrects(self) -> bool:
+        """Whether one of the recordings proves by itself that the geometry is to be corrected."""
+        return any(_shows_geometry(one.estimate) for one in self.alone)
+
+    @functools.cached_property
+    def shown(self) -> tuple[GaussianEstimate, ...]:
+        """What each recording shows by itself; where one proves an error of the geometry, what all know of it, too."""
+        if not self.corrects:
+            return tuple(one.estimate for one in self.alone)
+        return tuple(
+            one.estimate if _shows_geometry(one.estimate) else self._corrected(member, start)
+            for one, member, start in zip(self.alone, self.members, self.starts, strict=True)
+        )
+
+    def _corrected(self, member: Member, start: ModelParameters | None) -> GaussianEstimate:
+        options = Options(robust=self.options.robust, start=start, corrected=True)
+        return fit_freed(member.readings, member.cell, options, None).estimate
 
     def placed(self, readings: Readings) -> Readings:
         """Return further readings of the first recording's set-up, as they stand beside those of all."""
@@ -158,6 +181,10 @@ def evaluated(
         asked=options,
         believed=believed,
     )
+
+
+def _shows_geometry(estimate: GaussianEstimate) -> bool:
+    return any(name.startswith(GEOMETRY) for name in estimate.names)
 
 
 def _bare(readings: Readings, cell: Cell, own: GivenModel | None) -> Readings:
