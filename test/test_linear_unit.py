@@ -194,6 +194,26 @@ def test_the_chain_of_commands(folder: Path, plan: Path) -> None:
         assert np.abs(np.subtract(moved[:3], moved[3:])).max() < 1e-4
 
 
+def test_a_compliance_that_only_lowers_the_robot_stays_unknown(folder: Path) -> None:
+    """At rest the column carries the same weight everywhere: its sag is the height of the tracker, and no other."""
+    place = folder / "lift.cell.yaml"
+    cell = load_cell(place)
+    mechanism = Mechanism(read_chain(cell), np.array(cell.robot.stiffness), cell.gravity)
+    rng = np.random.default_rng(4)
+    with (folder / "rest.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["configuration", "step", "q1", "q2", "q3", "q4", "point", "x", "y", "z"])
+        for k, q in enumerate(rng.uniform(*chain_of(cell).limits.T, (40, 4))):
+            flange = mechanism.equilibrium(q).flange
+            seen = flange.translation + flange.rotation @ [0.1, 0.0, 0.0] + 1e-5 * rng.standard_normal(3)
+            writer.writerow([k + 1, 0, *q, "mp1", *seen])
+    out = folder / "at rest"
+    run("diagnose", folder / "rest.csv", "--cell", place, "--out", out, "--no-report")
+    named = {one["name"]: one for one in yaml.safe_load((out / "model.yaml").read_text())["parameters"]}
+    assert all(0 < one["std"] < np.inf for one in named.values())
+    assert named["compliance.lift"]["std"] > 10 * named["compliance.lift"]["value"]
+
+
 def test_a_rail_that_is_declared_rigid_is_not_asked_for(folder: Path, plan: Path) -> None:
     content = rail_content()
     content["robot"]["stiffness"][0] = float("inf")

@@ -233,7 +233,7 @@ def refit(
     rest = residual if linear.own is linear.white else rest - linear.white.moved(step)
     kept = np.where(fitted, rest, 0.0)
     variance = float(kept @ kept) / max(count - settled.effective, 1.0)
-    covariance = variance * (inverse - RIDGE * (inverse @ inverse.T))
+    covariance = variance * inverse  # what nothing shows stays as unknown as the ridge lets it be
     covariance = _widened(covariance, inverse / length, linear.white, kept, partition) / np.outer(length, length)
     fixed = np.concatenate([np.zeros((len(allowed.held), f)), allowed.held], axis=1)
     return Extended(

@@ -16,8 +16,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calibration_core.diagnosis.empirical.dictionary import EVEN, DictionaryTerm, dictionary
-from calibration_core.diagnosis.evidence.confounding import BY_ANGLE
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
+from calibration_core.estimation.alternatives.confounding import BY_ANGLE
 from calibration_core.identification.statistics.offsets import whitened
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.traits import Trait

@@ -101,14 +101,14 @@ def _elsewhere(extended: ExtendedLoadedModel, fit: _Fit, choice: Choice) -> Iter
 
 
 def _unequal(extended: ExtendedLoadedModel, fit: _Fit, choice: Choice) -> Iterator[Float2D]:
-    """Yield (q, c): what everything else may be off by where a form of one size has several in truth."""
+    """Yield (q, c): what everything else may be off by where a form has more sizes in truth."""
     design = extended.design
     mine = design.candidates[choice.candidate]
     fuller = fuller_form(mine, design.candidates)
     if fuller is None:
         return
-    value = float(fit.value[fit.own[choice.candidate]][0] * design.prior[design.blocks[choice.candidate]][0])
-    columns = neglected(_white(extended, mine)[:, 0], _white(extended, fuller), mine, fuller, value)
+    value = fit.value[fit.own[choice.candidate]] * design.prior[design.blocks[choice.candidate]]
+    columns = neglected(_white(extended, mine), _white(extended, fuller), mine, fuller, value)
     yield left_open(fit.normal, 1.0, fit.columns.T @ columns, columns.T @ columns, columns.T @ fit.rest)
 
 

@@ -12,14 +12,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.evidence.confounding import (
+from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
+from calibration_core.estimation.alternatives.confounding import (
     CONFOUNDED_SHARE,
     LEFT_SHARE,
     SURE,
     are_confounded,
+    lent,
     same_deflection,
 )
-from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.estimation.alternatives.covariance import other_forms
 from calibration_core.estimation.alternatives.equivalents import equivalents, nearest_first, resembling
 from calibration_core.estimation.blocks import Blocks
@@ -27,14 +28,13 @@ from calibration_core.estimation.comparisons import STEPS
 from calibration_core.estimation.controls import Controls
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import LAW, Hypothesis, Offered, offer
-from calibration_core.estimation.likelihood.small_effects import NONE, visible
+from calibration_core.estimation.likelihood.small_effects import NONE
 from calibration_core.estimation.search import PART, Search, Selection
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Int1D
 
 BLOCKS = 20  # of whole configurations, left out one after the other
-KNOWN = 0.15  # share to which the law of an effect is known
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +125,7 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
             forms = tuple((hypotheses[i].members[0], nats) for i, nats in other_forms(search, found, index))
             choices.append(Choice(candidate, gain, _other_places(search, found, index), forms=forms))
     chosen = tuple(hypotheses[index].members[0] for index in found.accepted)
-    unsure = tuple(_lent(design, search, found.accepted, index) for index in found.accepted)
+    unsure = tuple(lent(search, found.accepted, index, design.joints) for index in found.accepted)
     return LoadedSelection(tuple(choices), chosen, found.level, unsure)
 
 
@@ -195,12 +195,3 @@ def _is_refinement(design: Design, choice: Choice, candidate: int, gain: float) 
     if left and same_deflection(first, second):
         return True
     return (alike or weaker or first.place == second.place) and are_confounded(first, second, design.joints)
-
-
-def _lent(design: Design, search: Search, accepted: Accepted, index: int) -> Float1D:
-    """Return the signal-to-noise ratios, (c,), that an accepted hypothesis lends to what is confounded with it."""
-    others = tuple(i for i in accepted if i != index)
-    without_small_effects = search.fitted(others)[:1]
-    seen = visible(without_small_effects, search.field.blocks((index,))[0])[1]
-    own = design.candidates[search.field.offered.hypotheses[index].members[0]]
-    return np.array([KNOWN * seen * are_confounded(own, one, design.joints) for one in design.candidates])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from calibration_core.diagnosis.evidence.confounding import BY_ANGLE, CONFOUNDED_SHARE
+from calibration_core.estimation.alternatives.confounding import BY_ANGLE, CONFOUNDED_SHARE
 from calibration_core.estimation.hypotheses import LAW, WAVE, Hypothesis
 from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.model.effects import effects_with

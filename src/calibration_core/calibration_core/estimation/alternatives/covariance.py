@@ -68,7 +68,7 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
     own = np.arange(len(length))[extended.flat :][extended.block(part)]
     for (k, _), share in zip(several, shares([nats for _, nats in several]), strict=True):
         candidate = fuller_form(candidates[k], candidates) or candidates[k]
-        columns = _white(extended, candidate)
+        columns = white_columns(extended, candidate)
         prior = extended.parts[part].size * np.array([one.typical for one in candidate.parameters])
         ways = instead(
             extended.gram + np.diag(extended.ridge),
@@ -136,27 +136,26 @@ def instead(
 
 
 def fuller_form(mine: Candidate, candidates: Sequence[Candidate]) -> Candidate | None:
-    """Return the first form of an effect at its place that has several sizes where it has one; None: there is none."""
-    if len(mine.parameters) > 1:
-        return None
-    several = (one for one in candidates if one.place == mine.place and one.shape == mine.shape)
-    return next((one for one in several if len(one.parameters) > 1), None)
+    """Return the form of an effect at its place that has the most sizes, more than its own; None: there is none."""
+    fuller = [one for one in candidates if one.place == mine.place and one.shape == mine.shape]
+    fuller = [one for one in fuller if len(one.parameters) > len(mine.parameters)]
+    return max(fuller, key=lambda one: len(one.parameters), default=None)
 
 
-def neglected(mine: Float1D, fuller: Float2D, mine_one: Candidate, fuller_one: Candidate, value: float) -> Float2D:
-    """Return the columns, (r, k - 1), of what a form of one size takes for equal or zero, as large as it usually is.
+def neglected(mine: Float2D, fuller: Float2D, mine_one: Candidate, fuller_one: Candidate, value: Float1D) -> Float2D:
+    """Return the columns, (r, k - c), of what a form of c sizes takes for equal or zero, as large as it usually is.
 
     Args:
-        mine: (r,) column of the form, per unit.
+        mine: (r, c) columns of the form, per unit.
         fuller: (r, k) columns of the one with k sizes, per unit.
         mine_one: The form.
         fuller_one: The other one.
-        value: Size of the effect.
+        value: (c,) sizes of the effect.
     """
-    scale = np.array([one.typical for one in fuller_one.parameters]) / mine_one.parameters[0].typical
-    along, *_ = np.linalg.lstsq(fuller * scale, mine, rcond=SEEN)
-    across = np.linalg.svd(along[None])[2][1:].T  # combinations that leave the sum as it is
-    return np.asarray(UNEQUAL * abs(value) * (fuller * scale) @ across)
+    usual, typical = (np.array([one.typical for one in form.parameters]) for form in (mine_one, fuller_one))
+    along, *_ = np.linalg.lstsq(fuller * typical, mine * usual, rcond=SEEN)
+    across = np.linalg.svd(along.T)[2][len(usual) :].T  # combinations that leave what is fitted as it is
+    return np.asarray(UNEQUAL * np.abs(value / usual).max() * (fuller * typical) @ across)
 
 
 def left_open(normal: Float2D, variance: float, taken: Float2D, own: Float2D, seen: Float1D) -> Float2D:
@@ -178,13 +177,13 @@ def left_open(normal: Float2D, variance: float, taken: Float2D, own: Float2D, se
 
 
 def _unequal(extended: Extended, candidates: Sequence[Candidate], part: int) -> Iterator[Float2D]:
-    """Yield (f + p, c): what everything else may be off by where a part of one size has several in truth."""
+    """Yield (f + p, c): what everything else may be off by where a part has more sizes in truth."""
     mine = extended.parts[part].candidate
     fuller = fuller_form(mine, candidates)
     if fuller is None:
         return
-    value = float(extended.value[extended.block(part)][0])
-    columns = neglected(_white(extended, mine)[:, 0], _white(extended, fuller), mine, fuller, value)
+    value = extended.value[extended.block(part)]
+    columns = neglected(white_columns(extended, mine), white_columns(extended, fuller), mine, fuller, value)
     white, length = extended.linear.white, extended.length
     rest = np.where(np.repeat(extended.model.used, 3), extended.rest, 0.0)
     yield (
@@ -199,8 +198,8 @@ def _unequal(extended: Extended, candidates: Sequence[Candidate], part: int) -> 
     )
 
 
-def _white(extended: Extended, candidate: Candidate) -> Float2D:
-    """Return the columns of a candidate per unit, (3 m, k), as independent rows; zero where a reading is not used."""
+def white_columns(extended: Extended, *candidates: Candidate) -> Float2D:
+    """Return the columns of candidates per unit, (3 m, k), as independent rows; zero where a reading is not used."""
     model = extended.model
-    columns = extended.whitening(model.moves([candidate], np.arange(len(model.readings))))
+    columns = extended.whitening(model.moves(candidates, np.arange(len(model.readings))))
     return np.asarray(columns * np.repeat(model.used, 3)[:, None])

@@ -74,7 +74,7 @@ def test_one_size_stands_for_several_that_leave_their_sum_alone() -> None:
     rng = np.random.default_rng(3)
     x, y, xy = rng.normal(size=(3, ROWS))
     fuller = _form("before", 3)
-    columns = neglected(x + y, np.stack([x, y, xy], axis=1), _form("isotropic", 1), fuller, 2.0)
+    columns = neglected((x + y)[:, None], np.stack([x, y, xy], axis=1), _form("isotropic", 1), fuller, np.array([2.0]))
     assert columns.shape == (ROWS, 2)
     span = np.linalg.lstsq(columns, np.stack([x - y, xy], axis=1), rcond=None)[1]
     np.testing.assert_allclose(span, 0.0, atol=1e-20)

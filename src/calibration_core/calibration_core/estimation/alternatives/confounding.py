@@ -1,20 +1,30 @@
-"""Which hypotheses are forms of one cause: the same family at the same joint, or at neighbouring parts."""
+"""Which hypotheses are forms of one cause: the same family at the same joint, or at neighbouring parts.
+
+The law of what was accepted is known to a share only, and what is confounded with it may hold the rest.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from calibration_core.estimation.field import Accepted
 from calibration_core.estimation.hypotheses import LAW
+from calibration_core.estimation.likelihood.small_effects import visible
+from calibration_core.estimation.search import Search
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.candidate import Candidate, link_name
 from calibration_core.model.effects.structure import pose_dependent_stiffness
 from calibration_core.model.effects.traits import Trait
+from calibration_core.timeseries import Float1D
 
 TOOL = 1 << 20  # beyond the last joint
 # What is confounded with something found is the same cause under another form where it is this much weaker.
 CONFOUNDED_SHARE = 0.15
 # Under load, what a joint's law of another shape than the catalogue's leaves is weaker than the law, and seldom sure.
 LEFT_SHARE, SURE = 0.45, 30.0  # of the law's evidence; nats
+KNOWN = 0.15  # share to which the law of an effect is known
 BY_ANGLE = pose_dependent_stiffness.EFFECT.name
 
 
@@ -63,3 +73,20 @@ def parts(location: Mapping[str, str | tuple[str, ...]], joints: Sequence[str]) 
         return (number, number + 1)
     names = location.get("joints", location.get("joint", ()))
     return tuple(1 + joints.index(name) for name in ((names,) if isinstance(names, str) else names))
+
+
+def lent(search: Search, accepted: Accepted, index: int, joints: Sequence[str]) -> Float1D:
+    """Return the signal-to-noise ratios, (c,), that an accepted hypothesis lends to what is confounded with it.
+
+    Args:
+        search: Rows, hypotheses and what was asked of them.
+        accepted: What was accepted.
+        index: The hypothesis, one of these.
+        joints: Names of the robot's joints, from the base on.
+    """
+    others = tuple(i for i in accepted if i != index)
+    without_small_effects = search.fitted(others)[:1]
+    seen = visible(without_small_effects, search.field.blocks((index,))[0])[1]
+    candidates = search.field.offered.candidates
+    own = candidates[search.field.offered.hypotheses[index].members[0]]
+    return np.array([KNOWN * seen * are_confounded(own, one, joints) for one in candidates])
