@@ -98,3 +98,17 @@ def test_the_second_table_counts_its_kinds() -> None:
     assert rows["diagnoses that failed"].value == pytest.approx(1 / 6)
     assert not [text for text in rows if text.startswith("robots of")]
     assert "| at rest: named first | 0.5 | >= 0.95 | **no** | 2 |" in second_markdown(cases, "head")
+
+
+def test_intervals_of_stiffnesses_count_where_the_cause_is_right() -> None:
+    stiffness = [
+        {"joint": "joint_1", "value": 1.1e6, "std": 1e5, "identifiable": True},
+        {"joint": "joint_2", "value": 2.5e6, "std": 1e5, "identifiable": True},
+    ]
+    label = _label(_effect(), group="mixed", stiffness=[1e6, 2e6])
+    right, wrong = _result(_finding(), stiffness=stiffness), _result(_finding("creep"), stiffness=stiffness)
+    cases = [_case(label, right), _case(label, wrong), _case({**label, "group": "across"}, right)]
+    rows = {row.text: row for row in second_measures(cases)}
+    for kind, which in (("loaded and at rest", "cause"), ("one under load and one at rest", "a cause")):
+        row = rows[f"{kind}: stiffnesses in their 95 % intervals, {which} right"]
+        assert (row.value, row.count, row.met) == (0.5, 2, False)

@@ -86,8 +86,8 @@ def measures(cases: Sequence[Case]) -> list[Measure]:
         least("outside: flagged", cases, of_group("outside"), lambda _, o: [o.flagged], None),
         least("aliases: confounded, reported as such", cases, of_group("alias"), lambda _, o: [o.aliases_named], 1.0),
         least("anomalies: found, located, no physics claimed", cases, of_group("anomaly"), _anomaly, 0.97),
-        _within("parameters in their 95 % intervals, same law", cases, of_group("single"), lambda _, o: o.covered),
-        _within("stiffnesses in their 95 % intervals, single effects", cases, _named_right, _stiff),
+        within("parameters in their 95 % intervals, same law", cases, of_group("single"), lambda _, o: o.covered),
+        within("stiffnesses in their 95 % intervals, single effects", cases, named_right("single"), stiff),
         _ratio(cases),
         *costs([case for case in cases if case.label["protocol"] == "L"], cases),
     ]
@@ -171,11 +171,13 @@ def _anomaly(_: Case, outcome: Outcome) -> list[bool]:
     return [all(outcome.anomaly_right) and outcome.found == 0]
 
 
-def _named_right(case: Case) -> bool:
-    return case.label["group"] == "single" and case.outcome is not None and bool(case.outcome.first_right)
+def named_right(group: str) -> Chosen:
+    """Choose the recordings of a group of which the first finding names a label."""
+    return lambda case: case.label["group"] == group and case.outcome is not None and bool(case.outcome.first_right)
 
 
-def _stiff(_: Case, outcome: Outcome) -> tuple[bool, ...]:
+def stiff(_: Case, outcome: Outcome) -> tuple[bool, ...]:
+    """Say of each stiffness whether its interval holds the truth."""
     return outcome.stiffness_covered
 
 
@@ -215,7 +217,8 @@ def _limit(text: str, cases: Sequence[Case], chosen: Chosen) -> Measure:
     return Measure(words, float(np.mean(detected)) if detected else None, "", None, len(detected))
 
 
-def _within(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags) -> Measure:
+def within(text: str, cases: Sequence[Case], chosen: Chosen, flags: Flags) -> Measure:
+    """Return the share of 95 % intervals that hold the truth, which shall be neither too small nor too large."""
     done = [case for case in cases if case.outcome is not None]
     value, count = _share(done, chosen, flags, missing=False)
     return Measure(text, value, "0.92-0.98", None if value is None else 0.92 <= value <= 0.98, count)

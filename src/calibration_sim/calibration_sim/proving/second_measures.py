@@ -14,8 +14,11 @@ from calibration_sim.proving.measures import (
     first_right,
     least,
     most,
+    named_right,
     of_group,
     placed,
+    stiff,
+    within,
 )
 from calibration_sim.proving.scoring import Outcome
 
@@ -27,6 +30,7 @@ SINGLE_CAUSES = {
     "everywhere": "every joint a little",
     "prismatic": "a first axis that slides",
 }
+UNDER_LOAD = {"mixed"}  # kinds of which every recording shows all stiffnesses
 
 
 def second_measures(cases: Sequence[Case]) -> list[Measure]:
@@ -44,6 +48,9 @@ def second_measures(cases: Sequence[Case]) -> list[Measure]:
                 least(f"{words}: place right, given the effect is right", cases, chosen, placed, 0.97),
                 most(f"{words}: a false second finding", cases, chosen, false_beside, 0.02),
             ]
+            if kind in UNDER_LOAD:
+                named, text = named_right(kind), f"{words}: stiffnesses in their 95 % intervals, cause right"
+                rows.append(within(text, cases, named, stiff))
     if "across" in present:
         chosen = of_group("across")
         rows += [
@@ -51,6 +58,12 @@ def second_measures(cases: Sequence[Case]) -> list[Measure]:
             least("one under load and one at rest: both found", cases, chosen, _all_found, 0.85),
             least("one under load and one at rest: places right", cases, chosen, placed, 0.97),
             most("one under load and one at rest: a false third finding", cases, chosen, false_beside, 0.02),
+            within(
+                "one under load and one at rest: stiffnesses in their 95 % intervals, a cause right",
+                cases,
+                named_right("across"),
+                stiff,
+            ),
         ]
     if "other_law" in present:
         text = "laws of other shapes: joint and kind right or unexplained, never to the noise"
