@@ -165,3 +165,27 @@ def test_noise_that_lasts_is_no_cause(number: int, tmp_path: Path) -> None:
     answer = answered(number, tmp_path, PUBLISHED)
     assert not answer.label["effects"]
     assert (answer.found.verdict, answer.found.findings) == ("consistent", ())
+
+
+@pytest.mark.parametrize(
+    ("number", "joint"),
+    [
+        pytest.param(275, 0, id="a law that is no physics of the catalogue"),
+        pytest.param(336, 0, id="a law of another form at its joint"),
+    ],
+)
+def test_the_stiffness_of_a_joint_is_as_uncertain_as_its_law_is_open(number: int, joint: int, tmp_path: Path) -> None:
+    """It was 58 and 31 standard deviations off, which said nothing of other forms of the law."""
+    answer = answered(number, tmp_path, PUBLISHED)
+    found = answer.found
+    assert found.compliance is not None
+    assert found.compliance_covariance is not None
+    true, std = 1 / np.array(answer.label["stiffness"]), np.sqrt(np.diag(found.compliance_covariance))
+    assert abs(found.compliance[joint] - true[joint]) < 2.5 * std[joint]
+    assert found.stiffness[f"joint_{joint + 1}"][1] == pytest.approx(
+        std[joint] / found.compliance[joint] ** 2, rel=1e-6
+    )
+    written = dict(zip(found.estimate.names, found.estimate.std, strict=True))  # in the model file
+    assert written[f"compliance.joint_{joint + 1}"] == pytest.approx(std[joint], rel=1e-6)
+    others = np.arange(len(true)) != joint
+    assert np.median(std[others] / true[others]) < 0.02  # what else is known stays known

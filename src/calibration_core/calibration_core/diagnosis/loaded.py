@@ -35,6 +35,7 @@ from calibration_core.diagnosis.evidence.extended import (
     loaded_state,
 )
 from calibration_core.diagnosis.evidence.left_out_errors import held_out_lengths
+from calibration_core.diagnosis.evidence.open_law import with_open_laws
 from calibration_core.diagnosis.evidence.residual import held_out_error, weighted_rest, what_remains
 from calibration_core.diagnosis.evidence.selection import LoadedSelection, select
 from calibration_core.diagnosis.findings.loaded import findings_of
@@ -128,6 +129,7 @@ def diagnose_loaded(
         fitted = law_findings(law, prepared.problem.chain.joints, prepared.problem.readings)
         findings = by_size((*findings, *fitted))
         rest = dataclasses.replace(rest, text=f"{rest.text} {law_sentence(law)}")
+    extended = with_open_laws(extended, selection, law)
     unit = identification.noise.claimed * seen.total  # of one whitened row
     joints = prepared.problem.chain.joints
     model = extended_model(prepared.parameters, extended)

@@ -1,0 +1,62 @@
+"""Compliances of joints whose law is open: as uncertain as the law moves the points.
+
+Where a joint follows a law that the catalogue does not have, its deflection over its torque is another one at every
+load.  What is called its compliance depends on which law is taken, by about as much as the law adds to what a spring of
+constant stiffness does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from calibration_core.diagnosis.empirical.law import Law
+from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
+from calibration_core.diagnosis.evidence.selection import LoadedSelection
+from calibration_core.estimation.hypotheses import LAW
+from calibration_core.identification.statistics.sizes import rms_length
+from calibration_core.timeseries import Float2D
+
+
+def with_open_laws(extended: ExtendedLoadedModel, selection: LoadedSelection, law: Law | None) -> ExtendedLoadedModel:
+    """Return the model with compliances as uncertain as the laws of their joints are open.
+
+    Args:
+        extended: The extended model.
+        selection: What was accepted; a law that needs refinements is of another form than the catalogue's.
+        law: An empirical law for what no physics explains; None: there is none.
+    """
+    state, compliance = extended.state, extended.compliance
+    columns = extended.problem.linearise(extended.base_compliance).columns
+    more = np.zeros(len(compliance))
+    for joint, shift in (*_unsettled(extended, selection), *_empirical(law)):
+        moved = rms_length(state.since_step_zero(columns[:, :, joint] * compliance[joint]))
+        if moved > 0:
+            more[joint] = max(more[joint], compliance[joint] * rms_length(shift) / moved)
+    covariance = extended.covariance.copy()
+    n = len(compliance)
+    covariance[np.arange(n), np.arange(n)] += more**2
+    return dataclasses.replace(extended, covariance=covariance)
+
+
+def _unsettled(extended: ExtendedLoadedModel, selection: LoadedSelection) -> Iterator[tuple[int, Float2D]]:
+    """Yield the joint and the (m, 3) m of each law that was found there with refinements."""
+    candidates, state = extended.design.candidates, extended.state
+    for choice in selection.choices:
+        own = candidates[choice.candidate]
+        if own.family != LAW or not choice.refinements:
+            continue
+        several = (choice.candidate, *choice.refinements)
+        shift = sum(
+            (candidates[index].columns(state) @ extended.values_of(index)[0] for index in several),
+            start=np.zeros((state.m, 3)),
+        )
+        yield state.chain.joints.index(str(own.location["joint"])), state.since_step_zero(shift)
+
+
+def _empirical(law: Law | None) -> Iterator[tuple[int, Float2D]]:
+    """Yield the joint and the (m, 3) m of each term of an empirical law."""
+    for one in () if law is None else law.terms:
+        yield one.term.joint, one.shift
