@@ -46,19 +46,23 @@ def with_unnamed(extended: Extended, search: Search, selection: Selection) -> Ex
         search: Rows, hypotheses and what was asked of them.
         selection: What was accepted.
     """
-    offered, joints = search.field.offered, extended.parameters.joints
+    offered, small = search.field.offered, _small(search, selection)
+    unit = shared_power(np.diag(search.field.gram.matrix), offered.candidates, offered.blocks)
+    of_laws = _of_laws(search, selection, extended.parameters.joints)
     ways = [np.zeros((len(extended.length), 0))]
-    for level, weight in _levels(search, selection):
-        size = _sizes(search, selection, level, joints)
-        some = [k for k, block in enumerate(offered.blocks) if size[block].any()]
-        if some and weight > SELDOM:
-            ways.append(np.sqrt(weight) * _open(extended, offered, some, size))
+    for level, weight in _levels(search, selection, small):
+        ratio = of_laws.copy()
+        ratio[small] = np.maximum(ratio[small], level)
+        size = np.minimum(np.repeat(ratio, [block.stop - block.start for block in offered.blocks]) * unit, MOST)
+        if weight > SELDOM and size.any():
+            ways.append(np.sqrt(weight) * _open(extended, offered, size))
     more = np.column_stack(ways)
     return dataclasses.replace(extended, covariance=extended.covariance + more @ more.T)
 
 
-def _open(extended: Extended, offered: Offered, some: Sequence[int], size: Float1D) -> Float2D:
-    """Return (f + p, c): what everything may be off by where some candidates act a little; `size` is of all columns."""
+def _open(extended: Extended, offered: Offered, size: Float1D) -> Float2D:
+    """Return (f + p, c): what everything may be off by where candidates act a little, `size` (p,) typical ones."""
+    some = [k for k, block in enumerate(offered.blocks) if size[block].any()]
     candidates = [offered.candidates[k] for k in some]
     each = np.concatenate([size[offered.blocks[k]] * typical_sizes(offered.candidates[k]) for k in some])
     columns = white_columns(extended, *candidates) * each
@@ -86,24 +90,19 @@ def _small(search: Search, selection: Selection) -> list[int]:
     ]
 
 
-def _sizes(search: Search, selection: Selection, level: float, joints: Sequence[str]) -> Float1D:
-    """Return the size of every column, (p,) typical ones, one standard deviation; 0 of what was named."""
-    field, accepted = search.field, selection.accepted
-    candidates, blocks = field.offered.candidates, field.offered.blocks
-    ratio = np.zeros(len(candidates))
-    ratio[_small(search, selection)] = level
+def _of_laws(search: Search, selection: Selection, joints: Sequence[str]) -> Float1D:
+    """Return the signal-to-noise ratio of every candidate, (c,), that laws of joints that were accepted lend to it."""
+    hypotheses, accepted = search.field.offered.hypotheses, selection.accepted
+    ratio = np.zeros(len(search.field.offered.candidates))
     for index in accepted:
-        hypothesis = field.offered.hypotheses[index]
-        if hypothesis.family == LAW and len(hypothesis.members) == 1:
+        if hypotheses[index].family == LAW and len(hypotheses[index].members) == 1:
             ratio = np.maximum(ratio, lent(search, accepted, index, joints))
-    ratio[[member for i in accepted for member in field.offered.hypotheses[i].members]] = 0.0
-    unit = shared_power(np.diag(field.gram.matrix), candidates, blocks)
-    return np.minimum(np.repeat(ratio, [block.stop - block.start for block in blocks]) * unit, MOST)
+    ratio[[member for index in accepted for member in hypotheses[index].members]] = 0.0
+    return ratio
 
 
-def _levels(search: Search, selection: Selection) -> list[tuple[float, float]]:
-    """Return signal-to-noise ratios of what is small, each with its probability beside what was accepted."""
-    small = _small(search, selection)
+def _levels(search: Search, selection: Selection, small: Sequence[int]) -> list[tuple[float, float]]:
+    """Return signal-to-noise ratios of some candidates, each with its probability beside what was accepted."""
     if not small:
         return [(0.0, 1.0)]
     field, own = search.field, search.field.blocks(selection.accepted)
