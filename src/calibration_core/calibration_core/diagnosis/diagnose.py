@@ -17,6 +17,7 @@ from calibration_core.diagnosis.result.finding import Diagnosis, Rest
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.geometry.named_estimate import with_known_effects
 from calibration_core.identification.identify import with_given
+from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import in_own_set_up, without_effects
 from calibration_core.identification.stiffness.loaded import Options
@@ -44,6 +45,7 @@ def diagnose(
     simulation: Readings | None = None,
     offers: Offers | None = None,
     given: GivenModel | None = None,
+    identified: Identification | None = None,
 ) -> Diagnosis:
     """Say what the model of a recording leaves out.
 
@@ -59,6 +61,8 @@ def diagnose(
         offers: What could be measured next; None: nothing is proposed.
         given: A model to start from.  Its effects are known: they are taken off both recordings (not off the
             simulation, nor where it is compared with), and stand in the extended model before what is found.
+        identified: What `identify` says of the same recording and test, without a given model; None: it is found where it
+            is needed.
 
     Raises:
         InputError: The input cannot be used; the message names file, place, what was found and what was expected.
@@ -67,12 +71,12 @@ def diagnose(
     given = accounted(cell, given) if is_loaded(readings) else given
     given = None if given is None else in_own_set_up(given, readings, cell)
     if simulation is None:
-        return _judged(_with_location(readings, cell, options, test, offers, given))
+        return _judged(_with_location(readings, cell, options, test, offers, given, identified))
     from calibration_core.diagnosis.simulated import compare_checked  # slow to load, and seldom needed
 
     compared = [compare_checked(readings, simulation, cell)]
     with mixed_up(compared):
-        found = _with_location(readings, cell, options, test, offers, given)
+        found = _with_location(readings, cell, options, test, offers, given, identified)
     return beside(_judged(found), compared)
 
 
@@ -120,10 +124,11 @@ def _with_location(
     test: Readings | None,
     offers: Offers | None,
     given: GivenModel | None,
+    identified: Identification | None,
 ) -> Diagnosis:
     """Diagnose the recording less what is known, and say where the rest lies."""
     if given is None:
-        return with_location(_diagnose(readings, cell, options, test, offers), cell)
+        return with_location(_diagnose(readings, cell, options, test, offers, identified), cell)
     freed = without_effects(readings, cell, given)
     test = None if test is None else without_effects(test, cell, given)
     started = dataclasses.replace(options, start=given.start)
@@ -199,6 +204,7 @@ def _diagnose(
     options: Options,
     test: Readings | None,
     offers: Offers | None,
+    identified: Identification | None = None,
 ) -> Diagnosis:
     # a recording needs one of the two, and each is slow to load
     if is_loaded(readings) and not (cell.measurements.points == "absolute" and holds_single_steps(readings)):
@@ -209,4 +215,4 @@ def _diagnose(
 
     if not is_loaded(readings):
         return diagnose_still(readings, cell, test=test, believed=options.start, offers=offers)
-    return diagnose_mixed(readings, cell, options, test, offers)
+    return diagnose_mixed(readings, cell, options, test, offers, identified)

@@ -227,6 +227,7 @@ def diagnose_mixed(
     options: Options,
     test: Readings | None = None,
     offers: Offers | None = None,
+    identified: Identification | None = None,
 ) -> Diagnosis:
     """Say what the model of a recording leaves out that holds postures at rest and loaded ones, any number of either.
 
@@ -237,7 +238,7 @@ def diagnose_mixed(
     """
     start = nominal_parameters(cell) if options.start is None else options.start
     still = standing(readings)
-    identification = fit_freed(readings, cell, options, test)
+    identification = fit_freed(readings, cell, options, test) if identified is None else identified
     if len(loaded_configurations(readings)) < MIN_CONFIGURATIONS:  # too few for a stiffness by themselves
         evaluated = evaluate_absolute(readings.select(still), cell, believed=start)
         used = np.ones(len(readings), dtype=bool)

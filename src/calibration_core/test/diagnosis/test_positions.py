@@ -237,7 +237,7 @@ def test_what_no_catalogue_holds_is_said_to_be_unexplained(cell: Cell) -> None:
     assert found.findings == ()
 
 
-@pytest.mark.parametrize("points", [POINTS, ("mp1",)])
+@pytest.mark.parametrize("points", [pytest.param(POINTS, marks=pytest.mark.slow), ("mp1",)])
 def test_nothing_is_found_where_nothing_is(points: tuple[str, ...]) -> None:
     """One false alarm in a hundred is expected; two or more of twenty happen in 2 % of such tests."""
     cell = make_cell(points=points)

@@ -191,7 +191,7 @@ def test_what_is_proposed_for_the_first_set_up_is_worth_what_it_says(tmp_path: P
     assert gained == pytest.approx(proposal.gain, rel=0.2)
 
 
-@pytest.mark.parametrize("loaded", [0, 10])
+@pytest.mark.parametrize("loaded", [0, pytest.param(10, marks=pytest.mark.slow)])
 def test_postures_are_proposed_for_what_recordings_at_rest_show(loaded: int, tmp_path: Path) -> None:
     cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
     wave = AppliedEffect("transmission_error", {"joint": "joint_3"}, "order 2", {"cosine": 4e-4, "sine": -2e-4})
@@ -235,6 +235,7 @@ def test_what_the_standard_leaves_out_is_no_difference_between_recordings(tmp_pa
     assert not [one for one in found.anomalies if one.kind == "recordings_differ"]
 
 
+@pytest.mark.slow
 def test_a_joint_that_has_changed_is_said_beside_what_is_left_out(tmp_path: Path) -> None:
     cells = [setup(tmp_path, k, sigma=2e-5) for k in range(3)]
     softer = [value * (0.85 if joint == 1 else 1.0) for joint, value in enumerate(STIFFNESS)]

@@ -225,8 +225,9 @@ def _searched(
     Where the search cannot work on a recording of which the standard's model says something, a note tells why.
     """
     usual = Options(robust=options.robust, readmit=options.readmit)
+    known = dataclasses.replace(found, test=None) if given is None and options == usual else None
     try:
-        searched = diagnose(readings, cell, usual, given=given)
+        searched = diagnose(readings, cell, usual, given=given, identified=known)
     except InputError as error:
         note = Note("search", "missing physics", f"could not be looked for: {error}")
         return dataclasses.replace(found, notes=(*found.notes, note)), None
