@@ -61,8 +61,8 @@ def diagnose(
         offers: What could be measured next; None: nothing is proposed.
         given: A model to start from.  Its effects are known: they are taken off both recordings (not off the
             simulation, nor where it is compared with), and stand in the extended model before what is found.
-        identified: What `identify` says of the same recording and test, without a given model; None: it is found where it
-            is needed.
+        identified: What `identify` says of the same recording and test, without a given model; None: it is found where
+            it is needed.
 
     Raises:
         InputError: The input cannot be used; the message names file, place, what was found and what was expected.
