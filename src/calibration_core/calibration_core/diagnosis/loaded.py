@@ -21,6 +21,7 @@ from calibration_core.diagnosis.data_checks.outlier_readings import (
 )
 from calibration_core.diagnosis.data_checks.step_direction import Jumps, jumps_along_a_joint
 from calibration_core.diagnosis.empirical.law import empirical_law
+from calibration_core.diagnosis.empirical.open_law import with_open_laws
 from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
 from calibration_core.diagnosis.evidence.aliases import aliases
 from calibration_core.diagnosis.evidence.alternatives import with_alternatives
@@ -35,7 +36,6 @@ from calibration_core.diagnosis.evidence.extended import (
     loaded_state,
 )
 from calibration_core.diagnosis.evidence.left_out_errors import held_out_lengths
-from calibration_core.diagnosis.evidence.open_law import with_open_laws
 from calibration_core.diagnosis.evidence.residual import held_out_error, weighted_rest, what_remains
 from calibration_core.diagnosis.evidence.selection import LoadedSelection, select
 from calibration_core.diagnosis.findings.loaded import findings_of

@@ -14,8 +14,8 @@ class ClockWatch:
     """Compares the clock of messages with a steady one.
 
     A simulation's clock is as old as its last message: a process that was held up for ten seconds still reads the time
-    of before, and a moment later that of now.  What it may advance by is therefore counted from when it was last seen
-    to advance, not from when it was last looked at.
+    of before, and a moment later that of now; or it looks at a clock that it took ten seconds ago.  What it may advance
+    by is therefore counted from the look before that at which it was last seen to advance: it was taken after that.
 
     Args:
         rate: What the clock may advance by in a second, s.
@@ -23,18 +23,19 @@ class ClockWatch:
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
-        self._seen, self._since = 0, math.nan
+        self._seen, self._since, self._looked = 0, -math.inf, -math.inf
 
     def jumped(self, clock: int, now: float) -> bool:
-        """Look at the clock; say whether it went back or leapt since it was last seen to advance.
+        """Look at the clock; say whether it went back or leapt since it last advanced.
 
         Args:
             clock: ns of the clock of messages; 0: it does not run yet.
             now: s of the steady clock.
         """
+        before, self._looked = self._looked, now
         advance = (clock - self._seen) / NANOSECONDS
         if not advance:
             return False
         runs, elapsed = bool(self._seen), now - self._since
-        self._seen, self._since = clock, now
+        self._seen, self._since = clock, before
         return runs and not -BACKWARDS <= advance <= self._rate * max(elapsed, SHORTEST)

@@ -47,14 +47,33 @@ def test_a_process_that_was_held_up() -> None:
     assert watch.jumped(ns(8.0 + 12.05 * 20.0 + 101.0), 13.1)
 
 
+def test_a_process_that_was_held_up_with_a_clock_in_its_hand() -> None:
+    """It had taken the clock, and looks at it twelve seconds later, as something that has just advanced."""
+    watch = ClockWatch(100.0)
+    assert not watch.jumped(ns(8.0), 1.0)
+    assert not watch.jumped(ns(9.0), 1.05)
+    assert not watch.jumped(ns(10.0), 13.05)
+    assert not watch.jumped(ns(10.0 + 12.0 * 20.0), 13.1)
+    assert watch.jumped(ns(10.0 + 12.0 * 20.0 + 101.0), 13.15)
+
+
+def test_how_old_the_first_clock_is_nobody_knows() -> None:
+    watch = ClockWatch(100.0)
+    assert not watch.jumped(0, 0.0)
+    assert not watch.jumped(ns(1.0), 9.0)
+    assert not watch.jumped(ns(1.0 + 9.0 * 20.0), 9.05)
+    assert watch.jumped(ns(1.0 + 9.0 * 20.0 + 101.0), 9.1)
+
+
 @given(
-    looks=st.lists(st.tuples(st.floats(1e-3, 20.0), st.booleans()), min_size=1, max_size=50),
+    looks=st.lists(st.tuples(st.floats(1e-3, 20.0), st.floats(0.0, 1.0)), min_size=1, max_size=50),
     speed=st.floats(0.1, 20.0),
 )
-def test_a_steady_clock_never_jumps_however_old_it_is_read(looks: list[tuple[float, bool]], speed: float) -> None:
-    watch, now, read = ClockWatch(20.5), 1.0, ns(speed)
-    assert not watch.jumped(read, now)
-    for pause, fresh in looks:
+def test_a_steady_clock_never_jumps_however_old_it_is_read(looks: list[tuple[float, float]], speed: float) -> None:
+    """What is looked at was taken at any moment since the look before."""
+    watch, now, taken = ClockWatch(20.5), 1.0, 1.0
+    assert not watch.jumped(ns(speed), now)
+    for pause, share in looks:
+        taken = max(taken, now + share * pause)
         now += pause
-        read = ns(speed * now) if fresh else read
-        assert not watch.jumped(read, now)
+        assert not watch.jumped(ns(speed * taken), now)

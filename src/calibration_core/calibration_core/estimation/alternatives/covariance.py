@@ -28,6 +28,7 @@ from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 STRUCTURE = "structure"
 UNEQUAL = 0.3  # share of an effect that its form may take for equal or zero, one standard deviation
+ROUNDING = 1e-13  # of the largest eigenvalue: less is a rounding error
 SEEN = 1e-9  # of the squared length of a form's columns: what is left of less is rounding
 
 
@@ -171,9 +172,10 @@ def left_open(normal: Float2D, variance: float, taken: Float2D, own: Float2D, se
     unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     gain = np.linalg.solve(normal / np.outer(unit, unit) + RIDGE * np.eye(len(unit)), taken / unit[:, None])
     gain /= unit[:, None]
-    left = own - taken.T @ gain + variance * np.eye(len(own))
-    root = np.sqrt(variance) * np.linalg.inv(np.linalg.cholesky(left)).T
-    return np.asarray(gain @ np.column_stack([root, np.linalg.solve(left, seen)]))
+    beside, turn = np.linalg.eigh(own - taken.T @ gain)  # none is negative but by rounding
+    left = np.maximum(beside, max(ROUNDING * beside[-1], 0.0)) + max(variance, 1e-300)
+    turned = gain @ turn
+    return np.asarray(np.column_stack([turned * np.sqrt(variance / left), turned @ (turn.T @ seen / left)]))
 
 
 def _unequal(extended: Extended, candidates: Sequence[Candidate], part: int) -> Iterator[Float2D]:
