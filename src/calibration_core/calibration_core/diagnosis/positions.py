@@ -28,6 +28,7 @@ from calibration_core.diagnosis.proposals.loaded import propose_loads
 from calibration_core.diagnosis.proposals.postures import Known, propose_postures
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, by_size
 from calibration_core.estimation.alternatives.equivalents import equivalents
+from calibration_core.estimation.alternatives.unnamed import with_unnamed
 from calibration_core.estimation.blocks import posture_blocks, time_blocks
 from calibration_core.estimation.estimate import Estimate, estimate
 from calibration_core.estimation.hypotheses import is_axial
@@ -110,11 +111,14 @@ def diagnosis_of(
         offers: What could be measured next; None: nothing is proposed.
         anomalies: Found in the data before.
     """
+    as_found = found  # decisions were made without what small effects leave open
+    if found.extended.model.problem.load is not None:
+        found = dataclasses.replace(found, extended=with_unnamed(found.extended, found.search, found.selection))
     readings, extended, null = found.extended.model.readings, found.extended, found.null
     noise = coordinate_std(position_covariance(readings, cell))
     findings = position_findings(found)
     rest = what_remains(found, readings, noise)
-    findings = by_size((*findings, *_geometry(found, evaluated, rest)))
+    findings = by_size((*findings, *_geometry(as_found, evaluated, rest)))
     proposals = NONE_ASKED if offers is None else _proposals(found, cell, offers)
     kinds = {
         "time": time_blocks(readings.configuration, REPORTED["time"]),

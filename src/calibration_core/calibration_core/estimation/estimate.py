@@ -9,7 +9,6 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.estimation.alternatives.covariance import with_alternatives
-from calibration_core.estimation.alternatives.unnamed import with_unnamed
 from calibration_core.estimation.blocks import Blocks, posture_blocks, time_blocks
 from calibration_core.estimation.controls import controls
 from calibration_core.estimation.field import Accepted, Field
@@ -115,8 +114,6 @@ def estimate(readings: Readings, cell: Cell, evaluated: Evaluated, sound: Bool1D
 def _with_alternatives(found: Estimate) -> Estimate:
     """Return the estimate with a covariance that says what place and form of an effect leave open."""
     extended = with_alternatives(found.extended, found.search, found.selection, found.members)
-    if extended.model.problem.load is not None:
-        extended = with_unnamed(extended, found.search, found.selection)
     return dataclasses.replace(found, extended=extended)
 
 
