@@ -87,7 +87,7 @@ def _judged(found: Diagnosis) -> Diagnosis:
 
 
 def _not_noise(found: Diagnosis) -> Diagnosis:
-    """Call a residual that is more than noise unexplained; compliances are then as much more doubtful."""
+    """Call a residual that is more than noise unexplained; compliances are then as much more uncertain."""
     residual = found.residual[_of_firm_targets(found)]
     seen = MEDIAN * float(np.median(np.abs(residual))) if len(residual) else 0.0
     known = max((a.magnitude for a in found.anomalies if a.kind == "noise_understated"), default=found.noise)

@@ -28,10 +28,13 @@ def with_open_laws(extended: ExtendedLoadedModel, selection: LoadedSelection, la
         selection: What was accepted; a law that needs refinements is of another form than the catalogue's.
         law: An empirical law for what no physics explains; None: there is none.
     """
+    open_ones = (*_unsettled(extended, selection), *_empirical(law))
+    if not open_ones:
+        return extended
     state, compliance = extended.state, extended.compliance
     columns = extended.problem.linearise(extended.base_compliance).columns
     more = np.zeros(len(compliance))
-    for joint, shift in (*_unsettled(extended, selection), *_empirical(law)):
+    for joint, shift in open_ones:
         moved = rms_length(state.since_step_zero(columns[:, :, joint] * compliance[joint]))
         if moved > 0:
             more[joint] = max(more[joint], compliance[joint] * rms_length(shift) / moved)
@@ -43,17 +46,11 @@ def with_open_laws(extended: ExtendedLoadedModel, selection: LoadedSelection, la
 
 def _unsettled(extended: ExtendedLoadedModel, selection: LoadedSelection) -> Iterator[tuple[int, Float2D]]:
     """Yield the joint and the (m, 3) m of each law that was found there with refinements."""
-    candidates, state = extended.design.candidates, extended.state
     for choice in selection.choices:
-        own = candidates[choice.candidate]
-        if own.family != LAW or not choice.refinements:
-            continue
-        several = (choice.candidate, *choice.refinements)
-        shift = sum(
-            (candidates[index].columns(state) @ extended.values_of(index)[0] for index in several),
-            start=np.zeros((state.m, 3)),
-        )
-        yield state.chain.joints.index(str(own.location["joint"])), state.since_step_zero(shift)
+        own = extended.design.candidates[choice.candidate]
+        if own.family == LAW and choice.refinements:
+            joint = extended.state.chain.joints.index(str(own.location["joint"]))
+            yield joint, extended.moved((choice.candidate, *choice.refinements))
 
 
 def _empirical(law: Law | None) -> Iterator[tuple[int, Float2D]]:

@@ -75,6 +75,13 @@ class ExtendedLoadedModel:
         """(n,) rad/(N*m)."""
         return np.asarray(np.sqrt(np.clip(np.diag(self.compliance_covariance), 0.0, None)))
 
+    def moved(self, several: Sequence[int]) -> Float2D:
+        """Return the (m, 3) m that some accepted candidates move the points since their configuration's first step."""
+        shift = np.zeros((self.state.m, 3))
+        for index in several:
+            shift += self.design.candidates[index].columns(self.state) @ self.values_of(index)[0]
+        return self.state.since_step_zero(shift)
+
     def values_of(self, candidate: int) -> tuple[Float1D, Float2D]:
         """Return the parameters of an accepted candidate, (k,), and their covariance, (k, k)."""
         counts = [len(self.design.candidates[index].parameters) for index in self.accepted]

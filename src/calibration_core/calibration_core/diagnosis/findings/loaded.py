@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
 from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
 from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
@@ -34,10 +32,7 @@ def findings_of(
     found = []
     for choice in selection.choices:
         candidate = design.candidates[choice.candidate]
-        shift = np.zeros((extended.state.m, 3))
-        for index in (choice.candidate, *choice.refinements):
-            shift += design.candidates[index].columns(extended.state) @ extended.values_of(index)[0]
-        magnitude = rms_length(extended.state.since_step_zero(shift))
+        magnitude = rms_length(extended.moved((choice.candidate, *choice.refinements)))
         alternatives = tuple(_alternative(design.candidates[i], score, readings) for i, score in choice.equivalents)
         location = _location(candidate.location, readings)
         open_place = len(alternatives) > LISTED
