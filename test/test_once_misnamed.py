@@ -122,6 +122,17 @@ def test_two_causes_under_load_and_at_rest_have_no_third(
     assert len(found.findings) == 2
 
 
+def test_a_joint_whose_law_is_open_has_a_stiffness_as_uncertain_as_the_law_is_large(tmp_path: Path) -> None:
+    """Friction of another law, under loads and at rest: its compliance was 11 standard deviations from the truth."""
+    answer = answered(218, tmp_path, PUBLISHED)
+    law = {str(one.location["joint"]): one for one in answer.found.findings}["joint_6"]
+    assert (law.effect, law.law_settled) == ("hysteresis", False)
+    assert answer.found.compliance is not None
+    assert answer.found.compliance_covariance is not None
+    off = answer.found.compliance - 1 / np.array(answer.label["stiffness"])
+    assert np.abs(off / np.sqrt(np.diag(answer.found.compliance_covariance))).max() < 3
+
+
 def test_friction_of_another_law_is_one_cause_with_an_open_law(tmp_path: Path) -> None:
     """Wedge friction leaves something to creep at the same joint: both remember, and neither is settled."""
     answer = answered(347, tmp_path)

@@ -17,6 +17,7 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter
 from calibration_core.diagnosis.data_checks.shift_anomalies import shift_anomalies
+from calibration_core.diagnosis.empirical.open_law import with_open_joints
 from calibration_core.diagnosis.evidence.aliases import aliases
 from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.diagnosis.findings.geometry import geometry_findings
@@ -114,9 +115,11 @@ def diagnosis_of(
     as_found = found  # decisions were made without what small effects leave open
     if found.extended.model.problem.load is not None:
         found = dataclasses.replace(found, extended=with_unnamed(found.extended, found.search, found.selection))
-    readings, extended, null = found.extended.model.readings, found.extended, found.null
+    readings, null = found.extended.model.readings, found.null
     noise = coordinate_std(position_covariance(readings, cell))
     findings = position_findings(found)
+    found = dataclasses.replace(found, extended=with_open_joints(found.extended, findings))
+    extended = found.extended
     rest = what_remains(found, readings, noise)
     findings = by_size((*findings, *_geometry(as_found, evaluated, rest)))
     proposals = NONE_ASKED if offers is None else _proposals(found, cell, offers)

@@ -147,6 +147,10 @@ class Extended:
         """Return the (m, 3) m that some parts move the points beyond what the compliances do."""
         return self._metres(self.linear.own.effects @ self._of(chosen, self.value - self.held))
 
+    def moved_by(self, column: int) -> Float2D:
+        """Return the (m, 3) m that a parameter of the null model moves the points, per unit."""
+        return self._metres(self.linear.own.flat[:, column])
+
     def own_shift(self, chosen: Sequence[int]) -> Float2D:
         """Return (m, 3) m: what parts move the points beyond what the null model would take up instead."""
         if not chosen:

@@ -8,15 +8,19 @@ constant stiffness does.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from calibration_core.diagnosis.empirical.law import Law
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
+from calibration_core.diagnosis.result.finding import Finding
 from calibration_core.estimation.hypotheses import LAW
+from calibration_core.estimation.refit import Extended
 from calibration_core.identification.statistics.sizes import rms_length
+from calibration_core.model.effects.absolute import approach_direction
+from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Float2D
 
 
@@ -42,6 +46,40 @@ def with_open_laws(extended: ExtendedLoadedModel, selection: LoadedSelection, la
     n = len(compliance)
     covariance[np.arange(n), np.arange(n)] += more**2
     return dataclasses.replace(extended, covariance=covariance)
+
+
+def with_open_joints(extended: Extended, findings: Sequence[Finding]) -> Extended:
+    """Return the model of positions with compliances as uncertain as the laws of their joints are open.
+
+    A joint that lags under changing loads stands elsewhere by the direction from which it came, too.
+
+    Args:
+        extended: The extended model, loads and postures at rest in one.
+        findings: What was found; of some the form of the law is not settled.
+    """
+    compliances = [str(one.location["joint"]) for one in extended.model.fitted_compliances]
+    covariance = extended.covariance.copy()
+    for one in findings:
+        joint = one.location.get("joint")
+        if one.law_settled or not _is_law(one) or joint not in compliances:
+            continue
+        column = extended.flat - len(compliances) + compliances.index(joint)
+        law = [
+            k
+            for k, part in enumerate(extended.parts)
+            if _is_law(part.candidate) and part.candidate.location == one.location
+        ]
+        compliance = float(extended.parameters.compliance[extended.parameters.joints.index(joint)])
+        by_load = extended.model.state.since_step_zero(extended.moved_by(column) * compliance)
+        loaded = np.any(by_load != 0, axis=1)
+        if loaded.any():
+            share = rms_length(extended.shift(law)[loaded]) / rms_length(by_load[loaded])
+            covariance[column, column] += (compliance * share) ** 2
+    return dataclasses.replace(extended, covariance=covariance)
+
+
+def _is_law(one: Finding | Candidate) -> bool:
+    return one.family == LAW or one.effect == approach_direction.EFFECT.name
 
 
 def _unsettled(extended: ExtendedLoadedModel, selection: LoadedSelection) -> Iterator[tuple[int, Float2D]]:

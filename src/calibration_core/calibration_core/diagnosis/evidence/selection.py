@@ -22,14 +22,14 @@ from calibration_core.estimation.alternatives.confounding import (
     same_deflection,
 )
 from calibration_core.estimation.alternatives.covariance import other_forms
-from calibration_core.estimation.alternatives.equivalents import equivalents, nearest_first, resembling
+from calibration_core.estimation.alternatives.equivalents import other_places
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.comparisons import STEPS
 from calibration_core.estimation.controls import Controls
 from calibration_core.estimation.field import Accepted, Field
 from calibration_core.estimation.hypotheses import LAW, Hypothesis, Offered, offer
 from calibration_core.estimation.likelihood.small_effects import NONE
-from calibration_core.estimation.search import PART, Search, Selection
+from calibration_core.estimation.search import PART, Search
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Int1D
@@ -123,7 +123,9 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
                 break
         else:
             forms = tuple((hypotheses[i].members[0], nats) for i, nats in other_forms(search, found, index))
-            choices.append(Choice(candidate, gain, _other_places(search, found, index), forms=forms))
+            elsewhere = [(hypotheses[i], nats) for i, nats in other_places(search, found, index)]
+            single = tuple((one.members[0], nats) for one, nats in elsewhere if len(one.members) == 1)
+            choices.append(Choice(candidate, gain, single, forms=forms))
     chosen = tuple(hypotheses[index].members[0] for index in found.accepted)
     unsure = tuple(lent(search, found.accepted, index, design.joints) for index in found.accepted)
     return LoadedSelection(tuple(choices), chosen, found.level, unsure)
@@ -155,18 +157,6 @@ def _blocks(configuration: Int1D) -> Blocks:
     """Return blocks of whole configurations, in their order; every three rows count as a reading."""
     numbers, place = np.unique(configuration[::3], return_inverse=True)
     return Blocks("time", place.reshape(-1) * min(BLOCKS, len(numbers)) // len(numbers))
-
-
-def _other_places(search: Search, found: Selection, index: int) -> tuple[tuple[int, float], ...]:
-    """Return candidates at other places that do as well as an accepted hypothesis, nearest first, and their gains."""
-    hypotheses = search.field.offered.hypotheses
-    both = (*equivalents(search, found, (index,)), *resembling(search, found, index))
-    best: dict[object, tuple[int, float]] = {}
-    taken = {hypotheses[i].place for i in found.accepted}
-    for i, nats in nearest_first(both, found.gain[found.accepted.index(index)]):
-        if len(hypotheses[i].members) == 1 and hypotheses[i].place not in taken:
-            best.setdefault(hypotheses[i].place, (hypotheses[i].members[0], nats))
-    return tuple(best.values())
 
 
 def _by_joint(search: Search, accepted: Accepted) -> Accepted:

@@ -10,7 +10,7 @@ from calibration_core.diagnosis.findings.building import confounded_with, found_
 from calibration_core.diagnosis.findings.causes import FROM_WHERE, LEFT, causes
 from calibration_core.diagnosis.result.evidence_words import OF_ANY_LAW, UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
-from calibration_core.estimation.alternatives.equivalents import equivalents
+from calibration_core.estimation.alternatives.equivalents import equivalents, other_places
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
@@ -48,8 +48,12 @@ def _finding(found: Estimate, members: list[int]) -> Finding:
     score = float(sum(gained[i] for i in members))
     gain = max(selection.proofs[selection.accepted.index(i)][0].share for i in members)
     magnitude = rms_length(extended.own_shift(parts))
-    as_well = [(hypotheses[i], nats) for i, nats in equivalents(found.search, found.selection, members)]
-    listed = tuple(Alternative(h.effect, h.family, dict(h.location), nats) for h, nats in as_well)
+    if len(members) == 1:
+        as_well = other_places(found.search, selection, members[0])
+    else:
+        as_well = equivalents(found.search, selection, members)
+    instead = [(hypotheses[i], nats) for i, nats in as_well]
+    listed = tuple(Alternative(h.effect, h.family, dict(h.location), nats) for h, nats in instead)
     laws = [i for i in members if hypotheses[i].family == LAW]
     left = any(hypotheses[i].effect in LEFT - {FROM_WHERE} and hypotheses[i].place != first.place for i in members)
     known = first.family != LAW or (len(laws) == 1 and not _other_law(found, laws[0]))

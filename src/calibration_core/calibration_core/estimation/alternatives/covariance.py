@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from calibration_core.estimation.alternatives.equivalents import equivalents
+from calibration_core.estimation.alternatives.equivalents import other_places
 from calibration_core.estimation.controls import EQUIVALENT
 from calibration_core.estimation.leave_out import RIDGE
 from calibration_core.estimation.refit import Extended
@@ -61,7 +61,7 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
     """
     candidates, hypotheses = search.field.offered.candidates, search.field.offered.hypotheses
     stated = selection.gain[selection.accepted.index(index)]
-    as_well = [(i, nats - stated) for i, nats in equivalents(search, selection, (index,))]
+    as_well = [(i, nats - stated) for i, nats in other_places(search, selection, index)]
     as_well += other_forms(search, selection, index)
     several = [(hypotheses[i].members[0], nats) for i, nats in as_well if len(hypotheses[i].members) == 1]
     white, used, length = extended.linear.white, np.repeat(extended.model.used, 3), extended.length
@@ -70,7 +70,7 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
     for (k, _), share in zip(several, shares([nats for _, nats in several]), strict=True):
         candidate = fuller_form(candidates[k], candidates) or candidates[k]
         columns = white_columns(extended, candidate)
-        prior = extended.parts[part].size * np.array([one.typical for one in candidate.parameters])
+        prior = _as_large(moved, white_columns(extended, candidates[k]), candidates[k]) * _typical(candidate)
         ways = instead(
             extended.gram + np.diag(extended.ridge),
             own,
@@ -81,6 +81,16 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
             extended.variance,
         )
         yield np.sqrt(share) * ways / length[:, None]
+
+
+def _as_large(moved: Float1D, columns: Float2D, candidate: Candidate) -> float:
+    """Return the size, in typical ones, at which a candidate moves the points as much as an effect does."""
+    usual = float(np.linalg.norm(columns * _typical(candidate)))
+    return float(np.linalg.norm(moved)) / usual if usual > 0 else 0.0
+
+
+def _typical(candidate: Candidate) -> Float1D:
+    return np.array([one.typical for one in candidate.parameters])
 
 
 def other_forms(search: Search, selection: Selection, index: int) -> list[tuple[int, float]]:
@@ -153,7 +163,7 @@ def neglected(mine: Float2D, fuller: Float2D, mine_one: Candidate, fuller_one: C
         fuller_one: The other one.
         value: (c,) sizes of the effect.
     """
-    usual, typical = (np.array([one.typical for one in form.parameters]) for form in (mine_one, fuller_one))
+    usual, typical = _typical(mine_one), _typical(fuller_one)
     along, *_ = np.linalg.lstsq(fuller * typical, mine * usual, rcond=SEEN)
     across = np.linalg.svd(along.T)[2][len(usual) :].T  # combinations that leave what is fitted as it is
     return np.asarray(UNEQUAL * np.abs(value / usual).max() * (fuller * typical) @ across)

@@ -57,6 +57,27 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
     return nearest_first(best.values(), stated)[:LISTED]
 
 
+def other_places(search: Search, selection: Selection, index: int) -> tuple[tuple[int, float], ...]:
+    """Return single other places that do as well as an accepted hypothesis, or would had its fit been the truth.
+
+    Args:
+        search: Rows, hypotheses and what was asked of them.
+        selection: What was accepted.
+        index: An accepted hypothesis.
+
+    Returns:
+        Hypothesis and its log Bayes factor, nats: one for every place, nearest first.
+    """
+    hypotheses = search.field.offered.hypotheses
+    both = (*equivalents(search, selection, (index,)), *resembling(search, selection, index))
+    taken = {hypotheses[i].place for i in selection.accepted}
+    best: dict[object, tuple[int, float]] = {}
+    for i, nats in nearest_first(both, selection.gain[selection.accepted.index(index)]):
+        if hypotheses[i].place not in taken:
+            best.setdefault(hypotheses[i].place, (i, nats))
+    return tuple(best.values())
+
+
 def nearest_first(several: Iterable[tuple[int, float]], stated: float) -> tuple[tuple[int, float], ...]:
     """Return hypotheses and their log Bayes factors, nats, in the order of how near they come to a stated one."""
     return tuple(sorted(several, key=lambda pair: abs(pair[1] - stated)))
