@@ -182,7 +182,9 @@ def process_group(leader: int) -> bool:
     return True
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
 def test_ended_by_hand_says_what_stays(
     number: signal.Signals, code: int, reference: Path, plant: Path, tmp_path: Path
 ) -> None:

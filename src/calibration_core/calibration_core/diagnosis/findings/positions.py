@@ -10,7 +10,7 @@ from calibration_core.diagnosis.findings.building import confounded_with, found_
 from calibration_core.diagnosis.findings.causes import FROM_WHERE, LEFT, causes
 from calibration_core.diagnosis.result.evidence_words import OF_ANY_LAW, UNSETTLED, evidence_words
 from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
-from calibration_core.estimation.alternatives.equivalents import equivalents, other_places
+from calibration_core.estimation.alternatives.equivalents import LISTED, equivalents, other_places
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
@@ -49,7 +49,7 @@ def _finding(found: Estimate, members: list[int]) -> Finding:
     gain = max(selection.proofs[selection.accepted.index(i)][0].share for i in members)
     magnitude = rms_length(extended.own_shift(parts))
     if len(members) == 1:
-        as_well = other_places(found.search, selection, members[0])
+        as_well = other_places(found.search, selection, members[0])[:LISTED]
     else:
         as_well = equivalents(found.search, selection, members)
     instead = [(hypotheses[i], nats) for i, nats in as_well]
