@@ -63,14 +63,17 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
     stated = selection.gain[selection.accepted.index(index)]
     as_well = [(i, nats - stated) for i, nats in other_places(search, selection, index)]
     as_well += other_forms(search, selection, index)
-    several = [(hypotheses[i].members[0], nats) for i, nats in as_well if len(hypotheses[i].members) == 1]
+    several = [(i, nats) for i, nats in as_well if len(hypotheses[i].members) == 1]
+    scores = search.scores(tuple(i for i in selection.accepted if i != index))
+    size = scores.size * np.sqrt(scores.left)
     white, used, length = extended.linear.white, np.repeat(extended.model.used, 3), extended.length
     moved = np.where(used, white.effects @ extended.of_part(part), 0.0)
     own = np.arange(len(length))[extended.flat :][extended.block(part)]
-    for (k, _), share in zip(several, shares([nats for _, nats in several]), strict=True):
-        candidate = fuller_form(candidates[k], candidates) or candidates[k]
+    for (i, _), share in zip(several, shares([nats for _, nats in several]), strict=True):
+        other = candidates[hypotheses[i].members[0]]
+        candidate = fuller_form(other, candidates) or other
         columns = white_columns(extended, candidate)
-        prior = _as_large(moved, white_columns(extended, candidates[k]), candidates[k]) * _typical(candidate)
+        prior = max(float(size[search.place[i]]), extended.parts[part].size) * _typical(candidate)
         ways = instead(
             extended.gram + np.diag(extended.ridge),
             own,
@@ -81,12 +84,6 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
             extended.variance,
         )
         yield np.sqrt(share) * ways / length[:, None]
-
-
-def _as_large(moved: Float1D, columns: Float2D, candidate: Candidate) -> float:
-    """Return the size, in typical ones, at which a candidate moves the points as much as an effect does."""
-    usual = float(np.linalg.norm(columns * _typical(candidate)))
-    return float(np.linalg.norm(moved)) / usual if usual > 0 else 0.0
 
 
 def _typical(candidate: Candidate) -> Float1D:
