@@ -144,6 +144,7 @@ def diagnosis_of(
         stiffness=_stiffness(extended),
         rms_before=rms(null.left),
         rms_after=rms(extended.left),
+        rms_used=None if extended.model.used.all() else rms(extended.left[extended.model.used]),
         held_out_before=rms(left["time"][0]),
         held_out_after=rms(left["time"][1]),
         noise=noise,

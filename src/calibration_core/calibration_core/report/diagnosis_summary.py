@@ -41,9 +41,10 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
         lines.append(f"   held-out squared error falls by {100 * finding.held_out_gain:z.0f} %")
     where = () if diagnosis.where is None else diagnosis.where.sentences
     lines += [f"where: {sentence}" if sentence in where else sentence for sentence in diagnosis.located]
+    used = "" if diagnosis.rms_used is None else f" ({_um(diagnosis.rms_used)} without the readings set aside)"
     lines.append(
-        f"residual per coordinate {_um(diagnosis.rms_before)} -> {_um(diagnosis.rms_after)}, on configurations left "
-        f"out {_um(diagnosis.held_out_before)} -> {_um(diagnosis.held_out_after)}, noise {_um(diagnosis.noise)}"
+        f"residual per coordinate {_um(diagnosis.rms_before)} -> {_um(diagnosis.rms_after)}{used}, on configurations "
+        f"left out {_um(diagnosis.held_out_before)} -> {_um(diagnosis.held_out_after)}, noise {_um(diagnosis.noise)}"
     )
     if diagnosis.test is not None:
         lines += test_lines(diagnosis.test)

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import re
 from pathlib import Path
 
 import pytest
+from several_cases import measured, setup
 
 from calibration_core.cli import main
+from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.identification.checks.exclusion_anomalies import OUTLIERS, outlier_text, with_own_outliers
 from calibration_core.identification.result.estimate import Anomaly
+from calibration_core.report.diagnosis_summary import diagnosis_summary
+from calibration_core.report.document import Table
+from calibration_core.report.sections.diagnosis import gain_blocks
 
 ROOT = Path(__file__).resolve().parents[4]
 REAL = next((found for one in ROOT.parents if (found := one / "shared/data/real").is_dir()), ROOT / "none")
@@ -44,6 +50,25 @@ def test_an_identification_names_its_own_outliers_where_the_search_has_some() ->
     assert [one.text for one in with_own_outliers(searched, own)] == ["", "own", ""]
     assert with_own_outliers(searched, ()) == searched
     assert with_own_outliers(searched[:1], own) == searched[:1]
+
+
+def test_a_diagnosis_states_what_the_readings_leave_that_were_not_set_aside(tmp_path: Path) -> None:
+    """One reading is wrong by 20 mm: what all leave is far more than the noise with which the rest agrees."""
+    cell = setup(tmp_path, 0)
+    readings = measured(cell, 0, 7, configurations=8, rest=14)
+    wrong = readings.position.copy()
+    wrong[40] += [0.02, 0.0, 0.0]
+    found = diagnose(dataclasses.replace(readings, position=wrong), cell)
+    sigma = cell.instruments.tracker.sigma
+    assert not found.rest.significant
+    assert found.rms_after > 10 * sigma
+    assert found.rms_used is not None
+    assert found.rms_used < 1.2 * sigma
+    said = f"{1e6 * found.rms_used:.1f} µm without the readings set aside"
+    assert said in diagnosis_summary(found)
+    (table,) = (block for block in gain_blocks(found) if isinstance(block, Table))
+    assert [row[0] for row in table.rows][:2] == ["All readings", "Without the readings set aside"]
+    assert diagnose(readings, cell).rms_used is None
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")

@@ -153,7 +153,8 @@ class Diagnosis:
         next_measurements: What would separate what is confounded now.
         identification: The null model: what `identify` says of the recording.
         stiffness: Joint -> (value, std) in the extended model, N*m/rad.
-        rms_before, rms_after: Per coordinate over all readings, m; before is the refitted null model.
+        rms_before, rms_after: Per coordinate over all readings (under load those used), m; before is the refitted null
+            model.
         held_out_before, held_out_after: The same on configurations left out.
         noise: Standard deviation of one coordinate, as used, m.
         level: Signal-to-noise ratio of the small effects allowed for.
@@ -172,6 +173,7 @@ class Diagnosis:
         where: The location without a hypothesis, in numbers.
         next_text: What no further measurement of this kind can decide, or why none is proposed.
         compliance_covariance: (n, n) of `compliance`, (rad/(N*m))^2; None where it was not fitted.
+        rms_used: As `rms_after`, without the readings set aside, m; None where these are no part of it.
     """
 
     verdict: Verdict
@@ -201,6 +203,7 @@ class Diagnosis:
     where: Located | None = None
     next_text: str = ""
     compliance_covariance: Float2D | None = None
+    rms_used: float | None = None
     estimate: GaussianEstimate = dataclasses.field(default_factory=GaussianEstimate.nothing)
 
     @property

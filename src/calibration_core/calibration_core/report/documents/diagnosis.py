@@ -118,10 +118,14 @@ def _facts(found: Diagnosis, cell: Cell, day: dt.date) -> Facts:
 
 def _verdict(found: Diagnosis, light: Light) -> Verdict:
     sentence = headline(found)
+    used = "" if found.rms_used is None else f" ({_um(found.rms_used)} without the readings set aside)"
     lines = [
         *light.rows,
         ("Result", sentence[0].upper() + sentence[1:]),
-        ("Residual", f"{_um(found.rms_before)} per coordinate without the findings, {_um(found.rms_after)} with them"),
+        (
+            "Residual",
+            f"{_um(found.rms_before)} per coordinate without the findings, {_um(found.rms_after)} with them{used}",
+        ),
         ("Left out", f"configurations not in the fit: {_um(found.held_out_before)} to {_um(found.held_out_after)}"),
         ("Noise", f"{_um(found.noise)} per coordinate are taken for noise"),
     ]

@@ -135,7 +135,7 @@ def _parameter(name: str, value: float, std: float, unit: str) -> tuple[str, str
 def gain_blocks(found: Diagnosis) -> tuple[Block, ...]:
     """Return how much better the extended model is, on what was fitted and on what was not."""
     rows = [
-        ("All readings used", found.rms_before, found.rms_after),
+        ("All readings used" if found.rms_used is None else "All readings", found.rms_before, found.rms_after),
         ("Configurations left out of the fit", found.held_out_before, found.held_out_after),
     ]
     columns = (
@@ -148,7 +148,9 @@ def gain_blocks(found: Diagnosis) -> tuple[Block, ...]:
             (f"Of it, {PARTS[part.kind]} in {counted(part.configurations, 'configuration')}", part.rms_before, part.rms)
             for part in found.test.parts
         ]
-    body = tuple((name, significant(1e6 * b, 3), significant(1e6 * a, 3)) for name, b, a in rows)
+    body = [(name, significant(1e6 * b, 3), significant(1e6 * a, 3)) for name, b, a in rows]
+    if found.rms_used is not None:
+        body.insert(1, ("Without the readings set aside", DASH, significant(1e6 * found.rms_used, 3)))
     reason = "" if found.test is None or not found.test.reason else f" The second recording: {found.test.reason}."
     note = f"Taken for noise: {1e6 * found.noise:.1f} µm per coordinate.{reason}"
     blocks: list[Block] = [Table("Gain", columns, padded(body), note)]
