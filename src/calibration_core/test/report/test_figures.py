@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from xml.etree import ElementTree as ET
 
@@ -29,6 +30,7 @@ from calibration_core.report.figures.identification import (
     residual_figure,
 )
 from calibration_core.report.figures.operating_space import (
+    FLAT,
     deflection_scale,
     evenly,
     force_scale,
@@ -125,17 +127,24 @@ def test_points_on_a_line_have_no_outline() -> None:
 
 @given(arrays(np.float64, st.tuples(st.integers(3, 60), st.just(2)), elements=st.floats(-3.0, 3.0, width=16)))
 def test_an_outline_is_the_convex_hull(points: Float2D) -> None:
-    """As scipy finds it: the same area, closed, and nothing outside."""
-    outline = hull_outline(points)
+    """As scipy finds it: the same area, closed, and nothing outside; what is as thin as a line has none."""
+    outline, square = hull_outline(points), float(np.ptp(points, axis=0).max()) ** 2
     try:
         hull = ConvexHull(points)
     except QhullError:  # all on a line
         assert len(outline) == 0
         return
+    if len(outline) == 0:
+        assert hull.volume <= 2 * FLAT * square
+        return
     assert np.array_equal(outline[0], outline[-1])
-    x, y = outline.T
-    assert np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) / 2 == pytest.approx(hull.volume, rel=1e-9)
-    assert {tuple(points[i]) for i in hull.vertices} <= set(map(tuple, outline.tolist()))
+    x, y = (outline - outline[0]).T
+    area = np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) / 2
+    assert area == pytest.approx(hull.volume, rel=1e-9, abs=1e-14 * square)
+    assert set(map(tuple, outline.tolist())) <= set(map(tuple, points.tolist()))
+    for start, end in itertools.pairwise(outline):
+        along, seen = end - start, points - start
+        assert np.min(along[0] * seen[:, 1] - along[1] * seen[:, 0]) >= -1e-14 * square
 
 
 def test_evenly_spaced_rows_include_both_ends() -> None:
