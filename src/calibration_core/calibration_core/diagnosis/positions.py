@@ -202,8 +202,7 @@ def _proposals(found: Estimate, cell: Cell, offers: Offers) -> Proposals:
     equal = {i: equivalents(found.search, found.selection, (i,)) for i in single}
     sizes = dict(zip(accepted, map(float, found.selection.sizes.size), strict=True))
     for index, rivals in equal.items():
-        scores = found.search.scores(tuple(i for i in accepted if i != index))
-        size = scores.size * np.sqrt(scores.left)
+        size = found.search.scores(tuple(i for i in accepted if i != index)).size_after
         sizes |= {rival: float(size[found.search.place[rival]]) for rival, _ in rivals if rival not in sizes}
     noise = max(float(np.sqrt(found.selection.sizes.variance)), 1.0)
     return propose_postures(Known(found.field, sizes, accepted, equal, found.null.model, noise), cell, offers)

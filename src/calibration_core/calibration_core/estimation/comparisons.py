@@ -69,6 +69,11 @@ class Scores:
     size: Float1D
     left: Float1D
 
+    @property
+    def size_after(self) -> Float1D:
+        """The best size, (j,) typical ones, at the noise that each hypothesis leaves."""
+        return self.size * np.sqrt(self.left)
+
 
 class Comparisons:
     """Rows and hypotheses, and all that was asked of them; what was accepted is the same in whatever order."""

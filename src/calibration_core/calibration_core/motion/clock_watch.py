@@ -14,8 +14,9 @@ class ClockWatch:
     """Compares the clock of messages with a steady one.
 
     A simulation's clock is as old as its last message: a process that was held up for ten seconds still reads the time
-    of before, and a moment later that of now; or it looks at a clock that it took ten seconds ago.  What it may advance
-    by is therefore counted from the look before that at which it was last seen to advance: it was taken after that.
+    of before, and a moment later that of now; or the time that it looks at was read ten seconds ago.  What the clock
+    may advance by is therefore counted from the look before the one at which it was last seen to advance, for the time
+    seen there was read after that look.
 
     Args:
         rate: What the clock may advance by in a second, s.

@@ -41,10 +41,10 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
         lines.append(f"   held-out squared error falls by {100 * finding.held_out_gain:z.0f} %")
     where = () if diagnosis.where is None else diagnosis.where.sentences
     lines += [f"where: {sentence}" if sentence in where else sentence for sentence in diagnosis.located]
-    used = "" if diagnosis.rms_used is None else f" ({_um(diagnosis.rms_used)} without the readings set aside)"
     lines.append(
-        f"residual per coordinate {_um(diagnosis.rms_before)} -> {_um(diagnosis.rms_after)}{used}, on configurations "
-        f"left out {_um(diagnosis.held_out_before)} -> {_um(diagnosis.held_out_after)}, noise {_um(diagnosis.noise)}"
+        f"residual per coordinate {_um(diagnosis.rms_before)} -> {_um(diagnosis.rms_after)}{used_text(diagnosis)}, "
+        f"on configurations left out {_um(diagnosis.held_out_before)} -> {_um(diagnosis.held_out_after)}, "
+        f"noise {_um(diagnosis.noise)}"
     )
     if diagnosis.test is not None:
         lines += test_lines(diagnosis.test)
@@ -56,6 +56,12 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
     notes = diagnosis.identification.notes
     lines += [note.line for note in notes if note.kind == NO_INTERVALS]
     return "\n".join(line for line in lines if line)
+
+
+def used_text(diagnosis: Diagnosis) -> str:
+    """Return what the readings leave that were not set aside, in parentheses; empty where none was."""
+    used = diagnosis.rms_used
+    return "" if used is None else f" ({_um(used)} without the readings set aside)"
 
 
 def _um(value: float) -> str:

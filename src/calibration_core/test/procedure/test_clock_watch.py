@@ -47,8 +47,8 @@ def test_a_process_that_was_held_up() -> None:
     assert watch.jumped(ns(8.0 + 12.05 * 20.0 + 101.0), 13.1)
 
 
-def test_a_process_that_was_held_up_with_a_clock_in_its_hand() -> None:
-    """It had taken the clock, and looks at it twelve seconds later, as something that has just advanced."""
+def test_a_process_that_was_held_up_after_it_had_read_the_clock() -> None:
+    """The time that it had read is looked at twelve seconds later, as one that has just advanced."""
     watch = ClockWatch(100.0)
     assert not watch.jumped(ns(8.0), 1.0)
     assert not watch.jumped(ns(9.0), 1.05)

@@ -57,15 +57,15 @@ def with_alternatives(
 def _elsewhere(extended: Extended, search: Search, selection: Selection, index: int, part: int) -> Iterator[Float2D]:
     """Yield (f + p, c) for each place and form that does as well: what everything may be off by, by its probability.
 
-    Of one at another place no form is known: the fullest freedom that it may have is taken.
+    Of one at another place no form is known: the fullest freedom that it may have is taken.  Its size is that which the
+    search finds there, or that of the accepted effect where this is larger, both in typical sizes.
     """
     candidates, hypotheses = search.field.offered.candidates, search.field.offered.hypotheses
     stated = selection.gain[selection.accepted.index(index)]
     as_well = [(i, nats - stated) for i, nats in other_places(search, selection, index)]
     as_well += other_forms(search, selection, index)
     several = [(i, nats) for i, nats in as_well if len(hypotheses[i].members) == 1]
-    scores = search.scores(tuple(i for i in selection.accepted if i != index))
-    size = scores.size * np.sqrt(scores.left)
+    size = search.scores(tuple(i for i in selection.accepted if i != index)).size_after
     white, used, length = extended.linear.white, np.repeat(extended.model.used, 3), extended.length
     moved = np.where(used, white.effects @ extended.of_part(part), 0.0)
     own = np.arange(len(length))[extended.flat :][extended.block(part)]

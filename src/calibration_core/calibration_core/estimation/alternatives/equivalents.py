@@ -35,7 +35,7 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
     hypotheses = search.field.offered.hypotheses
     others = tuple(i for i in selection.accepted if i not in members)
     scores = search.scores(others)
-    gain, size = scores.nats, scores.size * np.sqrt(scores.left)
+    gain, size = scores.nats, scores.size_after
     whole = search.sizes((*others, *members)).value  # beside small effects of the level that is left
     stated = sum(selection.gain[selection.accepted.index(i)] for i in members)
     together = stated if len(members) == 1 else whole - search.sizes(others).value

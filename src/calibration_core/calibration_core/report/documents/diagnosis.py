@@ -8,7 +8,7 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.model.effects.words import effect_sentence
 from calibration_core.report.content import date_of_test
-from calibration_core.report.diagnosis_summary import headline
+from calibration_core.report.diagnosis_summary import headline, used_text
 from calibration_core.report.document import (
     Block,
     Column,
@@ -118,14 +118,12 @@ def _facts(found: Diagnosis, cell: Cell, day: dt.date) -> Facts:
 
 def _verdict(found: Diagnosis, light: Light) -> Verdict:
     sentence = headline(found)
-    used = "" if found.rms_used is None else f" ({_um(found.rms_used)} without the readings set aside)"
+    residual = f"{_um(found.rms_before)} per coordinate without the findings, {_um(found.rms_after)} with them"
+    residual += used_text(found)
     lines = [
         *light.rows,
         ("Result", sentence[0].upper() + sentence[1:]),
-        (
-            "Residual",
-            f"{_um(found.rms_before)} per coordinate without the findings, {_um(found.rms_after)} with them{used}",
-        ),
+        ("Residual", residual),
         ("Left out", f"configurations not in the fit: {_um(found.held_out_before)} to {_um(found.held_out_after)}"),
         ("Noise", f"{_um(found.noise)} per coordinate are taken for noise"),
     ]
