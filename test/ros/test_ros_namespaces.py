@@ -24,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 SPEED = 8.0  # times real time: two of them share the machine
 NAMESPACES = {"/left": 1, "/right": 2}  # and the seed of the hidden truth and the noise
+PROGRESS = "/calibration/progress"  # worked out behind all others: on a busy machine a short run ends before it
 NOISY = ("/tracker/mp1", "/tracker/mp2", "/tracker/mp3", "/force_torque/wrench")  # no two messages are the same
 
 
@@ -103,7 +104,7 @@ def measure_both(cells: dict[str, Any], plan: Path, timeout: float) -> None:
         assert live[namespace]["stiffness"] == offline["stiffness"]
     assert done[0] == done[1]  # the same configurations, steps and points
     left, right = raw
-    assert set(left) == set(right)
+    assert set(left) - {PROGRESS} == set(right) - {PROGRESS}
     for topic in NOISY:
         assert len(left[topic]) > 100
         assert not left[topic].keys() & right[topic].keys(), topic
