@@ -5,20 +5,24 @@ from __future__ import annotations
 import dataclasses
 import math
 import weakref
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
 from calibration_core.estimation.controls import CHANCE
 from calibration_core.estimation.field import Accepted, Field, Trial
+from calibration_core.estimation.hypotheses import LAW
 from calibration_core.estimation.leave_out import LeftOut
-from calibration_core.estimation.likelihood.gains import Gains, Grouped, Seen, beside
-from calibration_core.estimation.likelihood.restricted import WIDE, Sizes
+from calibration_core.estimation.likelihood.gains import Gains, Grouped, Seen, beside, chance_gain
+from calibration_core.estimation.likelihood.restricted import USUAL, WIDE, Sizes
 from calibration_core.estimation.likelihood.small_effects import (
     LEVELS,
     NONE,
     LevelFit,
     SmallEffects,
     best_gains,
+    likelihood_at,
     most_probable,
 )
 from calibration_core.timeseries import Float1D
@@ -78,7 +82,8 @@ class Scores:
 class Comparisons:
     """Rows and hypotheses, and all that was asked of them; what was accepted is the same in whatever order."""
 
-    def __init__(self, field: Field, demands: Demands) -> None:
+    def __init__(self, field: Field, demands: Demands, limit: float | None = None) -> None:
+        """Prepare; limit: what chance gains, nats, as another search of the recording found it."""
         self.field, self.demands = field, demands
         self.small = SmallEffects(field.gram, field.offered, demands.levels)
         self.judged = field.judged
@@ -94,6 +99,9 @@ class Comparisons:
         self.alone_known: dict[tuple[Accepted, int], tuple[float, float, float]] = {}
         self._left_out: dict[Accepted, LeftOut] = {}
         self._grouped: dict[bool, Grouped] = {}
+        if limit is None:
+            limit = max(chance_gain(field.gram, field.clear, self.grouped(narrow=False), demands.draws), demands.least)
+        self.limit = limit
 
     def level(self, accepted: Accepted) -> float:
         """Return the signal-to-noise ratio of the small effects beside hypotheses, each."""
@@ -180,6 +188,50 @@ class Comparisons:
             found = self.several(accepted, (index,))
             self.alone_known[accepted, index] = float(found.nats[0]), float(found.size[0]), float(found.left[0])
         return self.alone_known[accepted, index]
+
+    def least(self, accepted: Accepted) -> Float1D:
+        """Return what every judged hypothesis must gain beside the accepted ones, nats, (j,).
+
+        A joint that needs two forms of law has another one, of which something is left; at several joints that adds up,
+        and a cause of another kind must gain more beside it.
+        """
+        hypotheses, demands = self.field.offered.hypotheses, self.demands
+        places, effects = {hypotheses[i].place for i in accepted}, {hypotheses[i].effect for i in accepted}
+        laws = Counter(one.location["joint"] for one in (hypotheses[i] for i in accepted) if one.is_law_of_a_joint)
+        opened = max(1, sum(several > 1 for several in laws.values()))
+        least = []
+        for hypothesis in (hypotheses[i] for i in self.judged):
+            further = demands.further * (1 if hypothesis.effect in effects else opened)
+            new = further if accepted else demands.first
+            least.append(self.limit if hypothesis.place in places else max(self.limit, new))
+        return np.array(least)
+
+    def usual(self, accepted: Accepted, several: Sequence[int]) -> dict[int, float]:
+        """Return the log likelihood of hypotheses were their sizes usual ones, nats."""
+        fits = self.fitted(accepted)
+        return {i: likelihood_at(fits, self.field.blocks((i,))[0], USUAL) for i in several}
+
+    def most_probable_law(self, accepted: Accepted, close: list[int]) -> dict[int, float]:
+        """Return the forms of that law of a joint which is most probable, with their log likelihoods, nats.
+
+        A law is as probable as its forms are on average (MacKay 1992): one that is offered in many shapes, or with
+        many parameters, comes near to any other.  A kind of law that other joints follow is the more probable: one
+        make of gears is in all of them (Laplace's rule of succession).
+        """
+        hypotheses = self.field.offered.hypotheses
+        joint, forms = hypotheses[close[0]].location, dict[str, list[int]]()
+        for i in self.judged:
+            if hypotheses[i].family == LAW and hypotheses[i].location == joint:
+                forms.setdefault(hypotheses[i].effect, []).append(i)
+        asked = {hypotheses[i].effect for i in close if i in forms.get(hypotheses[i].effect, [])}
+        nats = {effect: self.usual(accepted, forms[effect]) for effect in asked}
+
+        def probability(effect: str) -> float:
+            each = list(nats[effect].values())
+            others = sum(len(hypotheses[i].members) for i in accepted if hypotheses[i].effect == effect)
+            return float(np.logaddexp.reduce(each)) - math.log(len(each)) + math.log1p(others)
+
+        return nats[max(nats, key=probability)]
 
     def trial(self, accepted: Accepted, index: int) -> Trial:
         """Put one more hypothesis beside the accepted ones, at the size that suits it best."""

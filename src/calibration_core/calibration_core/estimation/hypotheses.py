@@ -62,6 +62,11 @@ class Hypothesis:
         return self.location.get("joints") == ALL
 
     @property
+    def is_law_of_a_joint(self) -> bool:
+        """Whether it is a law of one joint."""
+        return self.family == LAW and "joint" in self.location
+
+    @property
     def words(self) -> str:
         """Effect and place as a sentence without full stop."""
         return effect_sentence(self.effect, self.location)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -22,8 +22,8 @@ from calibration_core.estimation.controls import EQUIVALENT, impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.hypotheses import LAW, Hypothesis
 from calibration_core.estimation.leave_out import LEAST_NATS, Proof
-from calibration_core.estimation.likelihood.gains import Grouped, chance_gain
-from calibration_core.estimation.likelihood.restricted import Sizes
+from calibration_core.estimation.likelihood.gains import Grouped
+from calibration_core.estimation.likelihood.restricted import USUAL, Sizes
 from calibration_core.estimation.likelihood.small_effects import likelihood_at, visible
 from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.timeseries import Float1D
@@ -38,7 +38,6 @@ FEW = 6  # members of a family that are tried in its stead
 STANDS_OUT = 2.5  # times the signal-to-noise ratio of small effects
 OVERWHELMING = 50.0  # nats beside small effects, more than the best of any crowd gains by chance
 CROWD_GONE = 1.0  # signal-to-noise ratio of the small effects that may be left beside several strong ones
-WIDE = 3.0  # typical sizes: what is found is seldom larger
 Control = Callable[[Trial], str]
 
 
@@ -70,14 +69,11 @@ class Search(Comparisons):
         self, field: Field, control: Control, demands: Demands = POSITIONS, limit: float | None = None
     ) -> None:
         """Prepare a search; limit: what chance gains, nats, as another search of the recording found it."""
-        super().__init__(field, demands)
+        super().__init__(field, demands, limit)
         self.control = control
         self.refused: dict[object, str] = {}  # by effect and place, with the last reason
         self.objections: dict[tuple[Accepted, int], str] = {}
         self.in_stead: set[int] = set()  # hypotheses that stand in an accepted family's stead
-        if limit is None:
-            limit = max(chance_gain(field.gram, field.clear, self.grouped(narrow=False), demands.draws), demands.least)
-        self.limit = limit
 
     def run(self, accepted: Accepted = ()) -> Selection:
         """Search, beginning with some hypotheses: those of which the recording shows anything.
@@ -133,7 +129,7 @@ class Search(Comparisons):
 
     def _asked(self, others: Accepted, index: int) -> float:
         """Return what an accepted hypothesis must gain beside others, nats."""
-        return PART if index in self.in_stead else float(self._least(others)[self.place[index]])
+        return PART if index in self.in_stead else float(self.least(others)[self.place[index]])
 
     def possible(self, accepted: Accepted) -> Accepted:
         """Drop what physics forbids beside the others: what comes later may turn a compliance negative."""
@@ -152,7 +148,7 @@ class Search(Comparisons):
         """
         while len(accepted) < (FEW if narrow else MOST):
             gain = self._gain(accepted, narrow=narrow)
-            least = self._least(accepted)
+            least = self.least(accepted)
             order = self._to_try([int(k) for k in np.argsort(-gain, kind="stable") if gain[k] > least[k]])
             found = next((k for k in order if self._passes(accepted, self.judged[k])), None)
             if found is None:
@@ -172,7 +168,7 @@ class Search(Comparisons):
         while len(trial) < FEW:
             gain = np.where(self.alone, self.scores(trial, narrow=True).nats, -np.inf)
             best = int(np.argmax(gain))
-            if gain[best] <= self._least(trial)[best]:
+            if gain[best] <= self.least(trial)[best]:
                 break
             trial = self._best_forms((*trial, self.judged[best]))
             more = tuple(i for i in trial if i not in accepted)
@@ -212,13 +208,6 @@ class Search(Comparisons):
         nats = self.scores(accepted, narrow=narrow).nats
         return np.where(self.alone, nats, -np.inf) if narrow else nats
 
-    def _least(self, accepted: Accepted) -> Float1D:
-        """Return what every judged hypothesis must gain beside the accepted ones, nats, (j,)."""
-        hypotheses = self.field.offered.hypotheses
-        known = {hypotheses[i].place for i in accepted}
-        new = [hypotheses[i].place not in known for i in self.judged]
-        return np.where(new, max(self.limit, self.demands.further if known else self.demands.first), self.limit)
-
     def _instead(self, accepted: Accepted, gained: float, *, narrow: bool) -> Accepted:
         """Return the accepted ones, one of them swapped, where that gains as much as one more; else nothing.
 
@@ -239,9 +228,10 @@ class Search(Comparisons):
 
     def refine(self, accepted: Accepted, *, narrow: bool = False) -> Accepted:
         """Drop what others make needless, swap what another does better, or a few of a family do as well."""
+        hypotheses = self.field.offered.hypotheses
         for index in accepted:
             others = tuple(i for i in accepted if i != index)
-            if len(self.field.offered.hypotheses[index].members) > 1:
+            if len(hypotheses[index].members) > 1:
                 few = self._few(others, index)
                 if few:
                     self.in_stead.update(few)
@@ -253,7 +243,23 @@ class Search(Comparisons):
                 accepted = others
             elif self.judged[best] != index and gain[best] > own + SWAP and self._passes(others, self.judged[best]):
                 accepted = tuple(self.judged[best] if i == index else i for i in accepted)
+            elif hypotheses[index].is_law_of_a_joint:
+                law = self.law_beside(others, hypotheses[index].location)
+                another = hypotheses[law].effect != hypotheses[index].effect and law not in others
+                if another and self._passes(others, law):
+                    accepted = tuple(law if i == index else i for i in accepted)
         return accepted
+
+    def law_beside(self, others: Accepted, location: Mapping[str, object]) -> int:
+        """Return the law of a joint that is most probable beside others, of those that gain as much.
+
+        Which laws the other joints follow was not known when one was accepted.
+        """
+        hypotheses, nats = self.field.offered.hypotheses, self.scores(others, narrow=True).nats
+        laws = [i for i in self.judged if hypotheses[i].family == LAW and hypotheses[i].location == location]
+        gain = {i: float(nats[self.place[i]]) for i in laws}
+        close = [i for i in sorted(laws, key=lambda i: -gain[i]) if gain[i] > max(gain.values()) - EQUIVALENT]
+        return self._best_proven(others, close)
 
     def _few(self, others: Accepted, family: int) -> Accepted:
         """Return members of a family that alone do as well as all of it; empty where they do not.
@@ -313,34 +319,15 @@ class Search(Comparisons):
         if len(close) == 1:
             return close[0]
         if self.field.offered.hypotheses[close[0]].family == LAW:
-            worth = self._most_probable_law(accepted, close)
+            worth = self.most_probable_law(accepted, close)
         elif self.demands.by_density:
-            worth = self._usual(accepted, close)
+            worth = self.usual(accepted, close)
         else:
             worth = {i: min(one.share for one in self.trial(accepted, i).proofs) for i in close}
         for index in sorted(worth, key=lambda i: (-round(worth[i], DIGITS), len(self.field.blocks((i,))[0]))):
             if index == close[0] or self._passes(accepted, index):
                 return index
         return close[0]
-
-    def _usual(self, accepted: Accepted, several: Sequence[int]) -> dict[int, float]:
-        """Return the log likelihood of hypotheses were their sizes usual ones, nats."""
-        fits = self.fitted(accepted)
-        return {i: likelihood_at(fits, self.field.blocks((i,))[0], WIDE) for i in several}
-
-    def _most_probable_law(self, accepted: Accepted, close: list[int]) -> dict[int, float]:
-        """Return the forms of that law of a joint which is most probable, with their log likelihoods, nats.
-
-        A law is as probable as its forms are on average (MacKay 1992): one that is offered in many shapes, or with
-        many parameters, comes near to any other.
-        """
-        hypotheses, laws = self.field.offered.hypotheses, dict[object, list[int]]()
-        for i in self.judged:
-            if hypotheses[i].family == LAW and hypotheses[i].location == hypotheses[close[0]].location:
-                laws.setdefault(hypotheses[i].place, []).append(i)
-        asked = {hypotheses[i].place for i in close} & set(laws)
-        nats = {place: self._usual(accepted, laws[place]) for place in asked}
-        return max(nats.values(), key=lambda forms: np.logaddexp.reduce(list(forms.values())) - math.log(len(forms)))
 
     def _passes(self, accepted: Accepted, index: int) -> bool:
         trial = self.trial(accepted, index)
@@ -362,8 +349,8 @@ class Search(Comparisons):
         if not self.demands.by_density:
             return ""
         fits, block = self.fitted(accepted), self.field.blocks((trial.index,))[0]
-        if trial.sizes.size[-1] > WIDE:
-            gain = likelihood_at(fits, block, WIDE) - self.sizes(accepted).value
+        if trial.sizes.size[-1] > USUAL:
+            gain = likelihood_at(fits, block, USUAL) - self.sizes(accepted).value
             if gain <= self._asked(accepted, trial.index):
                 return "it would have to be far larger than it usually is"
         level, seen = visible(fits, block)
@@ -378,7 +365,7 @@ class Search(Comparisons):
         if not trial.hypothesis.everywhere:
             return False
         hypotheses, nats = self.field.offered.hypotheses, self.scores(accepted, narrow=True).nats
-        members, least = set(trial.hypothesis.members), self._least(accepted)
+        members, least = set(trial.hypothesis.members), self.least(accepted)
         alone = [k for k in np.flatnonzero(self.alone) if hypotheses[self.judged[k]].members[0] in members]
         best = max(alone, key=lambda k: nats[k], default=None)
         if best is None:

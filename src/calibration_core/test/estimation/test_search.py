@@ -8,6 +8,7 @@ import weakref
 import numpy as np
 import pytest
 
+from calibration_core.estimation.alternatives.confounding import most_probable_first
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.field import Field
 from calibration_core.estimation.hypotheses import Offered, offer
@@ -151,6 +152,63 @@ def test_a_law_of_many_forms_does_not_win_by_one_that_comes_near_by_chance(seed:
     several += [candidate("zone", "joint_1", f"zone {k}", 1, family="joint law") for k in range(5)]
     found = searched(truth + noise, flat, np.column_stack([unresolved, wide]), several)
     assert [one.split()[0] for one in found] == ["clearance"]
+
+
+def gears(seed: int, strength: float) -> tuple[np.ndarray, Float2D, Float2D, list[Candidate]]:
+    """Four joints with zones, at the last of which a clearance gains a little more, and how strong that one is."""
+    rng, flat, columns = drawn(seed, 4)
+    noise = rng.standard_normal(3 * READINGS)
+    near = columns[:, 3] + 2e-3 * noise / strength
+    candidates = [candidate("zone", f"joint_{k}", f"zone {k}", 1, family="joint law") for k in range(4)]
+    candidates.append(candidate("clearance", "joint_3", "clearance", 1, family="joint law"))
+    truth = columns @ np.array([1.0, 1.0, 1.0, strength])
+    return truth + noise, flat, np.column_stack([columns, near]), candidates
+
+
+@pytest.mark.parametrize("strength", [0.5, 3.0])  # it is accepted last or first
+@pytest.mark.parametrize("seed", range(4))
+def test_of_laws_that_do_as_well_a_joint_has_that_of_the_others(seed: int, strength: float) -> None:
+    residual, flat, every, candidates = gears(seed, strength)
+    assert set(searched(residual, flat, every, candidates)) == {f"zone {k}" for k in range(4)}
+    alone = residual - every[:, :3].sum(axis=1)
+    assert searched(alone, flat, every[:, 3:], candidates[3:]) == ["clearance"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_beside_joints_whose_laws_are_open_a_cause_of_another_kind_must_gain_more(seed: int) -> None:
+    """Where two joints need two forms of law each, twice as much is asked of the sensor, not of another joint."""
+    rng, flat, columns = drawn(seed, 5)
+    residual = columns @ np.array([1.0, 1.0, 1.0, 1.0, 0.44]) + rng.standard_normal(3 * READINGS)
+    laws = [
+        candidate(effect, f"joint_{k}", f"{effect} {k}", 1, family="joint law")
+        for effect in ("zone", "hardening")
+        for k in range(2)
+    ]
+    names = [one.variant for one in laws]
+    offset, zone = candidate("offset", "sensor", "offset", 1), candidate("zone", "joint_2", "zone", 1)
+    assert set(searched(residual, flat, columns, [*laws, offset])) == {*names}
+    assert set(searched(residual, flat, columns, [*laws, zone])) == {*names, "zone"}
+    settled = residual - columns[:, 3]
+    assert set(searched(settled, flat, columns[:, [0, 1, 2, 4]], [*laws[:3], offset])) == {*names[:3], "offset"}
+
+
+def test_of_two_laws_at_a_joint_that_one_comes_first_which_alone_gains_more() -> None:
+    """A third form, of the kind of the weaker one, explains by itself what the two explain together."""
+    rng, flat, columns = drawn(9, 2)
+    noise = rng.standard_normal(3 * READINGS)
+    both = columns @ np.array([0.6, 0.9])
+    every = np.column_stack([columns, both])
+    candidates = [
+        candidate("hysteresis", "joint_1", "wide", 1, family="joint law"),
+        candidate("creep", "joint_1", "slow", 1, family="joint law"),
+        candidate("hysteresis", "joint_1", "narrow", 1, family="joint law"),
+    ]
+    search = search_of(both + noise, flat, every, candidates)
+    found = search.result((0, 1))
+    assert found.accepted == (1, 0)  # creep gains more beside the other
+    assert most_probable_first(search, found.accepted, ["joint_1"]) == (0, 1)
+    search = search_of(both + noise, flat, every[:, :2], candidates[:2])
+    assert most_probable_first(search, search.result((0, 1)).accepted, ["joint_1"]) == (1, 0)
 
 
 def test_a_search_is_freed_with_its_last_reference() -> None:

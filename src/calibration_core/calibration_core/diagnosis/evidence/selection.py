@@ -19,6 +19,7 @@ from calibration_core.estimation.alternatives.confounding import (
     SURE,
     are_confounded,
     lent,
+    most_probable_first,
     same_deflection,
 )
 from calibration_core.estimation.alternatives.covariance import other_forms
@@ -115,8 +116,9 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
     found = search.result(accepted)
     hypotheses = search.field.offered.hypotheses
     choices: list[Choice] = []
-    for index, gain in zip(found.accepted, found.gain, strict=True):
-        candidate = hypotheses[index].members[0]
+    gains = dict(zip(found.accepted, found.gain, strict=True))
+    for index in most_probable_first(search, found.accepted, design.joints):
+        candidate, gain = hypotheses[index].members[0], gains[index]
         for k, choice in enumerate(choices):
             if _is_refinement(design, choice, candidate, gain):
                 choices[k] = dataclasses.replace(choice, refinements=(*choice.refinements, candidate))

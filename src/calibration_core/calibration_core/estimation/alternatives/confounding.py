@@ -61,6 +61,26 @@ def same_deflection(first: Candidate, second: Candidate) -> bool:
     return own and first.location == second.location
 
 
+def most_probable_first(search: Search, accepted: Accepted, joints: Sequence[str]) -> Accepted:
+    """Return accepted hypotheses, of several laws that are one cause at a joint the most probable before the others.
+
+    Each of them gains little beside the others: which one is the cause shows what each gains without them.
+    """
+    offered, ordered = search.field.offered, list(accepted)
+    laws = ((i, offered.hypotheses[i]) for i in accepted)
+    of_joints = {i: offered.candidates[one.members[0]] for i, one in laws if one.is_law_of_a_joint}
+    for own in of_joints.values():
+        alike = (i for i, one in of_joints.items() if one.location == own.location and are_confounded(own, one, joints))
+        forms = sorted(alike, key=ordered.index)
+        if len({of_joints[i].effect for i in forms}) > 1:
+            law = search.law_beside(tuple(i for i in accepted if i not in forms), own.location)
+            first = next((i for i in forms if of_joints[i].effect == offered.hypotheses[law].effect), forms[0])
+            place = ordered.index(forms[0])
+            ordered.remove(first)
+            ordered.insert(place, first)
+    return tuple(ordered)
+
+
 def parts(location: Mapping[str, str | tuple[str, ...]], joints: Sequence[str]) -> tuple[int, ...]:
     """Return the numbers of the joints, from 1, between which a place lies; the base is before the first joint."""
     if "base" in location:

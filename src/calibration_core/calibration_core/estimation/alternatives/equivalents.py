@@ -8,8 +8,8 @@ import numpy as np
 
 from calibration_core.estimation.controls import EQUIVALENT
 from calibration_core.estimation.likelihood.gains import beside
-from calibration_core.estimation.likelihood.restricted import Sizes
-from calibration_core.estimation.search import WIDE, Search, Selection
+from calibration_core.estimation.likelihood.restricted import USUAL, Sizes
+from calibration_core.estimation.search import Search, Selection
 from calibration_core.estimation.shifts import FAMILY
 
 LISTED = 5
@@ -119,7 +119,7 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
         if scores.nats[k] > stated / 2:  # far less is no alias
             lost = 0.5 * (power - float(alike @ np.linalg.pinv(matrix, rcond=ROUNDING, hermitian=True) @ alike))
         if lost > EXACT * power:
-            lost = 0.5 * (power - float(alike @ np.linalg.solve(matrix + np.eye(len(matrix)) / WIDE**2, alike)))
+            lost = 0.5 * (power - float(alike @ np.linalg.solve(matrix + np.eye(len(matrix)) / USUAL**2, alike)))
         if lost < EQUIVALENT and not search.objection(search.trial(others, i)):
             found.append((i, float(stated - max(lost, 0.0))))
     return tuple(found)
