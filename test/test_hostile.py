@@ -29,9 +29,16 @@ def test_there_are_enough_kinds() -> None:
     assert len(CASES) + len(UNIDENTIFIED) >= 60
 
 
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Path]]:
+    """Cell file and recording of every case, made once: whoever is given them reads them alone."""
+    folder = tmp_path_factory.mktemp("cases")
+    return {name: prepare(name, folder / str(i)) for i, name in enumerate([*CASES, *UNIDENTIFIED])}
+
+
 @pytest.mark.parametrize("name", CASES)
-def test_reading(name: str, tmp_path: Path) -> None:
-    path, data = prepare(name, tmp_path / "case")
+def test_reading(name: str, files: dict[str, tuple[Path, Path]]) -> None:
+    path, data = files[name]
     with pytest.raises(InputError) as caught:
         observe(data, load_cell(path))
     text = str(caught.value)
@@ -88,7 +95,7 @@ def test_every_command_is_tested() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_program(command: str, tmp_path: Path) -> None:
+def test_the_program(command: str, files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
     """Every case that a command reads: exit code 2, one line, the output folder untouched, time and memory bounded."""
     reads, form = COMMANDS[command]
     (tmp_path / "good.yaml").write_text(CELL)
@@ -98,13 +105,13 @@ def test_the_program(command: str, tmp_path: Path) -> None:
     names = [name for name in CASES if reads == "recording" or name.startswith("cell: ")]
     cases = []
     for i, name in enumerate([*names, *(UNIDENTIFIED if command == "identify" else ())]):
-        cell, data = prepare(name, tmp_path / str(i))
+        cell, data = files[name]
         out = tmp_path / str(i) / "out"
-        out.mkdir()
+        out.mkdir(parents=True)
         (out / "result.json").write_text("of an earlier run")
-        files = {"cell": cell, "recording": data, "out": out, "model": tmp_path / "model.yaml",
+        given = {"cell": cell, "recording": data, "out": out, "model": tmp_path / "model.yaml",
                  "task": tmp_path / "task.csv"}  # fmt: skip
-        words = [word.format(**files) for word in form.split(" ")]
+        words = [word.format(**given) for word in form.split(" ")]
         cases.append({"name": name, "arguments": [command, *words], "out": str(out)})
     lines = "".join(json.dumps(one) + "\n" for one in cases)
     done = subprocess.run(
@@ -126,8 +133,8 @@ def test_the_program(command: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["cell: missing", "table: 2 GB of rubbish", "mcap: a chunk that claims 2^60 bytes", "bag: another topic"]
 )
-def test_as_users_run_it(name: str, tmp_path: Path) -> None:
-    cell, data = prepare(name, tmp_path / "case")
+def test_as_users_run_it(name: str, files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
+    cell, data = files[name]
     out = tmp_path / "out"
     command = [
         sys.executable,

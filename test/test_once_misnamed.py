@@ -200,3 +200,27 @@ def test_the_stiffness_of_a_joint_is_as_uncertain_as_its_law_is_open(number: int
     assert written[f"compliance.joint_{joint + 1}"] == pytest.approx(std[joint], rel=1e-6)
     others = np.arange(len(true)) != joint
     assert np.median(std[others] / true[others]) < 0.02  # what else is known stays known
+
+
+@pytest.mark.parametrize(
+    ("seed", "number", "effect"),
+    [
+        pytest.param(PUBLISHED, 361, "soft_zone", id="the weakest zone resembles a clearance"),
+        pytest.param(SEED, 368, "hysteresis", id="friction resembles creep", marks=pytest.mark.slow),
+        pytest.param(4711, 384, "hysteresis", id="two laws share a joint", marks=pytest.mark.slow),
+        pytest.param(PUBLISHED, 389, "soft_zone", id="two laws are open, and no sensor", marks=pytest.mark.slow),
+    ],
+)
+def test_where_every_joint_has_one_law_no_other_is_named(seed: int, number: int, effect: str, tmp_path: Path) -> None:
+    found = answered(number, tmp_path, seed).found
+    assert {one.effect for one in found.findings} == {effect}
+    assert len({str(one.location) for one in found.findings}) == len(found.findings) >= 5
+
+
+@pytest.mark.slow
+def test_a_compliance_that_is_none_is_zero_to_the_last_digit(tmp_path: Path) -> None:
+    """It was -1e-31 rad/(N*m)."""
+    found = answered(244, tmp_path, PUBLISHED).found
+    (tool,) = (one for one in found.findings if one.effect == "tool_compliance")
+    assert [one.value for one in tool.parameters if one.name == "rotation_z"] == [0.0]
+    assert all(one.value >= 0.0 and one.interval[0] >= 0.0 for one in tool.parameters)

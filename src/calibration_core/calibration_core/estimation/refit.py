@@ -232,7 +232,7 @@ def refit(
         parameters = _softened(parameters, model.fitted_compliances, step[n:f], model.believed)
         model = model.at(_sagging(parameters, parts, value), _springs(parts, value))
         held = _held(model, parts)
-    value = value + step[f:]
+    value = allowed.value
     residual = residual - linear.own.moved(step)
     rest = residual if linear.own is linear.white else rest - linear.white.moved(step)
     kept = np.where(fitted, rest, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -26,7 +27,7 @@ def found_parameters(
     """
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     return tuple(
-        FoundParameter(p.name + suffix, float(v), float(s), p.unit)
+        FoundParameter(p.name + suffix, float(v), float(s), p.unit, 0.0 if p.positive else -math.inf)
         for p, v, s in zip(candidate.parameters, value, std, strict=True)
     )
 

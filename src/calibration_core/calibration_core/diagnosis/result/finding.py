@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping
 from typing import Literal
 
@@ -21,12 +22,26 @@ Verdict = Literal["consistent", "missing_physics", "partly_explained", "unexplai
 
 @dataclasses.dataclass(frozen=True)
 class FoundParameter:
-    """One parameter of a finding: name, value, standard deviation and unit."""
+    """One parameter of a finding.
+
+    Attributes:
+        name: As in the catalogue.
+        value: In its unit.
+        std: Standard deviation; zero for what is no estimate.
+        unit: Of both.
+        least: The smallest value that physics allows.
+    """
 
     name: str
     value: float
     std: float
     unit: str
+    least: float = -math.inf
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The values that physics allows within 1.96 standard deviations."""
+        return max(self.value - 1.96 * self.std, self.least), self.value + 1.96 * self.std
 
 
 @dataclasses.dataclass(frozen=True)

@@ -183,7 +183,9 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "effect": finding.effect,
         "family": finding.family,
         "location": dict(finding.location),
-        "parameters": [vars(parameter) for parameter in finding.parameters],
+        "parameters": [
+            {"name": one.name, "value": one.value, "std": one.std, "unit": one.unit} for one in finding.parameters
+        ],
         "evidence": {
             "log_bayes_factor": finding.log_bayes_factor,
             "held_out_gain": finding.held_out_gain,

@@ -8,7 +8,13 @@ import numpy as np
 
 from calibration_core.diagnosis.comparison.result import Comparison, StepByStep
 from calibration_core.diagnosis.result.evidence_words import evidence_words
-from calibration_core.diagnosis.result.finding import EMPIRICAL, Diagnosis, Finding, ProposedMeasurement
+from calibration_core.diagnosis.result.finding import (
+    EMPIRICAL,
+    Diagnosis,
+    Finding,
+    FoundParameter,
+    ProposedMeasurement,
+)
 from calibration_core.identification.result.tested import PARTS
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.words import effect_sentence, people_unit
@@ -97,7 +103,7 @@ def where_blocks(found: Diagnosis) -> tuple[Block, ...]:
 
 def finding_blocks(finding: Finding) -> tuple[Block, ...]:
     """Return one finding: what it is, why not something else, how sure, what would decide."""
-    rows = tuple(_parameter(p.name.replace("_", " "), p.value, p.std, p.unit) for p in finding.parameters)
+    rows = tuple(parameter_row(one) for one in finding.parameters)
     columns = (Column("Parameter", "left", wide=True), Column("Value"), Column("95 % interval"), Column("Unit", "left"))
     blocks: list[Block] = [Paragraph(finding.explanation)]
     if finding.family in CONCERNED:
@@ -120,13 +126,14 @@ def _law(finding: Finding) -> str:
     )
 
 
-def _parameter(name: str, value: float, std: float, unit: str) -> tuple[str, str, str, str]:
+def parameter_row(one: FoundParameter) -> tuple[str, str, str, str]:
     """Return a parameter as printed: name, value, 95 % interval, unit; a compliance as the stiffness that it is."""
-    if std == 0.0:
+    name, value, unit = one.name.replace("_", " "), one.value, one.unit
+    if one.std == 0.0:
         return name, f"{value:g}", DASH, "per revolution" if name.startswith("harmonic") else people_unit(unit)
-    low, high = value - 1.96 * std, value + 1.96 * std
+    low, high = one.interval
     if unit not in STIFFNESS_OF or not value > 0:
-        return name, _number(value), _interval(value, std), people_unit(unit)
+        return name, _number(value), f"{_number(low)} to {_number(high)}", people_unit(unit)
     named = name.replace("compliance", "stiffness") if "compliance" in name else f"{name}, as stiffness"
     interval = f"{_number(1 / high)} to {_number(1 / low)}" if low > 0 else f"above {_number(1 / high)}"
     return named, _number(1 / value), interval, STIFFNESS_OF[unit]
@@ -280,10 +287,6 @@ def _others(finding: Finding) -> Block:
         padded(rows),
         "Log Bayes factor within 5 of the finding's, or no difference.",
     )
-
-
-def _interval(value: float, std: float) -> str:
-    return f"{_number(value - 1.96 * std)} to {_number(value + 1.96 * std)}"
 
 
 def _number(value: float) -> str:
