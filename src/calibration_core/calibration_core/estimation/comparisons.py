@@ -224,7 +224,7 @@ class Comparisons:
             if hypotheses[i].family == LAW and hypotheses[i].location == joint:
                 forms.setdefault(hypotheses[i].effect, []).append(i)
         asked = {hypotheses[i].effect for i in close if i in forms.get(hypotheses[i].effect, [])}
-        nats = {effect: self.usual(accepted, forms[effect]) for effect in asked}
+        nats = {effect: self.usual(accepted, forms[effect]) for effect in sorted(asked)}
 
         def probability(effect: str) -> float:
             each = list(nats[effect].values())
