@@ -6,13 +6,12 @@ import dataclasses
 import math
 import weakref
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from calibration_core.estimation.controls import CHANCE
 from calibration_core.estimation.field import Accepted, Field, Trial
-from calibration_core.estimation.hypotheses import LAW
 from calibration_core.estimation.leave_out import LeftOut
 from calibration_core.estimation.likelihood.gains import Gains, Grouped, Seen, beside, chance_gain
 from calibration_core.estimation.likelihood.restricted import USUAL, WIDE, Sizes
@@ -211,6 +210,11 @@ class Comparisons:
         fits = self.fitted(accepted)
         return {i: likelihood_at(fits, self.field.blocks((i,))[0], USUAL) for i in several}
 
+    def strongest_law(self, accepted: Accepted, location: Mapping[str, object]) -> int:
+        """Return the law of a joint that gains most beside the accepted ones."""
+        hypotheses, nats = self.field.offered.hypotheses, self.scores(accepted, narrow=True).nats
+        return max((i for i in self.judged if hypotheses[i].is_law_of(location)), key=lambda i: nats[self.place[i]])
+
     def most_probable_law(self, accepted: Accepted, close: list[int]) -> dict[int, float]:
         """Return the forms of that law of a joint which is most probable, with their log likelihoods, nats.
 
@@ -221,7 +225,7 @@ class Comparisons:
         hypotheses = self.field.offered.hypotheses
         joint, forms = hypotheses[close[0]].location, dict[str, list[int]]()
         for i in self.judged:
-            if hypotheses[i].family == LAW and hypotheses[i].location == joint:
+            if hypotheses[i].is_law_of(joint):
                 forms.setdefault(hypotheses[i].effect, []).append(i)
         asked = {hypotheses[i].effect for i in close if i in forms.get(hypotheses[i].effect, [])}
         nats = {effect: self.usual(accepted, forms[effect]) for effect in sorted(asked)}

@@ -66,6 +66,10 @@ class Hypothesis:
         """Whether it is a law of one joint."""
         return self.family == LAW and "joint" in self.location
 
+    def is_law_of(self, location: Mapping[str, object]) -> bool:
+        """Whether it is a law of the joint at a location."""
+        return self.family == LAW and self.location == location
+
     @property
     def words(self) -> str:
         """Effect and place as a sentence without full stop."""

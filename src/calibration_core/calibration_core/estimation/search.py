@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
@@ -244,22 +244,24 @@ class Search(Comparisons):
             elif self.judged[best] != index and gain[best] > own + SWAP and self._passes(others, self.judged[best]):
                 accepted = tuple(self.judged[best] if i == index else i for i in accepted)
             elif hypotheses[index].is_law_of_a_joint:
-                law = self.law_beside(others, hypotheses[index].location)
-                another = hypotheses[law].effect != hypotheses[index].effect and law not in others
-                if another and self._passes(others, law):
+                law = self._law_beside(others, index)
+                if law != index and law not in others and self._passes(others, law):
                     accepted = tuple(law if i == index else i for i in accepted)
         return accepted
 
-    def law_beside(self, others: Accepted, location: Mapping[str, object]) -> int:
-        """Return the law of a joint that is most probable beside others, of those that gain as much.
+    def _law_beside(self, others: Accepted, index: int) -> int:
+        """Return the law of other joints that is more probable of a joint than the accepted one; else that one.
 
-        Which laws the other joints follow was not known when one was accepted.
+        Which laws the other joints follow was not known when it was accepted.
         """
         hypotheses, nats = self.field.offered.hypotheses, self.scores(others, narrow=True).nats
-        laws = [i for i in self.judged if hypotheses[i].family == LAW and hypotheses[i].location == location]
+        one = hypotheses[index]
+        laws = [i for i in self.judged if hypotheses[i].is_law_of(one.location)]
         gain = {i: float(nats[self.place[i]]) for i in laws}
         close = [i for i in sorted(laws, key=lambda i: -gain[i]) if gain[i] > max(gain.values()) - EQUIVALENT]
-        return self._best_proven(others, close)
+        best = hypotheses[law := self._best_proven(others, close)]
+        elsewhere = {hypotheses[i].effect for i in others if hypotheses[i].location != one.location}
+        return law if best.effect != one.effect and best.effect in elsewhere else index
 
     def _few(self, others: Accepted, family: int) -> Accepted:
         """Return members of a family that alone do as well as all of it; empty where they do not.

@@ -8,7 +8,7 @@ import weakref
 import numpy as np
 import pytest
 
-from calibration_core.estimation.alternatives.confounding import most_probable_first
+from calibration_core.estimation.alternatives.confounding import strongest_first
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.field import Field
 from calibration_core.estimation.hypotheses import Offered, offer
@@ -206,9 +206,9 @@ def test_of_two_laws_at_a_joint_that_one_comes_first_which_alone_gains_more() ->
     search = search_of(both + noise, flat, every, candidates)
     found = search.result((0, 1))
     assert found.accepted == (1, 0)  # creep gains more beside the other
-    assert most_probable_first(search, found.accepted, ["joint_1"]) == (0, 1)
+    assert strongest_first(search, found.accepted, ["joint_1"]) == (0, 1)
     search = search_of(both + noise, flat, every[:, :2], candidates[:2])
-    assert most_probable_first(search, search.result((0, 1)).accepted, ["joint_1"]) == (1, 0)
+    assert strongest_first(search, search.result((0, 1)).accepted, ["joint_1"]) == (1, 0)
 
 
 def test_a_search_is_freed_with_its_last_reference() -> None:

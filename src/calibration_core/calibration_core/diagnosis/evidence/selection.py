@@ -19,8 +19,8 @@ from calibration_core.estimation.alternatives.confounding import (
     SURE,
     are_confounded,
     lent,
-    most_probable_first,
     same_deflection,
+    strongest_first,
 )
 from calibration_core.estimation.alternatives.covariance import other_forms
 from calibration_core.estimation.alternatives.equivalents import other_places
@@ -117,7 +117,7 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
     hypotheses = search.field.offered.hypotheses
     choices: list[Choice] = []
     gains = dict(zip(found.accepted, found.gain, strict=True))
-    for index in most_probable_first(search, found.accepted, design.joints):
+    for index in strongest_first(search, found.accepted, design.joints):
         candidate, gain = hypotheses[index].members[0], gains[index]
         for k, choice in enumerate(choices):
             if _is_refinement(design, choice, candidate, gain):

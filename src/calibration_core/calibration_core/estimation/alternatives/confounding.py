@@ -61,10 +61,10 @@ def same_deflection(first: Candidate, second: Candidate) -> bool:
     return own and first.location == second.location
 
 
-def most_probable_first(search: Search, accepted: Accepted, joints: Sequence[str]) -> Accepted:
-    """Return accepted hypotheses, of several laws that are one cause at a joint the most probable before the others.
+def strongest_first(search: Search, accepted: Accepted, joints: Sequence[str]) -> Accepted:
+    """Return accepted hypotheses, of several laws that are one cause at a joint the strongest before the others.
 
-    Each of them gains little beside the others: which one is the cause shows what each gains without them.
+    Each of them gains little beside the others: which one is the cause shows what its forms gain without them.
     """
     offered, ordered = search.field.offered, list(accepted)
     laws = ((i, offered.hypotheses[i]) for i in accepted)
@@ -73,7 +73,7 @@ def most_probable_first(search: Search, accepted: Accepted, joints: Sequence[str
         alike = (i for i, one in of_joints.items() if one.location == own.location and are_confounded(own, one, joints))
         forms = sorted(alike, key=ordered.index)
         if len({of_joints[i].effect for i in forms}) > 1:
-            law = search.law_beside(tuple(i for i in accepted if i not in forms), own.location)
+            law = search.strongest_law(tuple(i for i in accepted if i not in forms), own.location)
             first = next((i for i in forms if of_joints[i].effect == offered.hypotheses[law].effect), forms[0])
             place = ordered.index(forms[0])
             ordered.remove(first)
