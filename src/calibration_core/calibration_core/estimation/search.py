@@ -250,7 +250,7 @@ class Search(Comparisons):
         return accepted
 
     def _law_beside(self, others: Accepted, index: int) -> int:
-        """Return the law of other joints that is more probable of a joint than the accepted one; else that one.
+        """Return the law of a kind that other joints follow, if it is more probable than the accepted one; else that.
 
         Which laws the other joints follow was not known when it was accepted.
         """
@@ -259,9 +259,10 @@ class Search(Comparisons):
         laws = [i for i in self.judged if hypotheses[i].is_law_of(one.location)]
         gain = {i: float(nats[self.place[i]]) for i in laws}
         close = [i for i in sorted(laws, key=lambda i: -gain[i]) if gain[i] > max(gain.values()) - EQUIVALENT]
-        best = hypotheses[law := self._best_proven(others, close)]
+        law = self._best_proven(others, close)
+        effect = hypotheses[law].effect
         elsewhere = {hypotheses[i].effect for i in others if hypotheses[i].location != one.location}
-        return law if best.effect != one.effect and best.effect in elsewhere else index
+        return law if effect != one.effect and effect in elsewhere else index
 
     def _few(self, others: Accepted, family: int) -> Accepted:
         """Return members of a family that alone do as well as all of it; empty where they do not.
