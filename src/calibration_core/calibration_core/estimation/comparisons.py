@@ -210,10 +210,14 @@ class Comparisons:
         fits = self.fitted(accepted)
         return {i: likelihood_at(fits, self.field.blocks((i,))[0], USUAL) for i in several}
 
+    def laws_of(self, location: Mapping[str, object]) -> list[int]:
+        """Return the judged laws of the joint at a location, in all their forms."""
+        return [i for i in self.judged if self.field.offered.hypotheses[i].is_law_of(location)]
+
     def strongest_law(self, accepted: Accepted, location: Mapping[str, object]) -> int:
-        """Return the law of a joint that gains most beside the accepted ones."""
-        hypotheses, nats = self.field.offered.hypotheses, self.scores(accepted, narrow=True).nats
-        return max((i for i in self.judged if hypotheses[i].is_law_of(location)), key=lambda i: nats[self.place[i]])
+        """Return the law of the joint at a location that gains most beside the accepted ones."""
+        nats = self.scores(accepted, narrow=True).nats
+        return max(self.laws_of(location), key=lambda i: nats[self.place[i]])
 
     def most_probable_law(self, accepted: Accepted, close: list[int]) -> dict[int, float]:
         """Return the forms of that law of a joint which is most probable, with their log likelihoods, nats.
@@ -223,10 +227,9 @@ class Comparisons:
         make of gears is in all of them (Laplace's rule of succession).
         """
         hypotheses = self.field.offered.hypotheses
-        joint, forms = hypotheses[close[0]].location, dict[str, list[int]]()
-        for i in self.judged:
-            if hypotheses[i].is_law_of(joint):
-                forms.setdefault(hypotheses[i].effect, []).append(i)
+        forms: dict[str, list[int]] = {}
+        for i in self.laws_of(hypotheses[close[0]].location):
+            forms.setdefault(hypotheses[i].effect, []).append(i)
         asked = {hypotheses[i].effect for i in close if i in forms.get(hypotheses[i].effect, [])}
         nats = {effect: self.usual(accepted, forms[effect]) for effect in sorted(asked)}
 

@@ -256,9 +256,8 @@ class Search(Comparisons):
         """
         hypotheses, nats = self.field.offered.hypotheses, self.scores(others, narrow=True).nats
         one = hypotheses[index]
-        laws = [i for i in self.judged if hypotheses[i].is_law_of(one.location)]
-        gain = {i: float(nats[self.place[i]]) for i in laws}
-        close = [i for i in sorted(laws, key=lambda i: -gain[i]) if gain[i] > max(gain.values()) - EQUIVALENT]
+        laws = sorted(self.laws_of(one.location), key=lambda i: -nats[self.place[i]])
+        close = [i for i in laws if nats[self.place[i]] > nats[self.place[laws[0]]] - EQUIVALENT]
         law = self._best_proven(others, close)
         effect = hypotheses[law].effect
         elsewhere = {hypotheses[i].effect for i in others if hypotheses[i].location != one.location}
