@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
@@ -20,6 +21,7 @@ REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 UR10 = ("A", "B", "C", "D")
 GEOMETRY = {"A": 0.44e-3, "B": 0.44e-3, "C": 0.48e-3, "D": 0.40e-3}  # m, 3-d rms that geometry alone leaves, at least
 LEFT = {"A": 0.12e-3, "B": 0.18e-3, "C": 0.12e-3, "D": 0.15e-3}  # m, the same with what was found, at most
+HALF = 0.16e-3  # m, the same of half of series A
 SAGS = ("A", "B", "D")  # series of many postures, which show that the second link bends; C leaves it unexplained
 GEOMETRY_FINDINGS = {"geometry_error", "joint_zero_offset"}  # geometry is refitted beforehand, so not in the rest
 
@@ -90,6 +92,18 @@ def test_ur10_all_gears_err(series: str) -> None:
 def test_ur10_what_is_named_first_on_a_holds_on_the_others() -> None:
     first = {(_ur10(series).findings[0].effect, str(_ur10(series).findings[0].location)) for series in UR10}
     assert len(first) == 1
+
+
+@pytest.mark.parametrize("half", [0, 1])
+def test_ur10_half_of_a_recording_names_all_gears(half: int) -> None:
+    """Every other one of ten blocks in time: gears save less of the postures left out, and are named all the same."""
+    cell = load_cell(REAL / "ur10_A.cell.yaml")
+    readings = read_table(REAL / "ur10_A.csv", cell)
+    blocks = np.searchsorted(np.linspace(0, len(readings), 11)[1:], np.arange(len(readings)), side="right")
+    found = diagnose_still(readings.select(blocks % 2 == half), cell)
+    assert found.findings[0] is _gears(found)
+    assert found.verdict == "missing_physics"
+    assert all(after < HALF for _, after in found.blocks.values())
 
 
 def test_ur10_what_is_found_on_one_predicts_another() -> None:

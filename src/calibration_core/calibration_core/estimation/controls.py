@@ -33,6 +33,7 @@ COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
 SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness and turned levers
 FOLLOWS = 2.0  # times the noise: waves of all joints that leave more of blocks left out, and
 SAVED = 2 / 3  # save less of their squares, follow the readings; other causes may yet be missing beside them
+EACH = 3.0  # nats: waves of which each, on the average, gains more follow no few readings
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
 CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
 EQUIVALENT = 5.0  # nats: hypotheses that gain as much as each other
@@ -132,6 +133,8 @@ def _beyond_springs(trial: Trial) -> bool:
 
 
 def _following(trial: Trial) -> str:
+    if trial.gain > EACH * len(trial.hypothesis.members):
+        return ""
     noise = FOLLOWS**2 * trial.sizes.variance * len(trial.field.residual)
     for after, proof in zip(trial.left_out[1], trial.proofs, strict=True):
         if after.sum() > noise and proof.share < SAVED:

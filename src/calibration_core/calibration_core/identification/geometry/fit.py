@@ -295,11 +295,21 @@ def normal_equations(problem: AbsoluteProblem, parameters: ModelParameters, term
     return NormalEquations(weight * matrix, weight * gradient, weight * cost, len(problem))
 
 
+def linearised(block: AbsoluteProblem, parameters: ModelParameters, terms: Sequence[Term]) -> tuple[Float3D, Float2D]:
+    """Return the columns (p, 3, m), m per unit, and residuals (3, m), m, base axes."""
+    view = block.view(parameters, elastic=any(isinstance(t, ElasticityTerm) and t.gravity is None for t in terms))
+    return columns_of(view, terms), view.measured - view.target
+
+
 def whitened(block: AbsoluteProblem, parameters: ModelParameters, terms: Sequence[Term]) -> tuple[Float3D, Float2D]:
     """Return the columns (p, 3, m) and residuals (3, m), whitened but for a common factor 1/sigma."""
-    view = block.view(parameters, elastic=any(isinstance(t, ElasticityTerm) and t.gravity is None for t in terms))
-    columns = columns_of(view, terms)
-    residual = view.measured - view.target
+    return weighed(block, parameters, *linearised(block, parameters, terms))
+
+
+def weighed(
+    block: AbsoluteProblem, parameters: ModelParameters, columns: Float3D, residual: Float2D
+) -> tuple[Float3D, Float2D]:
+    """Whiten columns and residuals as of `linearised`, but for a common factor 1/sigma."""
     if isinstance(block.whitening, float):
         return columns, residual
     to_noise = np.einsum("abm,cb->acm", block.whitening, parameters.tracker[:3, :3])
