@@ -2,9 +2,11 @@
 
 A joint stiffness of the standard's model takes up part of whatever physics is missing beside the joints.  The extended
 model says by how much: the compliance c of the standard is off by b = c - c_e, with the uncertainty u of c_e.  The
-standard's value stays as it is, and its 95 % interval becomes c +- (|b| + 1.96 u).  Where the extended model does
-without the compliance of a joint, because other effects explain what it would, all of c may be bias.
-Source: GUM (JCGM 100:2008), F.2.4.5: a known bias that is not corrected is added to the expanded uncertainty.
+standard's value stays as it is, and its 95 % interval becomes c +- h, which the truth, normal about c_e, is in with
+95 % probability: h is that quantile of the normal distribution N(b, u) folded at zero, 1.96 u without a bias and
+|b| + 1.64 u beside a large one.  Where the extended model does without the compliance of a joint, because other
+effects explain what it would, all of c may be bias.
+Source: GUM (JCGM 100:2008), F.2.4.5, on a known bias that is not corrected; the folded normal distribution.
 """
 
 from __future__ import annotations
@@ -13,11 +15,13 @@ import dataclasses
 import math
 
 import numpy as np
+from scipy.stats import foldnorm
 
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.result.estimate import Identification, JointStiffness
 from calibration_core.identification.result.stiffness_interval import TWO_SIDED, at_least, joint_stiffness
 
+PROBABILITY = 0.95
 EXPLAINED = "other effects that were found explain what its compliance would explain"
 
 
@@ -53,7 +57,8 @@ def _widened(joint: JointStiffness, compliance: float, std: float, *, beside: bo
     own = joint_stiffness(
         joint.joint, compliance, std, identifiable=joint.identifiable, reason=joint.reason, unit=joint.unit
     )
-    half = abs(joint.compliance - compliance) + TWO_SIDED * max(std, joint.compliance_std)
+    spread = max(std, joint.compliance_std)
+    half = spread * float(foldnorm.ppf(PROBABILITY, abs(joint.compliance - compliance) / spread))
     wide = joint_stiffness(
         joint.joint,
         joint.compliance,
