@@ -138,28 +138,34 @@ def posture(chain: Chain, q: Float2D) -> Posture:
         frames = whole.before[own], whole.origin[own], whole.body[own], whole.body_origin[own]
         return Posture(*frames, chain.prismatic, whole.flange, whole.flange_origin, whole, chain.matrix)
     m, n = len(q), chain.n
-    slides = np.array(chain.prismatic)
-    angles = np.where(slides[:, None], 0.0, q.T) + chain.offset[:, None]
+    angles = np.where(np.array(chain.prismatic)[:, None], 0.0, q.T) + chain.offset[:, None]
     cos, sin = np.cos(angles), np.sin(angles)
-    columns = np.empty((3, 3, m))
-    columns[:] = np.eye(3)[:, :, None]
-    at = np.zeros((3, m))
-    before, body = np.empty((2, n, 3, 3, m))
-    origin, body_origin = np.empty((2, n, 3, m))
+    to_next = _to_next(chain)
+    frame = np.zeros((4, 3, m))  # axes x, y, z and origin
+    frame[:3] = np.eye(3)[:, :, None]
+    before, after = np.empty((2, n, 4, 3, m))
     other = np.empty((3, m))
     for i in range(n):
-        origin[i] = at + _mix(columns, chain.translation[i])
-        turned(columns, chain.rotation[i], before[i])
-        (x, y, z), columns, at = before[i], body[i], body_origin[i]
-        np.multiply(cos[i], x, out=columns[0])
-        columns[0] += np.multiply(sin[i], y, out=other)
-        np.multiply(cos[i], y, out=columns[1])
-        columns[1] -= np.multiply(sin[i], x, out=other)
-        columns[2] = z
-        at[:] = origin[i] + q[:, i] * z if slides[i] else origin[i]
-    at = at + _mix(columns, chain.flange_translation)
-    flange = turned(columns, chain.flange_rotation)
-    return Posture(before, origin, body, body_origin, chain.prismatic, flange, at)
+        np.matmul(to_next[i], frame.reshape(4, -1), out=before[i].reshape(4, -1))
+        (x, y, z, origin), frame = before[i], after[i]
+        np.multiply(cos[i], x, out=frame[0])
+        frame[0] += np.multiply(sin[i], y, out=other)
+        np.multiply(cos[i], y, out=frame[1])
+        frame[1] -= np.multiply(sin[i], x, out=other)
+        frame[2] = z
+        frame[3] = origin + q[:, i] * z if chain.prismatic[i] else origin
+    flange = (to_next[n] @ frame.reshape(4, -1)).reshape(4, 3, m)
+    frames = before[:, :3], before[:, 3], after[:, :3], after[:, 3]
+    return Posture(*frames, chain.prismatic, flange[:3], flange[3])
+
+
+def _to_next(chain: Chain) -> Float3D:
+    """Return what makes of the axes and the origin of one frame those of the next, (n + 1, 4, 4), the flange last."""
+    combined = np.zeros((chain.n + 1, 4, 4))
+    combined[:-1, :3, :3], combined[-1, :3, :3] = chain.rotation.transpose(0, 2, 1), chain.flange_rotation.T
+    combined[:-1, 3, :3], combined[-1, 3, :3] = chain.translation, chain.flange_translation
+    combined[:, 3, 3] = 1.0
+    return combined
 
 
 def turn(columns: Float3D, vector: Float2D | Float1D) -> Float2D:

@@ -122,6 +122,7 @@ def held_out(problem: AbsoluteProblem, whole: GeometryFit, fold: Int1D, used: Bo
     """
     if not whole.names:
         return problem.residual(whole.parameters)
+    problem = problem.near(whole.parameters)
     linear = _Folds(problem, whole.parameters, whole.terms, fold, used)
     total = linear.total if whole.prior is None else linear.total + whole.prior.normal(whole.parameters)
     residual = np.empty((3, len(problem)))

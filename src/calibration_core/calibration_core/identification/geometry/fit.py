@@ -49,6 +49,8 @@ class AbsoluteProblem:
             W^T W the inverse covariance of a reading.
         load: External load of every reading beside the robot's own weight; None if there is none.
         recording: (m,) which of several recordings, each with its own set-up, a reading comes from; None: one alone.
+        torque: (n, m) N*m on the joints at parameters near those in question, from which equilibria are found sooner;
+            None: nothing is known.
     """
 
     chain: Chain
@@ -59,6 +61,7 @@ class AbsoluteProblem:
     whitening: float | Float3D
     load: Load | None = None
     recording: Int1D | None = None
+    torque: Float2D | None = None
 
     def __len__(self) -> int:
         """Return the number of readings."""
@@ -80,7 +83,21 @@ class AbsoluteProblem:
             self.whitening if isinstance(self.whitening, float) else self.whitening[:, :, rows],
             None if self.load is None else self.load.rows(rows),
             None if self.recording is None else self.recording[rows],
+            None if self.torque is None else self.torque[:, rows],
         )
+
+    def near(self, parameters: ModelParameters) -> AbsoluteProblem:
+        """Return the same problem, whose equilibria are found sooner at parameters near these.
+
+        Raises:
+            EquilibriumError: The compliances do not carry the robot's own weight.
+        """
+        rests = [block.view(parameters).rest for block in self.blocks()] if self._bends(parameters) else []
+        torques = [rest.torque for rest in rests if rest is not None]
+        return dataclasses.replace(self, torque=np.concatenate(torques, axis=1)) if torques else self
+
+    def _bends(self, parameters: ModelParameters) -> bool:
+        return self.loaded and bool(np.any(parameters.compliance))
 
     def blocks(self) -> Iterator[AbsoluteProblem]:
         """Yield the readings block by block."""
@@ -102,8 +119,8 @@ class AbsoluteProblem:
         """
         chain = self.chain.corrected(parameters.geometry)
         rest = None
-        if elastic or (self.loaded and np.any(parameters.compliance)):
-            rest = solve_equilibrium(chain, self.q, parameters.compliance, self.load)
+        if elastic or self._bends(parameters):
+            rest = solve_equilibrium(chain, self.q, parameters.compliance, self.load, self.torque)
         at = posture(chain, self.q) if rest is None else rest.at
         if self.point is None:
             target = at.point(parameters.points[self.names[0]])
@@ -233,9 +250,10 @@ def fit(
     Raises:
         EquilibriumError: The start does not carry the robot's own weight.
     """
+    near_start = problem.near(start)
 
     def linearised(at: ModelParameters) -> NormalEquations:
-        seen = normal_equations(problem, at, terms)
+        seen = normal_equations(near_start, at, terms)
         return seen if prior is None else seen + prior.normal(at)
 
     parameters, normal, damping = start, linearised(start), 0.0
