@@ -42,7 +42,7 @@ def test_describe_says_what_a_result_says(result: Path, capsys: pytest.CaptureFi
     for place in (result, result / "result.json"):
         assert main(["describe", str(place)]) == 0
         printed = capsys.readouterr().out
-        assert "Stiffness of joint_1: (1.090 ± 0.038)·10⁵ N·m/rad (95 %)" in printed
+        assert "Stiffness of joint_1: (1.090 ± 0.037)·10⁵ N·m/rad (95 %)" in printed
         assert "Verdict: consistent." in printed
     assert main(["describe", str(result), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["command"] == "identify"
