@@ -46,16 +46,17 @@ def run_all(client: Any, work: Callable[[Any], T], pieces: Mapping[str, Any]) ->
     futures = client.map(work, list(pieces.values()), key=[(name, key) for key in pieces], pure=False, batch_size=BATCH)
     ended = as_completed(futures, loop=client.loop, raise_errors=False)
     del futures  # a result is forgotten by the cluster as soon as it has been handed on
-    for future in ended:
-        done = _ended(future)
-        future.release()
-        yield done
+    for batch in ended.batches():
+        finished = [future for future in batch if future.status == "finished"]
+        values = dict(zip((future.key for future in finished), client.gather(finished), strict=True))
+        for future in batch:
+            done = Done(future.key[1], values.pop(future.key)) if future.key in values else _failed(future)
+            future.release()
+            yield done
 
 
-def _ended(future: Any) -> Done[Any]:
+def _failed(future: Any) -> Done[Any]:
     key = future.key[1]
-    if future.status == "finished":
-        return Done(key, future.result())
     if future.status != "error":
         raise InputError("the cluster", "", "no scheduler any more", "one that stays; run this again to go on")
     from distributed import KilledWorker

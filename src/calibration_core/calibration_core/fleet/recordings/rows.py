@@ -106,7 +106,8 @@ class Row:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the row as plain values for JSON and Parquet."""
-        return dataclasses.asdict(self)
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {**values, "inputs": tuple(dataclasses.asdict(one) for one in self.inputs)}
 
 
 LARGEST_RELATIVE = 0.5  # std over value of a compliance: beyond, its logarithm is not nearly normal

@@ -124,12 +124,17 @@ class SwapPlace:
                 goal.rename(source)
             raise
 
+    def _left(self, suffix: str) -> list[Path]:
+        """Return what writers of the same folder have beside it, of one kind."""
+        several = (path for path in self._home.iterdir() if path.name.startswith(self._prefix))
+        return [path for path in several if path.name.endswith(suffix)]
+
     def _clear(self) -> None:
         """Put in order what writers left that did not live to do it themselves."""
-        for old in self._home.glob(f"{_escaped(self._prefix)}*{OLD}"):
+        for old in self._left(OLD):
             if not self._inside and not any(self.target.iterdir()):  # an empty folder may be renamed over
                 old.rename(self.target)
-        for new in self._home.glob(f"{_escaped(self._prefix)}*{NEW}"):
+        for new in self._left(NEW):
             with _abandoned(new) as is_abandoned:
                 if not is_abandoned:
                     continue
@@ -207,10 +212,6 @@ def _abandoned(directory: Path) -> Iterator[bool]:
 
 def _result_last(path: Path) -> tuple[bool, str]:
     return path.name == "result.json", path.name
-
-
-def _escaped(text: str) -> str:
-    return "".join(f"[{char}]" if char in "*?[" else char for char in text)
 
 
 def _sync(directory: Path) -> None:
