@@ -124,17 +124,15 @@ class SwapPlace:
                 goal.rename(source)
             raise
 
-    def _left(self, suffix: str) -> list[Path]:
-        """Return what writers of the same folder have beside it, of one kind."""
-        several = (path for path in self._home.iterdir() if path.name.startswith(self._prefix))
-        return [path for path in several if path.name.endswith(suffix)]
-
     def _clear(self) -> None:
         """Put in order what writers left that did not live to do it themselves."""
-        for old in self._left(OLD):
+        prefix = self._prefix
+        with os.scandir(self._home) as entries:
+            left = [self._home / entry.name for entry in entries if entry.name.startswith(prefix)]
+        for old in (path for path in left if path.name.endswith(OLD)):
             if not self._inside and not any(self.target.iterdir()):  # an empty folder may be renamed over
                 old.rename(self.target)
-        for new in self._left(NEW):
+        for new in (path for path in left if path.name.endswith(NEW)):
             with _abandoned(new) as is_abandoned:
                 if not is_abandoned:
                     continue
