@@ -94,7 +94,7 @@ def test_ur10_what_is_named_first_on_a_holds_on_the_others() -> None:
     assert len(first) == 1
 
 
-@pytest.mark.parametrize("half", [0, 1])
+@pytest.mark.parametrize("half", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_ur10_half_of_a_recording_names_all_gears(half: int) -> None:
     """Every other one of ten blocks in time: gears save less of the postures left out, and are named all the same."""
     cell = load_cell(REAL / "ur10_A.cell.yaml")
