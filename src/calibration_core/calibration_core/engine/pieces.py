@@ -47,16 +47,25 @@ def run_all(client: Any, work: Callable[[Any], T], pieces: Mapping[str, Any]) ->
     ended = as_completed(futures, loop=client.loop, raise_errors=False)
     del futures  # a result is forgotten by the cluster as soon as it has been handed on
     for batch in ended.batches():
-        finished = [future for future in batch if future.status == "finished"]
-        values = dict(zip((future.key for future in finished), client.gather(finished), strict=True))
+        values = _values(client, [future for future in batch if future.status == "finished"])
         for future in batch:
-            done = Done(future.key[1], values.pop(future.key)) if future.key in values else _failed(future)
+            done = Done(future.key[1], values.pop(future.key)) if future.key in values else _ended(future)
             future.release()
             yield done
 
 
-def _failed(future: Any) -> Done[Any]:
+def _values(client: Any, finished: list[Any]) -> dict[Any, Any]:
+    """Return what several pieces returned, by their keys; nothing where it cannot be had of all: each is asked then."""
+    try:
+        return dict(zip((future.key for future in finished), client.gather(finished), strict=True))
+    except Exception:  # noqa: BLE001 - a worker was lost with a value, and the piece failed when it was done again
+        return {}
+
+
+def _ended(future: Any) -> Done[Any]:
     key = future.key[1]
+    if future.status == "finished":
+        return Done(key, future.result())
     if future.status != "error":
         raise InputError("the cluster", "", "no scheduler any more", "one that stays; run this again to go on")
     from distributed import KilledWorker
