@@ -15,13 +15,14 @@ import dataclasses
 import math
 
 import numpy as np
-from scipy.stats import foldnorm
+from scipy.special import ndtr
 
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.result.estimate import Identification, JointStiffness
 from calibration_core.identification.result.stiffness_interval import TWO_SIDED, at_least, joint_stiffness
 
 PROBABILITY = 0.95
+ROUNDING = 1e-12  # of a quantile
 EXPLAINED = "other effects that were found explain what its compliance would explain"
 
 
@@ -58,7 +59,7 @@ def _widened(joint: JointStiffness, compliance: float, std: float, *, beside: bo
         joint.joint, compliance, std, identifiable=joint.identifiable, reason=joint.reason, unit=joint.unit
     )
     spread = max(std, joint.compliance_std)
-    half = spread * float(foldnorm.ppf(PROBABILITY, abs(joint.compliance - compliance) / spread))
+    half = spread * half_width(abs(joint.compliance - compliance) / spread)
     wide = joint_stiffness(
         joint.joint,
         joint.compliance,
@@ -70,6 +71,20 @@ def _widened(joint: JointStiffness, compliance: float, std: float, *, beside: bo
     if not beside:
         return wide
     return dataclasses.replace(wide, interval=_union(wide.interval, own.interval), extended=own)
+
+
+def half_width(bias: float) -> float:
+    """Return what a normal distribution of unit variance about `bias` is below in size with 95 % probability.
+
+    Newton's method; beyond the bias it is between the quantiles of one side, 1.64, and of two, 1.96.
+    """
+    beyond, step = TWO_SIDED, math.inf
+    while abs(step) > ROUNDING:
+        other = beyond + 2 * bias
+        density = math.exp(-beyond * beyond / 2) + math.exp(-other * other / 2)
+        step = (PROBABILITY - float(ndtr(beyond) - ndtr(-other))) * math.sqrt(2 * math.pi) / density
+        beyond += step
+    return bias + beyond
 
 
 def _all_bias(joint: JointStiffness) -> JointStiffness:
