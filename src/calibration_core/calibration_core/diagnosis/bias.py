@@ -4,8 +4,9 @@ A joint stiffness of the standard's model takes up part of whatever physics is m
 model says by how much: the compliance c of the standard is off by b = c - c_e, with the uncertainty u of c_e.  The
 standard's value stays as it is, and its 95 % interval becomes c +- h, which the truth, normal about c_e, is in with
 95 % probability: h is that quantile of the normal distribution N(b, u) folded at zero, 1.96 u without a bias and
-|b| + 1.64 u beside a large one.  Where the extended model does without the compliance of a joint, because other
-effects explain what it would, all of c may be bias.
+|b| + 1.64 u beside a large one.  Where something was found it also holds all of the extended model's own interval.
+Where the extended model does without the compliance of a joint, because other effects explain what it would, all of c
+may be bias.
 Source: GUM (JCGM 100:2008), F.2.4.5, on a known bias that is not corrected; the folded normal distribution.
 """
 
@@ -74,9 +75,12 @@ def _widened(joint: JointStiffness, compliance: float, std: float, *, beside: bo
 
 
 def half_width(bias: float) -> float:
-    """Return what a normal distribution of unit variance about `bias` is below in size with 95 % probability.
+    """Return the size, in standard deviations, that a normal value about `bias` stays below with 95 % probability.
 
-    Newton's method; beyond the bias it is between the quantiles of one side, 1.64, and of two, 1.96.
+    Found by Newton's method; it exceeds the bias by 1.64 (the quantile of one side) to 1.96 (that of two).
+
+    Args:
+        bias: Not negative, in standard deviations.
     """
     beyond, step = TWO_SIDED, math.inf
     while abs(step) > ROUNDING:

@@ -175,9 +175,9 @@ def turn(columns: Float3D, vector: Float2D | Float1D) -> Float2D:
     return columns[0] * vector[0] + columns[1] * vector[1] + columns[2] * vector[2]
 
 
-def turned(columns: Float3D, rotation: Float2D, result: Float3D | None = None) -> Float3D:
-    """Return the (3, 3, m) columns of R S for one constant (3, 3) rotation S, in `result` where that is given."""
-    filled = np.empty(columns.shape) if result is None else result
+def turned(columns: Float3D, rotation: Float2D) -> Float3D:
+    """Return the (3, 3, m) columns of R S for one constant (3, 3) rotation S."""
+    filled = np.empty(columns.shape)
     for k in range(3):
         _mix(columns, rotation[:, k], filled[k])
     return filled
