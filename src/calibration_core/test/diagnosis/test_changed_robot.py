@@ -11,7 +11,12 @@ from robots import STIFFNESS
 from several_cases import measured, setup, together
 
 from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.identification.identify import fit_freed
+from calibration_core.identification.result.estimate import Identification
 from calibration_core.model.parameters import AppliedEffect
+from calibration_core.outcomes.together.agreement import agreement
+from calibration_core.outcomes.together.by_themselves import by_themselves
+from calibration_core.outcomes.together.changes import without_changes
 from calibration_core.outcomes.together.diagnose import diagnose_together
 from calibration_core.timeseries import Readings
 
@@ -79,6 +84,29 @@ def test_a_joint_whose_zero_has_changed(tmp_path: Path) -> None:
     assert found.identification.together is not None
     (change,) = found.identification.together.disagreements
     assert change.low < 1e-3 < change.high
+
+
+def test_recordings_that_have_not_changed_are_not_evaluated_again(tmp_path: Path) -> None:
+    prepared = together(*recorded(tmp_path, 100, of_third={"stiffness": softened(3)}))
+    changes = agreement(["A.csv", "B.csv", "C.csv"], by_themselves(prepared))[1]
+    assert [(one.file, one.parameter) for one in changes] == [("C.csv", "compliance.joint_4")]
+    less = without_changes(prepared, changes)
+    assert [one is before for one, before in zip(less.alone, prepared.alone, strict=True)] == [True, True, False]
+
+
+def test_what_each_shows_beside_the_findings_is_evaluated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recordings, cells = recorded(tmp_path, 300, of_third={"effects": (GAIN,)})
+    prepared = together(recordings, cells)
+    evaluated: list[int] = []
+
+    def counted(some: Readings, *rest: Any) -> Identification:
+        evaluated.append(len(some))
+        return fit_freed(some, *rest)
+
+    monkeypatch.setattr("calibration_core.outcomes.together.by_themselves.fit_freed", counted)
+    found = diagnose_together(prepared)
+    assert effects(found) == [("wrench_gain", {"sensor": "force_torque", "recording": "C.csv"})]
+    assert evaluated == [len(one) for one in recordings]
 
 
 def test_the_recording_that_was_named_first_has_changed(tmp_path: Path) -> None:

@@ -11,19 +11,9 @@ from calibration_core.identification.result.together import Disagreement
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.identified.named_values import value_of, with_values
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.outcomes.together.agreement import agreement, described
-from calibration_core.outcomes.together.by_themselves import by_themselves
+from calibration_core.outcomes.together.agreement import described
 from calibration_core.outcomes.together.prepare import Prepared, evaluated
 from calibration_core.timeseries import Note, Readings
-
-
-def changes_of(prepared: Prepared, found: ModelParameters | None = None) -> tuple[Disagreement, ...]:
-    """Return what differs between the recordings, beside the effects of a model of all of them.
-
-    Raises:
-        InputError: A recording cannot be evaluated by itself.
-    """
-    return agreement([member.file for member in prepared.members], by_themselves(prepared, found))[1]
 
 
 def without_changes(prepared: Prepared, changes: Sequence[Disagreement]) -> Prepared:
@@ -31,20 +21,23 @@ def without_changes(prepared: Prepared, changes: Sequence[Disagreement]) -> Prep
 
     A joint that is softer in one recording, or stands elsewhere, moves that one's points by what its own model with
     and without the change predicts.  The change is taken as a fixed value without uncertainty.
+    What the others show by themselves stays as it was evaluated.
 
     Raises:
         InputError: A recording cannot be evaluated by itself without its change.
     """
     members, first = list(prepared.members), prepared.first
+    unchanged = dict(enumerate(prepared.alone))
     test = None if prepared.test is None else prepared.bare
     for k, (member, alone) in enumerate(zip(prepared.members, prepared.alone, strict=True)):
         own = [one for one in changes if one.file == member.file]
         if not own:
             continue
+        del unchanged[k]
         members[k] = dataclasses.replace(member, readings=_less(member.readings, member.cell, alone.model, own))
         if test is not None and k == first:
             test = _less(test, member.cell, alone.model, own)
-    less = evaluated(members, prepared.known, prepared.named, prepared.asked, test, prepared.believed)
+    less = evaluated(members, prepared.known, prepared.named, prepared.asked, test, prepared.believed, unchanged)
     options = dataclasses.replace(prepared.options, start=less.options.start)
     return dataclasses.replace(less, options=options, with_changes=prepared, changes=tuple(changes))
 

@@ -18,9 +18,9 @@ from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.kinds import holds_both, is_loaded
-from calibration_core.outcomes.together.agreement import as_anomalies
-from calibration_core.outcomes.together.by_themselves import effects_in
-from calibration_core.outcomes.together.changes import changes_of, without_changes
+from calibration_core.outcomes.together.agreement import agreement, as_anomalies
+from calibration_core.outcomes.together.by_themselves import by_themselves, effects_in
+from calibration_core.outcomes.together.changes import without_changes
 from calibration_core.outcomes.together.evaluate import (
     answered,
     estimate_of_first,
@@ -54,12 +54,12 @@ def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagn
     Raises:
         InputError: They cannot be evaluated together.
     """
-    found, prepared = _explained(prepared, offers)
+    found, prepared, shown = _explained(prepared, offers)
     extended = found.model
     if prepared.given is not None:
         found = with_given_effects(found, prepared.given)
     excluded = found.identification.residuals.excluded
-    identification = answered(found.identification, prepared, found.residual, excluded, extended)
+    identification = answered(found.identification, prepared, found.residual, excluded, extended, shown)
     together = identification.together
     assert together is not None  # noqa: S101 - of several recordings
     model, estimate = found.model, found.estimate
@@ -80,27 +80,34 @@ def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagn
     )
 
 
-def _explained(prepared: Prepared, offers: Offers | None) -> tuple[Diagnosis, Prepared]:
+def _explained(
+    prepared: Prepared, offers: Offers | None
+) -> tuple[Diagnosis, Prepared, tuple[GaussianEstimate, ...] | None]:
     """Diagnose the recordings as one, and where they differ once more less what differs; return the better answer.
 
     A joint that is softer in one recording is no physics that the model leaves out, but a sensor that couples its axes
     in that recording explains much of it; the other way round such a sensor makes joints of that recording differ.
     What predicts configurations that were left out better is taken.  What differs is looked for without effects first,
     and then beside those of the best answer so far.
+
+    Returns:
+        The answer; the recordings that it is of; and what each shows by itself beside its effects, None: not yet known.
     """
+    files = [member.file for member in prepared.members]
     best = _diagnosed(prepared, offers), prepared
     seen: set[tuple[Disagreement, ...]] = set()
     beside: ModelParameters | None = None
     for _ in range(ROUNDS):
-        changes = changes_of(prepared, beside)
+        shown = by_themselves(prepared, beside)
+        changes = agreement(files, shown)[1]
         if changes and changes not in seen:
             best = min(best, _less(prepared, changes, offers), key=lambda answer: answer[0].held_out_after)
         seen.add(changes)
         found = best[0].model
         if found is beside or (beside is None and (found is None or not found.effects)):
-            break  # the same would differ again
+            return *best, shown  # the same would differ again
         beside = found
-    return best
+    return *best, None
 
 
 def _less(prepared: Prepared, changes: Sequence[Disagreement], offers: Offers | None) -> tuple[Diagnosis, Prepared]:

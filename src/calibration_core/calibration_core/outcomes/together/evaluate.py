@@ -61,6 +61,7 @@ def answered(
     residual: Float2D,
     excluded: Bool1D,
     model: ModelParameters | None = None,
+    shown: Sequence[GaussianEstimate] | None = None,
 ) -> Identification:
     """Return the answer as it is handed out: model and frames of the first recording, and what each contributes.
 
@@ -70,8 +71,11 @@ def answered(
         residual: (m, 3) m, what the common model leaves of every reading.
         excluded: (m,) readings that were not used.
         model: Of all together with the effects that were found: these are no reason for recordings to differ.
+        shown: What each recording shows by itself beside these effects; None: it is evaluated.
     """
-    together = _together(found, prepared, residual, excluded, model)
+    if shown is None:
+        shown = by_themselves(prepared.measured, model)
+    together = _together(found, prepared, residual, excluded, shown)
     own = [one for one in found.parameters if one.group not in SET_UP]
     parameters = [
         dataclasses.replace(one, name=_beside(one, prepared.members[k]))
@@ -159,10 +163,14 @@ def _beside(one: ParameterEstimate, member: Member) -> str:
 
 
 def _together(
-    found: Identification, prepared: Prepared, residual: Float2D, excluded: Bool1D, model: ModelParameters | None
+    found: Identification,
+    prepared: Prepared,
+    residual: Float2D,
+    excluded: Bool1D,
+    shown: Sequence[GaussianEstimate],
 ) -> Together:
     files = [member.file for member in prepared.members]
-    compared, differing = agreement(files, by_themselves(prepared.measured, model))
+    compared, differing = agreement(files, shown)
     each = []
     for k in prepared.named:
         rows = prepared.merged.readings.recording == prepared.members[k].number - 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from calibration_core.cell import Cell
 from calibration_core.identification.identify import fit_freed
@@ -136,7 +136,7 @@ def prepare(
     ]
     first = named[0]
     bare = None if test is None else _bare(test, members[first].cell, known[first])
-    return evaluated(freed, known, named, options, bare, given)
+    return evaluated(freed, known, named, options, bare, given, {})
 
 
 def evaluated(
@@ -146,6 +146,7 @@ def evaluated(
     options: Options,
     test: Readings | None,
     believed: GivenModel | None,
+    done: Mapping[int, Identification],
 ) -> Prepared:
     """Evaluate recordings by themselves that are free of what is known, and put them together.
 
@@ -156,16 +157,12 @@ def evaluated(
         options: As `prepare`.
         test: As `prepare`, free of what is known, too.
         believed: The model that was given for all.
+        done: Index of a recording -> what it shows by itself, where that was evaluated before.
 
     Raises:
         InputError: As `prepare`.
     """
-    alone = []
-    for member, own in zip(members, known, strict=True):
-        asked = dataclasses.replace(
-            options, readmit=_own_keys(options.readmit, member), start=None if own is None else own.start
-        )
-        alone.append(with_readmitted(fit_freed(member.readings, member.cell, asked, None), asked.readmit))
+    alone = [done[k] if k in done else _alone(member, known[k], options) for k, member in enumerate(members)]
     first = named[0]
     merged = merge(members, alone, first)
     start = start_of(nominal_parameters(merged.cell) if believed is None else believed.start, merged)
@@ -181,6 +178,13 @@ def evaluated(
         asked=options,
         believed=believed,
     )
+
+
+def _alone(member: Member, own: GivenModel | None, options: Options) -> Identification:
+    """Return what one recording shows by itself, with the readings that are to be used all the same."""
+    readmit = _own_keys(options.readmit, member)
+    asked = dataclasses.replace(options, readmit=readmit, start=None if own is None else own.start)
+    return with_readmitted(fit_freed(member.readings, member.cell, asked, None), readmit)
 
 
 def _shows_geometry(estimate: GaussianEstimate) -> bool:
