@@ -134,30 +134,35 @@ def _of_point(loaded: Equilibrium, bare: Equilibrium, name: str, estimate: Gauss
 
 
 def _compliance(robot: CalibratedRobot, q: Float2D, wrench: Float2D, conditions: Conditions, axes: str) -> Float3D:
-    """Return (m, 3, 3) m/N at the tool's origin by central differences of the force there, about the working load."""
+    """Return (m, 3, 3) m/N at the tool's origin by central differences of the force there, about the working load.
+
+    Displacements and forces are in base axes, whatever the axes of the wrench.
+    """
     m = len(q)
+    tool_axes = rigid(robot.chain, robot.tool)(q, np.arange(m))[1]  # (axis, base, m)
     result = np.zeros((m, 3, 3))
     for axis in range(3):
         ends = []
         for sign in (1.0, -1.0):
             extra = wrench.copy()
             extra[:, axis] += sign * PROBE
-            at = _stand(robot, q, _at_wrench_point(robot, extra, q, axis, sign, axes), conditions, axes)
+            at = _stand(robot, q, _at_wrench_point(robot, extra, tool_axes, axis, sign, axes), conditions, axes)
             shift = tool_movement(robot, at.parts, m)[:, :3]
             ends.append(at.rest.at.point(robot.tool[:3, 3]).T + shift)
         result[:, :, axis] = (ends[0] - ends[1]) / (2 * PROBE)
-    return result
+    return result if axes == "base" else np.asarray(np.einsum("mia,abm->mib", result, tool_axes))
 
 
-def _at_wrench_point(robot: CalibratedRobot, wrench: Float2D, q: Float2D, axis: int, sign: float, axes: str) -> Float2D:
-    """Add the torque about the wrench point of a probing force at the tool's origin."""
+def _at_wrench_point(
+    robot: CalibratedRobot, wrench: Float2D, tool_axes: Float3D, axis: int, sign: float, axes: str
+) -> Float2D:
+    """Add the torque about the wrench point of a probing force at the tool's origin; `tool_axes` (axis, base, m)."""
     point = robot.cell.frames.wrench_point
     if point is None:
         return wrench
-    at = rigid(robot.chain, robot.tool)(q, np.arange(len(q)))[1]  # axes of the tool in the base
     lever = robot.tool[:3, 3] - np.array(point)  # flange axes
     in_tool = robot.tool[:3, :3].T @ lever
-    arm = np.einsum("abm,a->mb", at, in_tool) if axes == "base" else np.tile(in_tool, (len(q), 1))
+    arm = np.einsum("abm,a->mb", tool_axes, in_tool) if axes == "base" else np.tile(in_tool, (len(wrench), 1))
     force = np.zeros(3)
     force[axis] = sign * PROBE
     result = wrench.copy()

@@ -154,6 +154,8 @@ def test_a_load_in_tool_axes_and_a_payload_are_what_they_say(cell: Cell) -> None
     first = deflect(robot, task.q, task.wrench, conditions_of(task), None)
     second = deflect(robot, task.q, inside, conditions_of(task), None, "tool")
     np.testing.assert_allclose(second.moved, first.moved, rtol=0.02, atol=1e-6)  # the wrench turns with the tool
+    np.testing.assert_allclose(second.compliance, first.compliance, rtol=0.02, atol=2e-9)  # base axes, either way
+    np.testing.assert_allclose(second.stiffness()[0], first.stiffness()[0], rtol=0.01)
     loaded = with_payload(robot.chain, (100.0, 0.0, 0.1, 0.2))
     at = posture(robot.chain, task.q)
     weight = gravity_torque(loaded, at) - gravity_torque(robot.chain, at)
