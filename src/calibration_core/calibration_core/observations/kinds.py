@@ -53,6 +53,24 @@ def loaded_configurations(readings: Readings) -> list[int]:
     return [int(number) for number in np.unique(readings.configuration[~single_steps(readings)])]
 
 
+def unloaded_visits(readings: Readings) -> list[int]:
+    """Return the numbers of configurations with several steps at none of which anything pulls, as of a reference.
+
+    The smallest force of a recording is that of no load: a sensor may show the weight of the tool.  Of several
+    recordings, each is judged by its own.
+    """
+    found: list[int] = []
+    if readings.wrench is None:
+        return found
+    for rows in readings.each():
+        force = np.linalg.norm(readings.wrench[rows, :3], axis=1)
+        force -= force.min(initial=np.inf)
+        pulled = np.unique(readings.configuration[rows[force > SLACK * force.max(initial=0.0)]])
+        if len(pulled):
+            found += sorted(set(loaded_configurations(readings.select(rows))) - set(pulled.tolist()))
+    return found
+
+
 def standing(readings: Readings) -> Bool1D:
     """Return the rows of first steps at which next to nothing pulls, (m,); where these are few, of all first steps.
 

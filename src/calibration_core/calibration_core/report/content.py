@@ -21,6 +21,7 @@ from calibration_core.report.document import (
     cleaned,
     numbered,
 )
+from calibration_core.report.extent import without_load_note
 from calibration_core.report.results.diagnosis import identified_dict
 from calibration_core.report.results.result import result_json, tested
 from calibration_core.report.results.standard import standard_rows
@@ -200,7 +201,9 @@ def _sections(result: Identification, cell: Cell, left: ResidualVerdict) -> tupl
         Section(
             "Measurement configurations",
             "8 d)",
-            procedure.configurations(result.space.configuration, result.space.q, cell.prismatic),
+            procedure.configurations(
+                result.space.configuration, result.space.q, cell.prismatic, without_load_note(result.readings)
+            ),
         ),
         Section("Residuals", "", _residual_blocks(view, cell)),
         Section("Noise", "5.3", uncertainty.noise_section(view)),

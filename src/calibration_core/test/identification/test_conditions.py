@@ -135,6 +135,40 @@ def test_without_a_suite_the_report_says_what_was_not_seen(cell: Cell) -> None:
     assert [one.clause for one in unseen] == ["5.1", "5.2"]
 
 
+def test_a_reference_that_is_visited_without_load_is_no_configuration_of_the_standard(cell: Cell) -> None:
+    readings = loaded_readings(cell, 1, configurations=12)
+    assert readings.wrench is not None
+    first = readings.configuration == 1
+    visited = dataclasses.replace(readings, wrench=np.where(first[:, None], 0.0, readings.wrench))
+    checks = {one.requirement: one for one in identify(visited, cell).preconditions}
+    twelve = checks["at least 12 manipulator configurations"]
+    assert (twelve.found, twelve.met) == ("11 configurations", False)
+    report = str(build(identify(visited, cell), cell))
+    assert "12 configurations (1 of them visited without load); the standard asks for at least 12" in report
+    assert "Configuration 1 was visited without load." in report
+
+
+@pytest.mark.parametrize(
+    ("stated", "start", "found", "met"),
+    [
+        ("2025-11-20", "2026-01-05T08:00:00+00:00", "2025-11-20", True),
+        ("2026-01-05", "2026-01-05T08:00:00+00:00", "2026-01-05", True),
+        ("2026-01-06", "2026-01-05T08:00:00+00:00", "2026-01-06, which is after the measurement of 2026-01-05", False),
+        ("2031-01-15", "", "2031-01-15", True),
+        ("spring of 2031", "2026-01-05T08:00:00+00:00", "spring of 2031", True),
+        ("", "2026-01-05T08:00:00+00:00", "no calibration date in the cell file", None),
+    ],
+)
+def test_an_instrument_is_calibrated_before_it_measures(
+    tmp_path: Path, stated: str, start: str, found: str, met: bool | None
+) -> None:
+    cell = write_cell(tmp_path, instruments={"tracker": {"sigma": 2.0e-5, "calibrated": stated}})
+    readings = loaded_readings(cell, 1)
+    dated = dataclasses.replace(readings, provenance=dataclasses.replace(readings.provenance, start=start))
+    checks = {one.requirement: one for one in identify(dated, cell).preconditions}
+    assert (checks["laser tracker calibrated"].found, checks["laser tracker calibrated"].met) == (found, met)
+
+
 SOFT = EndEffector(rotation=(4e-7, 6e-7, 2e-7), translation=(1e-8, 1e-8, 2e-8), source="finite elements")
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime as dt
 from typing import Any
 
 import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.result.estimate import OperatingSpace, Precondition
+from calibration_core.observations.kinds import loaded_configurations, unloaded_visits
 from calibration_core.timeseries import Condition, Override, Readings
 
 MIN_CONFIGURATIONS = 12
@@ -37,7 +39,7 @@ def check_preconditions(
     checks = [_configurations(space), _spread(space), _temperature(readings)]
     if space.force is not None:
         checks.append(_rated_load(cell, space))
-    checks += [_uncertainty_ratio(space, sigma), *_calibrated(cell), _singularities(space)]
+    checks += [_uncertainty_ratio(space, sigma), *_calibrated(cell, readings.provenance.start), _singularities(space)]
     seen = {condition.name: condition for condition in readings.conditions}
     checks = [_with_override(check, seen.pop(check.name, None)) for check in checks]
     watched = [_watched(condition) for condition in seen.values()]
@@ -49,12 +51,14 @@ def check_preconditions(
 
 
 def _under_load(readings: Readings, space: OperatingSpace) -> tuple[Readings, OperatingSpace]:
-    """Return configurations with several steps alone, where a loaded recording holds others for frames and geometry."""
+    """Return the configurations that were loaded alone, where a loaded recording holds others beside them.
+
+    Postures at rest are for frames and geometry, and a reference configuration, visited without load, is for drift.
+    """
     if space.force is None:
         return readings, space
-    pairs = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
-    numbers, counts = np.unique(pairs[:, 0], return_counts=True)
-    kept = np.isin(space.configuration, numbers[counts > 1])
+    loaded = set(loaded_configurations(readings)) - set(unloaded_visits(readings))
+    kept = np.isin(space.configuration, sorted(loaded))
     if kept.all() or not kept.any():
         return readings, space
     fields = ("configuration", "joint_origins", "flange", "wrench_point", "force", "deflection", "q", "singularity",
@@ -62,8 +66,8 @@ def _under_load(readings: Readings, space: OperatingSpace) -> tuple[Readings, Op
     parts: dict[str, Any] = {name: getattr(space, name) for name in fields}
     rows: dict[str, Any] = {name: None if values is None else values[kept] for name, values in parts.items()}
     points = {name: at[kept] for name, at in space.points.items()}
-    loaded = np.isin(readings.configuration, space.configuration[kept])
-    return readings.select(loaded), dataclasses.replace(space, points=points, **rows)
+    rows_kept = np.isin(readings.configuration, space.configuration[kept])
+    return readings.select(rows_kept), dataclasses.replace(space, points=points, **rows)
 
 
 def _with_override(check: Precondition, seen: Condition | None) -> Precondition:
@@ -162,14 +166,31 @@ def _uncertainty_ratio(space: OperatingSpace, sigma: float) -> Precondition:
     return Precondition("5.3", requirement, found, met, "uncertainty_ratio", shall=False)
 
 
-def _calibrated(cell: Cell) -> list[Precondition]:
-    checks = []
+def _calibrated(cell: Cell, start: str) -> list[Precondition]:
+    """Say of each instrument whether it was calibrated before the measurement, whose start is in ISO 8601."""
     instruments = (("laser tracker", cell.instruments.tracker), ("force/torque sensor", cell.instruments.force_torque))
-    for label, instrument in instruments:
-        if instrument is not None:
-            found = instrument.calibrated or "no calibration date in the cell file"
-            checks.append(Precondition("5.3", f"{label} calibrated", found, True if instrument.calibrated else None))
-    return checks
+    return [
+        Precondition("5.3", f"{label} calibrated", *_calibrated_before(instrument.calibrated, start))
+        for label, instrument in instruments
+        if instrument is not None
+    ]
+
+
+def _calibrated_before(stated: str, start: str) -> tuple[str, bool | None]:
+    if not stated:
+        return "no calibration date in the cell file", None
+    calibrated, measured = _day(stated), _day(start)
+    if calibrated is None or measured is None or calibrated <= measured:
+        return stated, True
+    return f"{stated}, which is after the measurement of {measured}", False
+
+
+def _day(text: str) -> dt.date | None:
+    """Return the day at which a text in ISO 8601 begins; None where it begins otherwise."""
+    try:
+        return dt.date.fromisoformat(text[:10])
+    except ValueError:
+        return None
 
 
 def _singularities(space: OperatingSpace) -> Precondition:

@@ -66,7 +66,7 @@ def parameters(result: Identification, cell: Cell) -> tuple[Block, ...]:
     configurations, steps = _counts(result)
     nearest = float(np.min(space.singularity, initial=np.inf))
     rows = [
-        ("Configurations", f"{configurations:,}; the standard asks for at least 12"),
+        ("Configurations", f"{configurations_text(readings, configurations)}; the standard asks for at least 12"),
         ("Steps", f"{steps:,} in all, {steps / max(configurations, 1):.3g} per configuration"),
         ("Measurement points", f"{len(readings.points)}: {listed(readings.points)}"),
         ("Readings", f"{len(readings):,}, of which {int(np.count_nonzero(result.residuals.excluded)):,} not used"),
@@ -160,7 +160,8 @@ def configurations(
         (f"{int(number)}", *(fixed(angle, 3) for angle in row))
         for number, row in zip(numbers[:shown], joint_values(q[:shown], prismatic), strict=True)
     )
-    note = note if shown == count else f"First {shown} of {count:,}; all of them stand in table1.csv."
+    if shown < count:
+        note = f"{note} First {shown} of {count:,}; all of them stand in table1.csv.".lstrip()
     return (Table("Manipulator measurement configurations", columns, rows, note, number=1),)
 
 
