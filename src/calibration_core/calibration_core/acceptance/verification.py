@@ -59,6 +59,11 @@ class Verification:
     outside: Bool1D
     with_intervals: bool
 
+    @property
+    def least_certain(self) -> int:
+        """Index of the reading with the largest uncertainty, of which the budget is."""
+        return int(np.argmax(self.uncertainty))
+
 
 def verify(
     readings: Readings, cell: Cell, model: CalibratedModel, tolerance: float, *, fit_tracker: bool = False

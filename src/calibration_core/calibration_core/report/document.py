@@ -177,8 +177,11 @@ class Document:
 
 
 def numbered(document: Document) -> Document:
-    """Number figures from 1 and tables from 3 on (tables 1 and 2 are the standard's own and keep their numbers)."""
-    tables, figures = 2, 0
+    """Number figures from 1 and tables from 3 on (tables 1 and 2 are the standard's own and keep their numbers).
+
+    Tables that have numbers keep them, and others go on after these.
+    """
+    tables, figures = max((2, *(table.number for table in document.tables()))), 0
 
     def number(block: Block) -> Block:
         nonlocal tables, figures

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 from program import CELL, KEYS, result_of, run
 
+from calibration_core.acceptance.verification import SOURCES
 from calibration_core.cell import load_cell
 from calibration_core.files.yaml_file import read_yaml, yaml_text
 
@@ -55,6 +57,13 @@ def test_a_decision_with_a_certificate(identified: Path, other: Path, tmp_path: 
     assert result["uncertainty"]["expanded"] == pytest.approx(2 * result["uncertainty"]["standard"])
     assert set(result["uncertainty"]["contributions"]) == {"tracker", "wrench", "geometry", "model", "repeatability"}
     assert result["error"]["before"]["mean"] > 0
+    page = (out / "report.html").read_text(encoding="utf-8")
+    numbers = re.findall(r"Table (\d+)</strong>", page.replace("\u00a0", " "))
+    assert len(numbers) == len(set(numbers)) > 5
+    shown = re.findall(r'<td data-head="Contribution to u [^"]*"[^>]*>([\d.]+)</td>', page)
+    stated = result["uncertainty"]
+    expected = [*(stated["contributions"][source] for source in SOURCES), stated["standard"], stated["expanded"]]
+    assert [float(text) for text in shown] == [pytest.approx(1e6 * value, rel=0.06) for value in expected]
     tight = tmp_path / "tight"
     arguments = ("--cell", CELL, "--model", model, "--out", tight, "--no-report")
     assert run("verify", other, *arguments, "--tolerance", 5e-6) == 0  # exit code 0, whatever it decides

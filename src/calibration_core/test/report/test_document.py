@@ -64,3 +64,6 @@ def test_numbers_one_and_two_stay_the_standards_own() -> None:
     result = numbered(document(second, TABLE, FIGURE, first, TABLE, FIGURE))
     assert [table.number for table in result.tables()] == [2, 3, 1, 4]
     assert [figure.number for figure in result.figures()] == [1, 2]
+    further = dataclasses.replace(result, sections=(*result.sections, Section("h", "", (TABLE, FIGURE, TABLE))))
+    assert [table.number for table in numbered(further).tables()] == [2, 3, 1, 4, 5, 6]
+    assert [figure.number for figure in numbered(further).figures()] == [1, 2, 3]

@@ -134,6 +134,7 @@ def _space(readings: Readings, cell: Cell, parameters: ModelParameters) -> Any:
 def verification_result(found: Verification, cell: Cell, readings: Readings, inputs: Inputs) -> dict[str, Any]:
     """Return the content of result.json."""
     after, before = error_sizes(found.error), None if found.before is None else error_sizes(found.before)
+    worst = found.least_certain
     fit = {"rms_after": after["rms"], "noise": float(np.sqrt(np.mean(found.shares["tracker"] ** 2)))}
     return command_result(
         "verify",
@@ -150,10 +151,10 @@ def verification_result(found: Verification, cell: Cell, readings: Readings, inp
         },
         error={"before": before, "after": after, "unit": "m"},
         uncertainty={
-            "standard": float(found.uncertainty.max()),
-            "expanded": COVERAGE * float(found.uncertainty.max()),
+            "standard": float(found.uncertainty[worst]),
+            "expanded": COVERAGE * float(found.uncertainty[worst]),
             "coverage_factor": COVERAGE,
-            "contributions": {source: float(share.max()) for source, share in found.shares.items()},
+            "contributions": {source: float(share[worst]) for source, share in found.shares.items()},
             "of": "the least certain reading",
             "unit": "m",
         },

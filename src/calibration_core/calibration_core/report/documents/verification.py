@@ -45,9 +45,16 @@ STATEMENT = (
     "that it states, except what the customer supplied. It recommends no interval of calibration. Without a signature "
     "it is not valid."
 )
+OR_SCATTER = ", the reading's scatter where that is larger (A)"
 FROM: Mapping[Source, tuple[str, str]] = {
-    "tracker": ("Laser tracker, one averaged reading", "the tracker's certificate (B)"),
-    "wrench": ("Force/torque sensor, through the model's compliance", "the sensor's certificate (B)"),
+    "tracker": (
+        "Laser tracker, one averaged reading",
+        f"the tracker's certificate (B){OR_SCATTER}",
+    ),
+    "wrench": (
+        "Force/torque sensor, through the model's compliance",
+        f"the sensor's certificate (B){OR_SCATTER}",
+    ),
     "geometry": ("Geometry, frames and points of the model", "covariance of the identification (A)"),
     "model": ("Joint compliances and effects of the model", "covariance of the identification (A)"),
     "repeatability": ("Repeatability of the robot at repeated loads", "scatter in this recording (A)"),
@@ -196,7 +203,7 @@ def _rule(found: Verification) -> str:
 
 
 def _budget(found: Verification) -> tuple[Block, ...]:
-    worst = int(np.argmax(found.uncertainty))
+    worst = found.least_certain
     unit = length_unit(float(found.uncertainty[worst]))
     rows = [
         (FROM[source][0], FROM[source][1], spread(float(found.shares[source][worst]) * unit.factor), "1")
