@@ -230,6 +230,7 @@ def test_new_keys_of_the_cell_file(tmp_path: Path, demo_cell: Cell) -> None:
 
 def test_k_csm_is_what_the_equilibrium_adds(demo_cell: Cell) -> None:
     """Against the equilibrium on the deformed geometry, less its linear part; gravity is left out of both."""
+    from calibration_core.identification.checks import space
     from calibration_core.model.equilibrium import solve_equilibrium
     from calibration_core.model.kinematics import linear_jacobian
     from calibration_core.model.statics import Load, load_torque
@@ -250,3 +251,7 @@ def test_k_csm_is_what_the_equilibrium_adds(demo_cell: Cell) -> None:
         extra = rest.deflection - linear
         largest = np.maximum(largest, np.linalg.norm(np.einsum("nam,nm->ma", jacobian, extra), axis=1))
     np.testing.assert_allclose(share, largest, rtol=0.05, atol=2e-8)
+    inside = Load(np.einsum("abm,bm->am", at.flange, load.force), load.torque, load.point, np.eye(3))  # sensor axes
+    for recorded in (load, inside):  # a plan and an identification mean the same by it
+        said = space.complementary_share(parameters.compliance, at, recorded, list(parameters.points.values()))
+        np.testing.assert_allclose(said, share, rtol=1e-9)

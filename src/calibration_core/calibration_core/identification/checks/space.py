@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calibration_core.identification.result.estimate import OperatingSpace
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
-from calibration_core.model.kinematics import Posture, by_axis, linear_jacobian, posture
+from calibration_core.model.kinematics import Posture, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.statics import Load, load_torque
+from calibration_core.model.statics import Load, load_torque, load_torque_derivative
 from calibration_core.timeseries import Float1D, Float2D, Readings
 
 
@@ -33,8 +35,7 @@ def operating_space(
     at = posture(chain, q)
     points = {name: at.point(parameters.points[name]).T for name in readings.points}
     at_load = None if load is None else load.rows(rows)
-    shown = parameters.points[readings.points[0]]
-    deflection, bent, share, base_force = _loaded(chain, parameters, q, at, at_load, shown)
+    deflection, bent, share, base_force = _loaded(chain, parameters, q, at, at_load, readings.points)
     joints = np.stack(
         [np.zeros((len(rows), 3)), *(origin.T for origin in at.moving.origin), at.flange_origin.T], axis=1
     )
@@ -54,17 +55,37 @@ def operating_space(
 
 
 def _loaded(
-    chain: Chain, parameters: ModelParameters, q: Float2D, at: Posture, load: Load | None, point: Float1D
+    chain: Chain, parameters: ModelParameters, q: Float2D, at: Posture, load: Load | None, names: Sequence[str]
 ) -> tuple[Float2D | None, Float2D | None, Float1D | None, Float2D | None]:
     if load is None:
         return None, None, None, None
+    first, *_ = points = [parameters.points[name] for name in names]
     rest = solve_equilibrium(chain, q, parameters.compliance, load)
     own = solve_equilibrium(chain, q, parameters.compliance, None)
-    deflection = (rest.at.point(point) - own.at.point(point)).T
-    jacobian = by_axis(linear_jacobian(at, at.point(point)))
-    linear = np.einsum("anm,nm->ma", jacobian, parameters.compliance[:, None] * load_torque(at, load))
+    deflection = (rest.at.point(first) - own.at.point(first)).T
     bent = (rest.deflection - own.deflection).T
-    return deflection, bent, np.linalg.norm(deflection - linear, axis=1), load.in_base(at)[0].T
+    share = complementary_share(parameters.compliance, at, load, points)
+    return deflection, bent, share, load.in_base(at)[0].T
+
+
+def complementary_share(compliance: Float1D, at: Posture, load: Load, points: Sequence[Float1D]) -> Float1D:
+    """Return by how much the complementary stiffness moves the point that it moves most, (m,) m.
+
+    To first order C K_CSM C tau is added to the joint deflections C tau (CWA 17384, equation (4)), for a wrench that
+    keeps its direction while the robot yields.
+
+    Args:
+        compliance: (n,) rad/(N*m).
+        at: The postures.
+        load: Of each of them.
+        points: (3,) m each, flange frame.
+    """
+    force, torque, _ = load.in_base(at)
+    fixed = Load(force, torque, load.point, None)
+    yields = compliance[:, None]
+    extra = yields * np.einsum("ijm,jm->im", load_torque_derivative(at, fixed), yields * load_torque(at, fixed))
+    moved = [np.einsum("nam,nm->ma", linear_jacobian(at, at.point(point)), extra) for point in points]
+    return np.asarray(np.linalg.norm(moved, axis=2).max(axis=0))
 
 
 def singularity_distance(chain: Chain, at: Posture) -> Float1D:
