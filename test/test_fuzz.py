@@ -40,6 +40,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return good_files(tmp_path_factory.mktemp("good"))
 
 
+@pytest.mark.slow
 def test_every_line_of_arguments_succeeds_on_good_files(good: dict[str, Path], tmp_path: Path) -> None:
     """Only then does a refusal come from the change."""
     cases = []

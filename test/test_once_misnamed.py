@@ -90,6 +90,7 @@ def test_what_is_missing_does_not_hide_the_geometry(
             244,
             {("backlash", "joint_2"), ("gravity_compensator", "joint_2")},
             id="a spring unloads the clearance",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             9002,

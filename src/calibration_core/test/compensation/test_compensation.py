@@ -201,7 +201,7 @@ def test_intervals_of_deflections_are_those_of_repeated_draws(cell: Cell) -> Non
     found = deflect(CalibratedRobot.of(cell, model), task.q, task.wrench, conditions_of(task), estimate)
     rng = np.random.default_rng(0)
     draws = []
-    for _ in range(200):
+    for _ in range(120):
         value = estimate.value + estimate.root() @ rng.standard_normal(len(estimate.names))
         other = with_values(model, dict(zip(estimate.names, value, strict=True)))
         draws.append(deflect(CalibratedRobot.of(cell, other), task.q, task.wrench, conditions_of(task), None).moved)

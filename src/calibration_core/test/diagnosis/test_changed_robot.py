@@ -109,6 +109,7 @@ def test_what_each_shows_beside_the_findings_is_evaluated_once(tmp_path: Path, m
     assert evaluated == [len(one) for one in recordings]
 
 
+@pytest.mark.slow
 def test_the_recording_that_was_named_first_has_changed(tmp_path: Path) -> None:
     """A test recording is of the first one's set-up and of its robot: it is freed of the change, too."""
     recordings, cells = recorded(tmp_path, 100, of_third={"stiffness": softened(2)})

@@ -214,6 +214,7 @@ def test_ended_by_hand_says_what_stays(
     assert said(out) == said(reference)
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_while_it_starts_is_started_again(reference: Path, plant: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [BIN / "calibration", "fleet", plant / "plant.csv", "--out", out, "--jobs", "1", "--no-report"]
@@ -237,7 +238,7 @@ def spawned(parent: int) -> list[int]:
 # --- a scheduler of somebody else ----------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=["tcp", "tls"])
+@pytest.fixture(params=[pytest.param("tcp", marks=pytest.mark.slow), "tls"])
 def cluster(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> Iterator[tuple[list[str], list[subprocess.Popen[bytes]]]]:

@@ -90,7 +90,7 @@ def interleaved(readings: Readings) -> Readings:
         pytest.param(14, 40, (), True, marks=pytest.mark.slow),
         pytest.param(14, 12, (), False, marks=pytest.mark.slow),
         (2, 40, (), False),
-        (12, 30, (TILT,), True),
+        pytest.param(12, 30, (TILT,), True, marks=pytest.mark.slow),
     ],
 )
 def test_one_file_and_two_files_give_the_same_answer(
