@@ -14,7 +14,8 @@ from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.hypotheses import Hypothesis, Offered
 from calibration_core.estimation.leave_out import LeftOut, Proof, block_squares, proof
 from calibration_core.estimation.likelihood.gains import Seen
-from calibration_core.estimation.likelihood.restricted import Gram, Sizes
+from calibration_core.estimation.likelihood.restricted import JITTER, Gram, Sizes
+from calibration_core.identification.statistics.beyond_noise import FINEST
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
@@ -211,11 +212,16 @@ def _condensed(
     matrix: Float2D,
     clear: Bool1D,
 ) -> Field:
-    """Put a field together; of columns that are not clear nothing stays in the condensed rows."""
+    """Put a field together; of columns that are not clear nothing stays in the condensed rows.
+
+    No recording is judged finer than `FINEST`: what a simulation without noise leaves is rounding, and no physics.
+    """
     seen = basis.T @ residual
     vector = wide[:, len(scale) :].T @ residual - in_flat.T @ seen
     matrix[~clear] = matrix[:, ~clear] = vector[~clear] = 0.0
-    gram = Gram(matrix, vector, float(residual @ residual - seen @ seen), len(residual) - basis.shape[1])
+    freedom = len(residual) - basis.shape[1]
+    square = float(residual @ residual - seen @ seen) + FINEST**2 * freedom
+    gram = Gram(matrix, vector, square, freedom)
     return Field(residual, wide, scale, offered, partitions, basis, in_flat, gram, clear)
 
 
@@ -292,8 +298,10 @@ class Trial:
         """Of its k columns what the accepted ones take, (a, k), and their normal equations beside these."""
         own, seen = self.hypothesis.columns, self.seen()
         taken, vector = seen.of(own)
-        matrix = self.field.gram.matrix[np.ix_(own, own)] - taken.T @ taken
-        matrix[np.diag_indices_from(matrix)] += self.sizes.variance / self.sizes.size[-1] ** 2
+        matrix = self.field.gram.matrix[np.ix_(own, own)]
+        lost = JITTER * np.diag(matrix)
+        matrix -= taken.T @ taken
+        matrix[np.diag_indices_from(matrix)] += self.sizes.variance / self.sizes.size[-1] ** 2 + lost
         return taken, seen.variance * vector, cho_factor(matrix)
 
     def posterior(self, members: Sequence[int], *, alone: bool = False) -> tuple[Float1D, Float2D]:

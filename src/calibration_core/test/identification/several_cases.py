@@ -72,8 +72,9 @@ def measured(
     geometry: np.ndarray | None = None,
     effects: tuple[AppliedEffect, ...] = (),
     slipped: tuple[int, float] | None = None,
+    noise: float = 1.0,
 ) -> Readings:
-    """Return what the core's own model predicts for loaded configurations and postures at rest, with claimed noise.
+    """Return what the core's own model predicts for loaded configurations and postures at rest, with noise.
 
     Args:
         cell: The set-up.
@@ -85,6 +86,7 @@ def measured(
         geometry: (6, 6) corrections, m and rad; None: none.
         effects: What the robot and the set-up have besides.
         slipped: Configuration from which on the second target stands elsewhere, and by how much, m.
+        noise: Of tracker and sensor, times the claimed one.
     """
     rng = np.random.default_rng(seed)
     truth = truth_in(cell, seed, stiffness or STIFFNESS, np.zeros((6, 6)) if geometry is None else geometry)
@@ -117,7 +119,7 @@ def measured(
         points[0] += slipped[1] * ((grid[:, 0] >= slipped[0]) & (grid[:, 2] == 1))
     moved = at.point(points).T + shift_by_effects(readings, cell, truth.replace(effects=effects))
     position = (moved - truth.tracker[:3, 3]) @ truth.tracker[:3, :3]
-    position = position + (cell.instruments.tracker.sigma or 0.0) * rng.standard_normal(position.shape)
+    position = position + noise * (cell.instruments.tracker.sigma or 0.0) * rng.standard_normal(position.shape)
     if cell.measurements.points == "displacement":
         for key in {(row[0], row[2]) for row in rows}:
             own = (grid[:, 0] == key[0]) & (grid[:, 2] == key[1])
@@ -125,7 +127,7 @@ def measured(
     if configurations:
         steps, inverse = np.unique(grid[:, :2], axis=0, return_inverse=True)
         jitter = rng.standard_normal((len(steps), 6)) * ([1.0] * 3 + [0.5] * 3)
-        wrench = wrench + jitter[inverse.reshape(-1)]
+        wrench = wrench + noise * jitter[inverse.reshape(-1)]
     return dataclasses.replace(readings, position=position, wrench=wrench if configurations else None)
 
 

@@ -12,7 +12,7 @@ from calibration_core.diagnosis.result.finding import Rest
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import WAVE
 from calibration_core.identification.checks.noise_audit import rigid_triangle
-from calibration_core.identification.statistics.beyond_noise import beyond_noise
+from calibration_core.identification.statistics.beyond_noise import FINEST, beyond_noise
 from calibration_core.timeseries import Bool1D, Readings
 
 MISSTATED = 1.5  # factor by which an instrument's claim may be wrong where nothing else shows the noise
@@ -81,7 +81,8 @@ def noise_floor(readings: Readings, used: Bool1D, claimed: float, shared: float)
     triangle = rigid_triangle(readings.position, readings, used)
     if triangle is None or triangle.degrees_of_freedom < TRUSTED or triangle.seen <= 0:
         return MISSTATED * claimed, math.inf
-    return triangle.seen * float(np.sqrt(1 + min(shared, SHARED) ** 2)), triangle.degrees_of_freedom
+    own = max(triangle.seen, FINEST * claimed)
+    return own * float(np.sqrt(1 + min(shared, SHARED) ** 2)), triangle.degrees_of_freedom
 
 
 def followed(found: Estimate) -> dict[str, float]:

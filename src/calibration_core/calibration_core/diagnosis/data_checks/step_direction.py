@@ -11,6 +11,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.diagnosis.data_checks.noise import Scatter, claimed_along, step_groups
+from calibration_core.identification.statistics.beyond_noise import FINEST
 from calibration_core.identification.statistics.distributions import f_tail
 from calibration_core.identification.statistics.offsets import Rows
 from calibration_core.timeseries import Float2D, Float3D, Readings
@@ -49,7 +50,7 @@ def jumps_along_a_joint(
     """
     own = np.array(seen.own)
     lines = np.einsum("mia,man->min", axes, answer) / (claimed_along(rows, axes) * own)[:, :, None]
-    sigma = float(np.sqrt(np.einsum("mii->m", rows.noise).mean() / 3) * np.sqrt(np.mean(own**2)))
+    stated = float(np.sqrt(np.einsum("mii->m", rows.noise).mean() / 3))
     along, raw = np.zeros(answer.shape[2]), np.zeros(answer.shape[2])
     whole = whole_raw = 0.0
     count = 0
@@ -69,4 +70,5 @@ def jumps_along_a_joint(
     if f_tail(float(ratio[joint]), count, 2 * count) * len(ratio) >= CHANCE:
         return None
     excess = raw[joint] - (whole_raw - raw[joint]) / 2
-    return Jumps(joint, sigma * float(np.sqrt(max(excess, 0.0) / count)), float(along[joint]) / whole)
+    rms = stated * float(np.sqrt(np.mean(own**2) * max(excess, 0.0) / count))
+    return None if rms < FINEST * stated else Jumps(joint, rms, float(along[joint]) / whole)

@@ -7,6 +7,7 @@ import math
 from calibration_core.identification.statistics.distributions import chi2_tail, f_tail
 
 SIGNIFICANT = 0.001  # chance of calling noise a residual
+FINEST = 1e-3  # of the claimed noise: what is smaller is rounding, as of a simulation without noise
 SMALLEST_EXCESS = 1.05  # of the noise: a smaller residual does not matter, however certain
 
 
