@@ -65,7 +65,7 @@ class ConditionsWatch:
     @property
     def temperature(self) -> float:
         """Degrees Celsius, as last heard; NaN where nothing was."""
-        return self._thermometer.value
+        return self._thermometer.at(self._node.now_ns() / NANOSECONDS)
 
     def _on_state(self, message: RobotState) -> None:
         self.scaling = float(message.speed_scaling)

@@ -12,8 +12,10 @@ from robots import loaded_readings, write_cell
 from calibration_core.cell import Cell, EndEffector
 from calibration_core.errors import CellError
 from calibration_core.identification.checks.conditions import NAMES, CellState, judge
+from calibration_core.identification.checks.preconditions import with_temperature_of
 from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.end_effector import TOOL_COMPLIANCE, accounted, relative_stiffness
+from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.predict import shift_by_effects
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
@@ -90,6 +92,19 @@ def test_old_changes_of_temperature_do_not_count(cell: Cell) -> None:
     assert verdicts(dataclasses.replace(STATE, temperature=warm), cell)["temperature_stable"] is True
 
 
+def test_a_short_look_says_nothing_of_an_hour(cell: Cell) -> None:
+    short, half = np.array([[0.0, 20.0], [60.0, 20.1]]), np.array([[0.0, 20.0], [1800.0, 20.4]])
+    assert verdicts(dataclasses.replace(STATE, temperature=short), cell)["temperature_stable"] is None
+    assert verdicts(dataclasses.replace(STATE, temperature=half), cell)["temperature_stable"] is True
+
+
+def test_a_thermometer_that_is_silent_shows_no_temperature(cell: Cell) -> None:
+    silent = dataclasses.replace(STATE, temperature=np.array([[0.0, 20.0], [1800.0, 20.1], [1900.0, np.nan]]))
+    found = {one.name: one for one in judge(silent, cell)}
+    assert (found["temperature"].value, found["temperature"].met) == ("the thermometer is silent", None)
+    assert found["temperature_stable"].met is True
+
+
 def test_a_soft_end_effector_is_accounted_for(cell: Cell) -> None:
     found = {one.name: one for one in judge(dataclasses.replace(STATE, tool_stiffness=2.0), cell)}
     assert found["end_effector"].met is True
@@ -154,19 +169,76 @@ def test_a_reference_that_is_visited_without_load_is_no_configuration_of_the_sta
         ("2025-11-20", "2026-01-05T08:00:00+00:00", "2025-11-20", True),
         ("2026-01-05", "2026-01-05T08:00:00+00:00", "2026-01-05", True),
         ("2026-01-06", "2026-01-05T08:00:00+00:00", "2026-01-06, which is after the measurement of 2026-01-05", False),
-        ("2031-01-15", "", "2031-01-15", True),
-        ("spring of 2031", "2026-01-05T08:00:00+00:00", "spring of 2031", True),
+        ("2031-01-15", "", "2031-01-15; the recording does not say when it was measured", None),
+        ("not yet", "2026-01-05T08:00:00+00:00", "“not yet” in the cell file, which is no date (YYYY-MM-DD)", None),
         ("", "2026-01-05T08:00:00+00:00", "no calibration date in the cell file", None),
     ],
 )
 def test_an_instrument_is_calibrated_before_it_measures(
     tmp_path: Path, stated: str, start: str, found: str, met: bool | None
 ) -> None:
-    cell = write_cell(tmp_path, instruments={"tracker": {"sigma": 2.0e-5, "calibrated": stated}})
+    instruments = {
+        "tracker": {"sigma": 2.0e-5, "calibrated": stated},
+        "temperature": {"sigma": 0.1, "calibrated": stated},
+    }
+    cell = write_cell(tmp_path, instruments=instruments)
     readings = loaded_readings(cell, 1)
     dated = dataclasses.replace(readings, provenance=dataclasses.replace(readings.provenance, start=start))
     checks = {one.requirement: one for one in identify(dated, cell).preconditions}
-    assert (checks["laser tracker calibrated"].found, checks["laser tracker calibrated"].met) == (found, met)
+    for instrument in ("laser tracker", "thermometer"):
+        check = checks[f"{instrument} calibrated"]
+        assert (check.found, check.met) == (found, met)
+
+
+def requirement(readings: Readings, cell: Cell, part: str, options: Options | None = None) -> tuple[str, bool | None]:
+    (check,) = (one for one in identify(readings, cell, options).preconditions if part in one.requirement)
+    return check.found, check.met
+
+
+def test_the_temperature_of_every_reading_counts(cell: Cell) -> None:
+    readings = loaded_readings(cell, 1)
+    assert readings.wrench is not None
+    first = readings.configuration == 1
+    visited = dataclasses.replace(readings, wrench=np.where(first[:, None], 0.0, readings.wrench))
+    hot = dataclasses.replace(visited, temperature=np.where(first, 35.0, 20.4))
+    assert requirement(hot, cell, "± 2 °C") == ("20.4 to 35.0 °C", False)
+    some = dataclasses.replace(readings, temperature=np.where(first, 20.4, np.nan))
+    known = f"20.4 to 20.4 °C, known of {first.sum()} of {len(first)} readings"
+    assert requirement(some, cell, "± 2 °C") == (known, None)
+
+
+def test_the_temperature_of_every_phase_counts(cell: Cell) -> None:
+    checks = identify(loaded_readings(cell, 1), cell).preconditions
+    other = loaded_readings(cell, 2)
+    hot = dataclasses.replace(other, temperature=np.full(len(other), 23.0), conditions=judge(STATE, cell, [WHO]))
+    (whole,) = (one for one in with_temperature_of(checks, hot) if one.name == "temperature")
+    assert (whole.found, whole.met, whole.override) == ("23.0 to 23.0 °C", False, f"{WHO.operator}: {WHO.reason}")
+
+
+def test_a_posture_that_is_measured_twice_is_one_configuration(cell: Cell) -> None:
+    readings = loaded_readings(cell, 1, configurations=12)
+    assert requirement(readings, cell, "12 manipulator configurations") == ("12 configurations", True)
+    again = readings.q.copy()
+    again[readings.configuration == 2] = again[readings.configuration == 1][0] + 1e-4
+    twice = dataclasses.replace(readings, q=again)
+    found = ("12 configurations in 11 different postures", False)
+    assert requirement(twice, cell, "12 manipulator configurations") == found
+
+
+def test_every_configuration_is_measured_without_load_too(cell: Cell) -> None:
+    readings = loaded_readings(cell, 1)
+    found = ("14 of 14 configurations", True)
+    assert requirement(readings, cell, "unloaded position") == found
+    force = np.linalg.norm(readings.wrench[:, :3], axis=1) if readings.wrench is not None else np.zeros(0)
+    without = readings.select((readings.configuration > 1) | (force > 100.0))
+    assert requirement(without, cell, "unloaded position") == ("13 of 14 configurations", False)
+
+
+def test_the_report_says_whether_k_csm_is_neglected(cell: Cell) -> None:
+    readings = loaded_readings(cell, 1)
+    assert "; neglecting K_CSM would move points" in requirement(readings, cell, "singularities")[0]
+    linear = requirement(readings, cell, "singularities", Options(method="linear"))
+    assert "; K_CSM, which this method neglects, moves points" in linear[0]
 
 
 SOFT = EndEffector(rotation=(4e-7, 6e-7, 2e-7), translation=(1e-8, 1e-8, 2e-8), source="finite elements")

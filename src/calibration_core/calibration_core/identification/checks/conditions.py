@@ -13,7 +13,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calibration_core.cell import REDUCED_SPEED, Cell
-from calibration_core.identification.checks.preconditions import AMBIENT, TEST_UNCERTAINTY_RATIO, TOLERANCE
+from calibration_core.identification.checks.preconditions import (
+    AMBIENT,
+    STANDARD_GRAVITY,
+    TEST_UNCERTAINTY_RATIO,
+    TOLERANCE,
+)
 from calibration_core.model.instruments import tracker_covariance
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.simulation.simulate import Loading, Schedule, predict_schedule
@@ -36,7 +41,8 @@ class CellState:
     """What is known of the cell now.
 
     Attributes:
-        temperature: (k, 2) s and degrees Celsius, in the order of time; empty without a thermometer.
+        temperature: (k, 2) s and degrees Celsius, in the order of time, the last row as of now: NaN where the
+            thermometer is silent; empty without a thermometer.
         mode: Operating mode by its name in `motion.robot_status`; empty: unknown.
         drives: Whether the servos are on; None: unknown.
         warm_up_age: s since the start-up cycle ended; NaN: it has not been driven through.
@@ -86,25 +92,34 @@ def _temperature(state: CellState) -> Condition:
     if not len(state.temperature):
         return Condition("temperature", "5.1", "test temperature", limit, "no thermometer is heard", None, shall=True)
     now = float(state.temperature[-1, 1])
+    if math.isnan(now):
+        return Condition("temperature", "5.1", "test temperature", limit, "the thermometer is silent", None, shall=True)
     met = abs(now - AMBIENT) <= TOLERANCE
     return Condition("temperature", "5.1", "test temperature", limit, f"{now:.1f} °C", met, shall=True)
 
 
 def _stable(state: CellState) -> Condition:
     what, limit = "thermally stable condition", f"change of at most {STABLE:g} K in an hour"
-    row = state.temperature
+    row = state.temperature[np.isfinite(state.temperature[:, 1])]
     recent = row[row[:, 0] >= row[-1, 0] - STABLE_TIME] if len(row) else row
     if len(recent) < 2:
         return Condition("temperature_stable", "5.1", what, limit, "not known yet", None, shall=False)
     change, span = float(np.ptp(recent[:, 1])), float(np.ptp(recent[:, 0]))
     value = f"{change:.2f} K in the last {span / 60:.0f} min"
-    return Condition("temperature_stable", "5.1", what, limit, value, change <= STABLE, shall=False)
+    steady = change <= STABLE * min(span / STABLE_TIME, 1.0)  # so far it would not change by more in an hour
+    met = False if change > STABLE else (True if steady else None)
+    return Condition("temperature_stable", "5.1", what, limit, value, met, shall=False)
 
 
 def _start_up(state: CellState) -> Condition:
     what = "start-up cycle before the test, repeated periodically"
     never = math.isinf(state.warm_up_period)
-    limit = "before the first reading" if never else f"repeated after {state.warm_up_period / 60:.0f} min"
+    period = state.warm_up_period / 60
+    limit = (
+        "before the first reading"
+        if never
+        else f"repeated after {period:.0f} min, at the latest after {OVERDUE * period:.0f} min"
+    )
     if math.isnan(state.warm_up_age):
         return Condition("start_up", "5.2", what, limit, "none has been driven through here", None, shall=True)
     value, met = f"{state.warm_up_age / 60:.0f} min ago", state.warm_up_age <= OVERDUE * state.warm_up_period
@@ -112,7 +127,7 @@ def _start_up(state: CellState) -> Condition:
 
 
 def _rated_load(state: CellState, cell: Cell) -> Condition:
-    rated = cell.robot.rated_load * float(np.linalg.norm(cell.gravity))
+    rated = cell.robot.rated_load * (float(np.linalg.norm(cell.gravity)) or STANDARD_GRAVITY)
     value = f"{state.largest_force:.0f} N at most"
     met = state.largest_force <= ROUNDING * rated
     return Condition("rated_load", "5.1", "load within the rated load", f"{rated:.0f} N", value, met, shall=True)

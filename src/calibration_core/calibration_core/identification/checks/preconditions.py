@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime as dt
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,16 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.result.estimate import OperatingSpace, Precondition
 from calibration_core.observations.kinds import loaded_configurations, unloaded_visits
-from calibration_core.timeseries import Condition, Override, Readings
+from calibration_core.timeseries import Condition, Float2D, Override, Readings
 
 MIN_CONFIGURATIONS = 12
 STANDARD_GRAVITY = 9.80665  # m/s^2, where the cell file states none
 AMBIENT, TOLERANCE = 20.0, 2.0  # degrees Celsius
 TEST_UNCERTAINTY_RATIO = 5.0
+SAME = 0.01  # rad, m: postures whose joints differ by less are one
+MANY = 2_000  # configurations from which on nobody asks whether twelve of them differ
+UNLOADED = 0.1  # of the range of the force: less above the smallest one is no load
+TEMPERATURE = "temperature"
 NEAR_SINGULAR = 0.02  # smallest singular value of the scaled Jacobian
 UNSEEN = (  # what only a live measurement shows
     ("5.1", "maximum Cartesian speed 250 mm/s, manual mode, servos on, brakes released"),
@@ -25,7 +30,7 @@ UNSEEN = (  # what only a live measurement shows
 
 
 def check_preconditions(
-    readings: Readings, cell: Cell, space: OperatingSpace, sigma: float
+    readings: Readings, cell: Cell, space: OperatingSpace, sigma: float, *, k_csm: bool = True
 ) -> tuple[Precondition, ...]:
     """Check what a recording can show; what it cannot show is said to be unknown.
 
@@ -34,12 +39,16 @@ def check_preconditions(
         cell: The cell file.
         space: Configurations, deflections and the share of K_CSM.
         sigma: Standard deviation of one coordinate of one reading, m.
+        k_csm: Whether the method takes the complementary stiffness into account.
     """
+    temperature = _temperature(readings)  # of postures without load, too
     readings, space = _under_load(readings, space)
-    checks = [_configurations(space), _spread(space), _temperature(readings)]
+    checks = [_configurations(space), _spread(space), temperature]
     if space.force is not None:
         checks.append(_rated_load(cell, space))
-    checks += [_uncertainty_ratio(space, sigma), *_calibrated(cell, readings.provenance.start), _singularities(space)]
+        checks += _unloaded(readings, cell)
+    calibrated = _calibrated(cell, readings.provenance.start)
+    checks += [_uncertainty_ratio(space, sigma), *calibrated, _singularities(space, k_csm=k_csm)]
     seen = {condition.name: condition for condition in readings.conditions}
     checks = [_with_override(check, seen.pop(check.name, None)) for check in checks]
     watched = [_watched(condition) for condition in seen.values()]
@@ -48,6 +57,13 @@ def check_preconditions(
     if not readings.conditions:
         watched += [Precondition(*row, "not contained in the evaluated data", None) for row in UNSEEN]
     return (*checks, *watched)
+
+
+def with_temperature_of(checks: Sequence[Precondition], readings: Readings) -> tuple[Precondition, ...]:
+    """Return the same checks with the temperature of further readings of the same measurement judged, too."""
+    seen = next((condition for condition in readings.conditions if condition.name == TEMPERATURE), None)
+    whole = _with_override(_temperature(readings), seen)
+    return tuple(whole if check.name == TEMPERATURE else check for check in checks)
 
 
 def _under_load(readings: Readings, space: OperatingSpace) -> tuple[Readings, OperatingSpace]:
@@ -99,13 +115,19 @@ def _end_effector(cell: Cell) -> Precondition:
 
 
 def _configurations(space: OperatingSpace) -> Precondition:
-    count = len(space.configuration)
+    count, distinct = len(space.configuration), _distinct(space.q)
+    found = f"{count} configurations" + (f" in {distinct} different postures" if distinct < count else "")
     return Precondition(
-        "5.1",
-        f"at least {MIN_CONFIGURATIONS} manipulator configurations",
-        f"{count} configurations",
-        count >= MIN_CONFIGURATIONS,
+        "5.1", f"at least {MIN_CONFIGURATIONS} manipulator configurations", found, distinct >= MIN_CONFIGURATIONS
     )
+
+
+def _distinct(q: Float2D) -> int:
+    """Return how many postures, (k, n) rad or m, differ from all before them."""
+    if len(q) > MANY:
+        return len(q)
+    apart = np.abs(q[:, None] - q).max(axis=2) > SAME
+    return int(np.count_nonzero((apart | (np.tri(len(q)) == 0) | np.eye(len(q), dtype=bool)).all(axis=1)))
 
 
 def _spread(space: OperatingSpace) -> Precondition:
@@ -123,10 +145,13 @@ def _temperature(readings: Readings) -> Precondition:
     requirement = f"{AMBIENT:.0f} °C ± {TOLERANCE:.0f} °C"
     known = readings.temperature[np.isfinite(readings.temperature)]
     if not len(known):
-        return Precondition("5.1", requirement, "no temperature recorded", None, "temperature")
+        return Precondition("5.1", requirement, "no temperature recorded", None, TEMPERATURE)
     low, high = float(known.min()), float(known.max())
     inside = abs(low - AMBIENT) <= TOLERANCE and abs(high - AMBIENT) <= TOLERANCE
-    return Precondition("5.1", requirement, f"{low:.1f} to {high:.1f} °C", inside, "temperature")
+    found, whole = f"{low:.1f} to {high:.1f} °C", len(known) == len(readings)
+    if not whole:
+        found += f", known of {len(known):,} of {len(readings):,} readings"
+    return Precondition("5.1", requirement, found, (True if whole else None) if inside else False, TEMPERATURE)
 
 
 def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
@@ -150,6 +175,23 @@ def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
     )
 
 
+def _unloaded(readings: Readings, cell: Cell) -> list[Precondition]:
+    """Say whether every loaded configuration was measured without load, too; displacements are differences already.
+
+    The smallest force of a recording is that of no load: a sensor may show the weight of the tool.
+    """
+    if readings.wrench is None or cell.measurements.points == "displacement":
+        return []
+    bare, every = 0, 0
+    for rows in readings.each():
+        force = np.linalg.norm(readings.wrench[rows, :3], axis=1)
+        light = force - force.min() <= UNLOADED * np.ptp(force)
+        numbers = np.unique(readings.configuration[rows])
+        bare, every = bare + len(np.unique(readings.configuration[rows[light]])), every + len(numbers)
+    found = f"{bare} of {every} configurations"
+    return [Precondition("7.6", "the unloaded position measured in every configuration", found, bare == every)]
+
+
 def _uncertainty_ratio(space: OperatingSpace, sigma: float) -> Precondition:
     requirement = "test uncertainty ratio not lower than 1:5"
     if space.deflection is None:
@@ -168,7 +210,11 @@ def _uncertainty_ratio(space: OperatingSpace, sigma: float) -> Precondition:
 
 def _calibrated(cell: Cell, start: str) -> list[Precondition]:
     """Say of each instrument whether it was calibrated before the measurement, whose start is in ISO 8601."""
-    instruments = (("laser tracker", cell.instruments.tracker), ("force/torque sensor", cell.instruments.force_torque))
+    instruments = (
+        ("laser tracker", cell.instruments.tracker),
+        ("force/torque sensor", cell.instruments.force_torque),
+        ("thermometer", cell.instruments.temperature),
+    )
     return [
         Precondition("5.3", f"{label} calibrated", *_calibrated_before(instrument.calibrated, start))
         for label, instrument in instruments
@@ -180,9 +226,13 @@ def _calibrated_before(stated: str, start: str) -> tuple[str, bool | None]:
     if not stated:
         return "no calibration date in the cell file", None
     calibrated, measured = _day(stated), _day(start)
-    if calibrated is None or measured is None or calibrated <= measured:
-        return stated, True
-    return f"{stated}, which is after the measurement of {measured}", False
+    if calibrated is None:
+        return f"“{stated}” in the cell file, which is no date (YYYY-MM-DD)", None
+    if measured is None:
+        return f"{stated}; the recording does not say when it was measured", None
+    if calibrated > measured:
+        return f"{stated}, which is after the measurement of {measured}", False
+    return stated, True
 
 
 def _day(text: str) -> dt.date | None:
@@ -193,13 +243,13 @@ def _day(text: str) -> dt.date | None:
         return None
 
 
-def _singularities(space: OperatingSpace) -> Precondition:
+def _singularities(space: OperatingSpace, *, k_csm: bool) -> Precondition:
     worst = int(np.argmin(space.singularity))
     distance = float(space.singularity[worst])
     found = f"nearest: configuration {int(space.configuration[worst])}, smallest singular value {distance:.3f}"
     if space.k_csm_share is not None:
         share = 1e6 * float(space.k_csm_share.max())
-        found += f"; neglecting K_CSM would move points by up to {share:.1f} µm (it is not neglected)"
-    return Precondition(
-        "6.2", "configurations far from kinematic singularities", found, bool(distance >= NEAR_SINGULAR)
-    )
+        moves = "neglecting K_CSM would move" if k_csm else "K_CSM, which this method neglects, moves"
+        found += f"; {moves} points by up to {share:.1f} µm"
+    met = bool(distance >= NEAR_SINGULAR)
+    return Precondition("6.2", "configurations far from kinematic singularities", found, met, shall=False)

@@ -243,7 +243,9 @@ def _as_one(found: Identification, parts: Parts) -> Identification:
         residuals=Residuals(**{name: values[parts.order] for name, values in vars(found.residuals).items()}),
         exclusions=tuple(_exclusion(one, parts) for one in found.exclusions),
         anomalies=tuple(parts.anomaly(one) for one in found.anomalies),
-        preconditions=check_preconditions(readings, cell, space, found.fit.noise),
+        preconditions=check_preconditions(
+            readings, cell, space, found.fit.noise, k_csm=parts.options.method != "linear"
+        ),
         space=space,
         model=model,
         estimate=estimate_of_set_up(found.estimate, member, alone),

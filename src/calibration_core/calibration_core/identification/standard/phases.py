@@ -12,6 +12,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.checks.exclusion_anomalies import anomalies_of
+from calibration_core.identification.checks.preconditions import with_temperature_of
 from calibration_core.identification.circle_point.joint_axes import BaseFrame
 from calibration_core.identification.geometry.named_estimate import named_estimate
 from calibration_core.identification.geometry.parameter_table import Uncertainty, parameter_table, uncertainty_of
@@ -101,6 +102,7 @@ def identify_phases(
         unidentified=(*answer.unidentified, *found.hidden, *found.choice.unidentified),
         exclusions=(*answer.exclusions, *found.exclusions),
         anomalies=(*answer.anomalies, *_odd(found, answer.noise)),
+        preconditions=with_temperature_of(answer.preconditions, readings),
         standard=standard,
         phases=_phases(found, rows, fitted, geometry, uncertainty, standard, scale),
         estimate=named_estimate(uncertainty.names, uncertainty.covariance, model, cell),

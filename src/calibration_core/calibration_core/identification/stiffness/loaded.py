@@ -136,7 +136,7 @@ def identify_prepared(
         unidentified=weak_directions(joints, fit.solution),
         exclusions=rejection.exclusions,
         anomalies=anomalies_of(noise, rejection.exclusions, readings),
-        preconditions=check_preconditions(readings, cell, space, figures.noise),
+        preconditions=check_preconditions(readings, cell, space, figures.noise, k_csm=options.method != "linear"),
         residuals=residuals,
         space=space,
         model=parameters,
