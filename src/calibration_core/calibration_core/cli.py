@@ -196,7 +196,7 @@ def _identify(parser: argparse.ArgumentParser) -> None:
         "--method",
         choices=("equilibrium", "linear"),
         default="equilibrium",
-        help="deformed geometry with K_CSM and gravity, or equations (6) and (7) as they stand in the standard",
+        help="deformed geometry with K_CSM and gravity, or the standard's linear equations (6) and (7), which neglect K_CSM",
     )
     parser.add_argument(
         "--weights",

@@ -120,8 +120,8 @@ def identify(
             recordings of one robot, each with the cell of its own set-up.
         test: A further recording, in the set-up of the first, in its units and frames, predicted and not fitted.
         model: A model file or result to start from; its effects are known and are taken off the readings.
-        method: `equilibrium`: on the deformed geometry, with K_CSM and gravity; `linear`: equations (6) and (7) of the
-            standard as they stand.
+        method: `equilibrium`: on the deformed geometry, with K_CSM and gravity; `linear`: the standard's equations (6)
+            and (7), which neglect it, with these weights and one free offset per configuration and point.
         weights: `instrument`: by the instruments' uncertainties; `plain`: every coordinate alike.
         deflections: `points`: positions; `pose`: the full pose from three or more points.
         robust: Set gross errors aside, by name.

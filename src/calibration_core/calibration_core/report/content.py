@@ -91,7 +91,7 @@ def build(
         subtitle="Test report according to CWA 17384",
         facts=_facts(result, cell, day),
         verdict=_verdict(result, left, light_of(content)),
-        front=(*front, Paragraph(_where(sections))),
+        front=(*front, Paragraph(_where(sections, dated=bool(result.readings.provenance.start)))),
         sections=sections,
         signatures=SIGNATURES,
         statement=STATEMENT,
@@ -226,11 +226,12 @@ def _sections(result: Identification, cell: Cell, left: ResidualVerdict) -> tupl
     return tuple(sections)
 
 
-def _where(sections: tuple[Section, ...]) -> str:
-    """Return where the information stands that clause 8 asks for."""
+def _where(sections: tuple[Section, ...], *, dated: bool) -> str:
+    """Return where the information stands that clause 8 asks for, and whether the recording has a date."""
     place = {section.clause: i + 1 for i, section in enumerate(sections)}
     return (
-        "Information asked for by CWA 17384, clause 8: a) reference, b) date and c) robot on this page; "
+        f"Information asked for by CWA 17384, clause 8: a) reference, b) date{'' if dated else ' (not recorded)'} and "
+        "c) robot on this page; "
         f"d) configurations in section {place['8 d)']}; e) equipment in section {place['8 e)']}; "
         f"f) parameters in section {place['8 f)']}; g) operating space in section {place['8 g)']}."
     )

@@ -49,8 +49,8 @@ class Options:
     """How a recording is to be evaluated.
 
     Attributes:
-        method: `equilibrium`: deformed geometry, K_CSM and gravity included; `linear`: equations (6) and (7) as they
-            stand in the standard.
+        method: `equilibrium`: deformed geometry, K_CSM and gravity included; `linear`: the standard's equations (6)
+            and (7), which neglect it, with these weights and one free offset per configuration and point.
         weights: `instrument`: tracker and wrench covariance; `plain`: every coordinate alike, scaled by the residual.
         deflections: `points`, or `pose` for the rigid displacement of three or more points.
         robust: Set gross errors aside.

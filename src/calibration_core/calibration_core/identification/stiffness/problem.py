@@ -58,7 +58,7 @@ class LoadedProblem:
         noise: (m, 3, 3) m^2, covariance of one reading, base axes.
         wrench_root: (m, 6, w) square root of the covariance of the wrench as recorded.
         configuration: (m,) index of the configuration of each reading.
-        method: `equilibrium`, or `linear` for equations (6) and (7) of the standard as they stand.
+        method: `equilibrium`, or `linear` for equations (6) and (7) of the standard, which neglect K_CSM.
         torque: (n, m) N*m, of the joints at an equilibrium of these readings that was found before; None: none was.
         solved: The last equilibria, by the bytes of the compliances.
         linearised: What `linearise` has returned last, likewise.

@@ -35,7 +35,8 @@ WHAT = {
     GEOMETRY: "Corrections to the nominal geometry and the tracker pose that belongs to them: first from circles, then "
     "from all sweeps and known configurations together. What the recording does not determine stays nominal and is "
     "named.",
-    WRIST_CENTRE: "Wrist centre in the flange frame, by spheres and trilateration; the points' uncertainty is in it.",
+    WRIST_CENTRE: "Wrist centre in the flange frame, by a fit of all readings of the wrist's motion, which begins where "
+    "spheres and trilateration put it; the points' uncertainty is in it.",
     POINTS: "Points in the flange frame, with the actual kinematics and its uncertainty.",
     STIFFNESS: "Compliances of the joints; what the phases before left uncertain is in their uncertainty.",
 }
@@ -49,6 +50,9 @@ def phase_sections(result: Identification) -> tuple[Section, ...]:
         blocks: list[Block] = [_opening(phase), _table(phase)]
         if phase.phase == BASE_FRAME and result.standard is not None and result.standard.base is not None:
             blocks += _clause(result.standard.base, sigma)
+        if phase.phase == WRIST_CENTRE and result.standard is not None and result.standard.wrist is not None:
+            place = ", ".join(fixed(1e3 * x, 3) for x in result.standard.wrist.trilaterated)
+            blocks.append(Paragraph(f"By spheres and trilateration alone it is ({place}) mm."))
         if phase.phase == POINTS:
             blocks += _frame(phase)
         if phase.remarks:

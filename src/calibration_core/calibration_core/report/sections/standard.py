@@ -27,9 +27,13 @@ def standard_section(found: StandardGeometry, cell: Cell) -> tuple[Block, ...]:
         Column("Standard uncertainty"),
         Column("Unit", "left"),
     )
+    wrist = ""
+    if found.wrist is not None:
+        place = ", ".join(fixed(1e3 * x, 3) for x in found.wrist.trilaterated)
+        wrist = f" by a fit of all readings; by spheres and trilateration alone it is ({place}) mm"
     note = (
         "Tracker: pose in the base frame. Joint axes: corrections to the nominal geometry. Wrist centre: flange frame, "
-        f"from {'identified' if found.points_fitted else 'nominal'} measurement points. "
+        f"from {'identified' if found.points_fitted else 'nominal'} measurement points{wrist}. "
         "Bending by weight and loads was taken off the positions as the model has it."
     )
     warned = [*(found.base.warnings if found.base else ()), *(found.wrist.warnings if found.wrist else ())]
