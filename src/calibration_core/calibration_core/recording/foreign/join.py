@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration_core.errors import RecordingError, quoted
+from calibration_core.errors import RecordingError, beyond, quoted
 from calibration_core.files.names import NAME, is_name
 from calibration_core.recording.foreign.mapping import ImportMap
 from calibration_core.recording.foreign.meaning import AXES, FORCES, JOINT, TORQUES
@@ -289,7 +289,7 @@ def _by_time(rows: Source, source: Source, tolerance: float) -> Int1D:
     if gap.max() > tolerance:
         row = int(np.argmax(gap))
         expected = f"a row of {source.path.name} within {tolerance:g} s (tolerance in a map)"
-        raise rows.fault(row, "time", f"{gap[row]:.3g} s to the nearest", expected)
+        raise rows.fault(row, "time", f"{beyond(float(gap[row]), tolerance, 3)} s to the nearest", expected)
     return np.asarray(order[nearest], dtype=np.int64)
 
 
