@@ -196,7 +196,8 @@ def test_poses_that_decide_whether_a_calibration_holds(
 def test_the_smallest_tolerance_that_a_refusal_states_is_accepted(
     identified: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ("--cell", CELL, "--for", "verify", "--model", identified / "model.yaml", "--no-report")
+    model = identified / "model.yaml"
+    arguments = ("--cell", CELL, "--for", "verify", "--model", model, "--risk", "0.1", "--no-report")
     least, tried = 2e-5, []
     while run("plan", *arguments, "--tolerance", f"{least:g}", "--out", tmp_path / "out") == 2:
         stated = re.search(r"found (\S+) m, expected at least (\S+) m", capsys.readouterr().err)
