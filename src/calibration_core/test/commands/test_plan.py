@@ -190,7 +190,9 @@ def test_poses_that_decide_whether_a_calibration_holds(
     following = ("verify", "RECORDING", "--cell", CELL, "--model", model, "--tolerance", "0.00015", "--fit-tracker")
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == f"next: measure it, then {typed(*following)}"
-    assert [line for line in lines if re.search(r"calibration [a-z]+ RECORDING", line)] == lines[-1:]  # one next step, not two
+    assert [line for line in lines if re.search(r"calibration [a-z]+ RECORDING", line)] == lines[
+        -1:
+    ]  # one next step, not two
 
 
 def test_the_smallest_tolerance_that_a_refusal_states_is_accepted(
