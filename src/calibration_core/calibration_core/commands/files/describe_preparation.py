@@ -1,4 +1,4 @@
-"""What the results of `init`, `check`, `import`, `plan`, `simulate`, `export` and `fleet` say: numbers and next step."""
+"""What the results of `init`, `check`, `import`, `plan`, `simulate`, `export` and `fleet` say."""
 
 from __future__ import annotations
 

@@ -74,7 +74,8 @@ def plan_recheck(
     steps = _steps(cell, model, rules, len(q), rng)
     chosen, found, reference = _chosen(ground, model, q, steps, rules, (tolerance, risk, seed))
     if found.least_tolerance > tolerance:
-        expected = f"at least {rounded_up(found.least_tolerance):g} m: below, the instruments leave an unchanged robot undecided"
+        least = f"at least {rounded_up(found.least_tolerance):g} m"
+        expected = f"{least}: below, the instruments leave an unchanged robot undecided"
         raise PlanError("plan --for verify", "--tolerance", f"{tolerance:g} m", expected)
     speed = np.full(ground.site.chain.n, rules.joint_speed)
     way, _ = clear_order(ground.bodies, q[chosen], reference, rules.reference_every, speed)
