@@ -1,9 +1,9 @@
 """How fast a quantity changes over time: one definition for `compare` and `fleet`.
 
 A stiffness is followed as its logarithm: a straight line through ln K over the dates is a constant relative change per
-year, exp(slope) - 1, so that n years at that rate change K by (1 + yearly change)^n - 1.  A stiffness that has fallen by
-10.6 % in two years has fallen by 5.4 % a year.  Every other quantity (backlash, hysteresis, an effect's parameter) is
-followed as it is; its yearly change is the slope, in its unit per year.
+year, exp(slope) - 1, so that n years at that rate change K by (1 + yearly change)^n - 1.  A stiffness that has fallen
+by 10.6 % in two years has fallen by 5.4 % a year.  Every other quantity (backlash, hysteresis, an effect's parameter)
+is followed as it is; its yearly change is the slope, in its unit per year.
 
 Source: weighted least squares of value on date; compound growth.
 """

@@ -112,7 +112,7 @@ def test_every_kind_of_result_has_words(results: Path, capsys: pytest.CaptureFix
     ("plan for verify", (r"within the tolerance of 0\.150 mm, with a risk of either wrong answer of 5 %\.",
                          r"Any single change that reaches the tolerance in 5 % of the operating space is seen\.",
                          r"The smallest tolerance with these poses and instruments is 0\.0\d\d\d mm\.",
-                         "^Next step: measure the plan, then run calibration verify with the same model, --tolerance 0.00015 and")),
+                         "^Next step: measure the plan, then run calibration verify .* --tolerance 0.00015 and --fit")),
     ("export table", (r"in the format table: corrections\.csv\.", r"Deviation of the flange between nodes, beside",
                       r"largest \S+ µm, root mean square \S+ µm, at 1,000 postures\.", "^Next step: ")),
     ("export urdf", (r"in the format urdf: kinematics\.yaml, robot\.urdf\.", "Deviation of kinematics of the URDF")),
