@@ -162,8 +162,8 @@ def _trend(name: str, unit: str, time: Float1D, value: Float1D, std: Float1D, cr
     half = COVERAGE * line.slope_std
     slope, low, high = line.slope, line.slope - half, line.slope + half
     if relative:
-        return Trend(quantity, location, *map(yearly_change, (slope, low, high)), "1/year", verdict)
-    return Trend(quantity, location, slope, low, high, f"{unit}/year", verdict)
+        slope, low, high = (yearly_change(x) for x in (slope, low, high))
+    return Trend(quantity, location, slope, low, high, "1/year" if relative else f"{unit}/year", verdict)
 
 
 def _stiffnesses(first: Measurement, other: Measurement, limit: float, pairs: int) -> list[QuantityChange]:
