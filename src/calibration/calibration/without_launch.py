@@ -3,7 +3,8 @@
     source install/setup.bash
     .venv/bin/python -m calibration.without_launch simulated_cell cell:=CELL.yaml session:=DIR speed:=20.0
 
-The arguments are those of the launch file of that name.  Ctrl-C or SIGTERM ends every process, as launch does it.
+The arguments are those of the launch file of that name; `--help` states them.  Ctrl-C or SIGTERM ends every process,
+as launch does it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -35,6 +37,8 @@ from calibration_core.errors import InputError, quoted
 TREES = {"real_cell": REAL_CELL, "simulated_cell": SIMULATED_CELL, "replay": REPLAY}
 DONE, UNUSABLE = 0, 2
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+HELP = ("-h", "--help")
+WIDTH = 100  # characters of a line of help
 LOOK = 0.2  # s between looks at whether a process still runs
 
 
@@ -91,10 +95,35 @@ def asked_of(words: Sequence[str]) -> tuple[Tree, dict[str, str]]:
     return tree, values_of(tree, asked)
 
 
+def usage_of(words: Sequence[str]) -> str:
+    """Return what can be typed: the arguments of the tree that the first word names, or those of all trees."""
+    named = [word for word in words[:1] if word in TREES] or list(TREES)
+    lines = [
+        f"usage: python -m calibration.without_launch {'|'.join(named)} [NAME:=VALUE ...]",
+        "",
+        "Start the nodes of the launch file of that name where there is no `launch`; Ctrl-C or SIGTERM ends them.",
+    ]
+    for name in named:
+        width = 3 + max(len(argument.name) for argument in TREES[name].arguments)
+        lines += ["", f"arguments of {name}:"]
+        for argument in TREES[name].arguments:
+            default = "must be given" if argument.default is None else f"default {argument.default or 'empty'}"
+            among = f", one of {', '.join(argument.choices)}" if argument.choices else ""
+            text = f"{argument.description} ({default}{among})"
+            start = f"  {argument.name + ':=':{width}}"
+            lines += textwrap.wrap(text, WIDTH, initial_indent=start, subsequent_indent=" " * len(start),
+                                   break_long_words=False, break_on_hyphens=False)  # fmt: skip
+    return "\n".join(lines)
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Start a tree, wait until it is to end or nothing of it is left, end it; return the exit code."""
+    words = sys.argv[1:] if words is None else words
+    if any(word in HELP for word in words):
+        print(usage_of(words))
+        return DONE
     try:
-        tree, values = asked_of(sys.argv[1:] if words is None else words)
+        tree, values = asked_of(words)
     except InputError as error:
         print(error, file=sys.stderr)
         return UNUSABLE

@@ -115,6 +115,23 @@ def test_arguments_that_make_no_sense_are_one_line(
     assert (said.out, said.err.count("\n")) == ("", 1)
 
 
+@pytest.mark.parametrize("words", [["--help"], ["-h"], *([name, "--help"] for name in without_launch.TREES)])
+def test_help_states_every_argument_with_its_default(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 0
+    shown, error = capsys.readouterr()
+    assert error == ""
+    assert shown.startswith("usage: python -m calibration.without_launch ")
+    assert max(map(len, shown.splitlines())) <= 120
+    text = " ".join(shown.split())
+    asked = [name for name in without_launch.TREES if name in words] or list(without_launch.TREES)
+    for name, tree in without_launch.TREES.items():
+        assert (f"arguments of {name}:" in text) == (name in asked)
+        for argument in tree.arguments if name in asked else ():
+            default = "must be given" if argument.default is None else f"default {argument.default or 'empty'}"
+            among = f", one of {', '.join(argument.choices)}" if argument.choices else ""
+            assert f"{argument.name}:= {argument.description} ({default}{among})" in text
+
+
 def test_the_trees_are_those_of_the_launch_files() -> None:
     files = (Path(__file__).resolve().parents[1] / "launch").glob("*.launch.py")
     assert set(without_launch.TREES) == {path.name.removesuffix(".launch.py") for path in files}

@@ -196,7 +196,7 @@ def _identify(parser: argparse.ArgumentParser) -> None:
         "--method",
         choices=("equilibrium", "linear"),
         default="equilibrium",
-        help="deformed geometry with K_CSM and gravity, or the standard's linear equations (6) and (7), which neglect K_CSM",
+        help="deformed geometry with K_CSM and gravity, or the standard's equations (6) and (7), which neglect K_CSM",
     )
     parser.add_argument(
         "--weights",

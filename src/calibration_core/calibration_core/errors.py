@@ -6,6 +6,7 @@ what was found and what was expected; the command line prints it and ends with e
 
 from __future__ import annotations
 
+import decimal
 import errno
 import reprlib
 import shutil
@@ -140,6 +141,55 @@ def storage_fault(path: str | Path, error: OSError | sqlite3.Error, expected: st
     found = f"a full disk: {room.free / 1024:.0f} kB of {room.total / 1024:.0f} kB left"
     less = ", less than is to be written" if room.free else ""  # what was begun has been cleared away
     return f"{found}{less} ({text})", "room to write"
+
+
+def rounded_up(limit: float, digits: int = 3) -> float:
+    """Return a least value as a message states it: the smallest number of so many digits that is not below it."""
+    return _rounded(limit, digits, decimal.ROUND_CEILING)
+
+
+def rounded_down(limit: float, digits: int = 3) -> float:
+    """Return a largest value as a message states it: the largest number of so many digits that is not above it."""
+    return _rounded(limit, digits, decimal.ROUND_FLOOR)
+
+
+def _rounded(limit: float, digits: int, how: str) -> float:
+    exact = decimal.Decimal(str(float(limit)))
+    if not exact.is_finite() or not exact:
+        return float(limit)
+    place = decimal.Decimal(1).scaleb(exact.adjusted() - digits + 1)
+    return float((exact / place).to_integral_value(how) * place)
+
+
+def beyond(value: float, limit: float, places: int = 0) -> str:
+    """Return a value beyond a limit with so many decimals, and as many more as show that it is beyond.
+
+    Args:
+        value: What was found.
+        limit: The limit as it is stated beside it.
+        places: Fewest decimals.
+    """
+    for digits in range(places, places + 15):
+        text = f"{value:.{digits}f}"
+        if value == limit or (float(text) != limit and (float(text) > limit) == (value > limit)):
+            return text
+    return str(value)
+
+
+def apart(found: float, expected: float, tolerance: float, places: int = 0) -> tuple[str, str]:
+    """Return what was found and what was expected with so many decimals, and as many more as show that they differ.
+
+    Args:
+        found: Differs from `expected` by more than the tolerance.
+        expected: What it should be.
+        tolerance: As it is stated beside them.
+        places: Fewest decimals.
+    """
+    for digits in range(places, places + 15):
+        texts = f"{found:z.{digits}f}", f"{expected:z.{digits}f}"
+        if not abs(float(texts[0]) - float(texts[1])) <= tolerance * (1 + 1e-9):  # what is not finite is elsewhere
+            return texts
+    return str(found), str(expected)
 
 
 def quoted(value: object, limit: int = 60) -> str:

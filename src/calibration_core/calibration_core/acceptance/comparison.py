@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from calibration_core.acceptance.yearly_change import weighted_line, yearly_change
 from calibration_core.identification.statistics.distributions import normal_quantile
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.timeseries import Float1D, Float2D
@@ -86,12 +87,12 @@ class QuantityChange:
 
 @dataclasses.dataclass(frozen=True)
 class Trend:
-    """A straight line through all measurements of a quantity over time.
+    """How fast a quantity changes, from all measurements of it: a straight line over time, through ln K of a stiffness.
 
     Attributes:
         quantity: As in `QuantityChange`.
         location: As there.
-        slope: Relative change of a stiffness per year; per year in `unit` for all others.
+        slope: Relative change of a stiffness in one year, exp(slope of ln K) - 1; per year in `unit` for all others.
         low: Lower end of its 95 % interval.
         high: Upper end.
         unit: `1/year`, or the quantity's unit per year.
@@ -130,7 +131,7 @@ def compare(
 def trends(measurements: Sequence[Measurement]) -> tuple[Trend, ...]:
     """Return the trends of what all measurements have in common; none for fewer than three, or without their dates.
 
-    Source: weighted least squares of value on date.
+    The definition is that of `yearly_change`.
     """
     dates = [one.date for one in measurements if one.date is not None]
     if len(dates) < 3 or len(dates) < len(measurements) or len(set(dates)) < 3:
@@ -144,22 +145,25 @@ def trends(measurements: Sequence[Measurement]) -> tuple[Trend, ...]:
             index = [one.names.index(name) for one in estimates]
             value = np.array([one.value[k] for one, k in zip(estimates, index, strict=True)])
             std = np.array([one.std[k] for one, k in zip(estimates, index, strict=True)])
-            found.append(_trend(name, estimates[0].units[index[0]], time, value, std, critical_size(level, len(names))))
-    return tuple(found)
+            unit = estimates[0].units[index[0]]
+            found.append(_trend(name, unit, time, value, std, critical_size(level, len(names))))
+    return tuple(one for one in found if one is not None)
 
 
-def _trend(name: str, unit: str, time: Float1D, value: Float1D, std: Float1D, critical: float) -> Trend:
-    weight = 1 / std**2
-    centred = time - np.sum(weight * time) / np.sum(weight)
-    spread = float(np.sum(weight * centred**2))
-    slope, error = float(np.sum(weight * centred * value)) / spread, 1 / math.sqrt(spread)
-    verdict: Verdict = "changed" if abs(slope) > critical * error else "cannot_tell"
-    ends = sorted((slope - COVERAGE * error, slope + COVERAGE * error))
+def _trend(name: str, unit: str, time: Float1D, value: Float1D, std: Float1D, critical: float) -> Trend | None:
     quantity, location = _named(name)
-    if quantity == "stiffness":  # K = 1/C: a compliance that grows is a stiffness that falls
-        mean = float(np.sum(weight * value) / np.sum(weight))
-        return Trend(quantity, location, -slope / mean, -ends[1] / mean, -ends[0] / mean, "1/year", verdict)
-    return Trend(quantity, location, slope, ends[0], ends[1], f"{unit}/year", verdict)
+    relative = quantity == "stiffness"
+    if relative:
+        if not (value > 0).all():  # the logarithm of no spring
+            return None
+        value, std = -np.log(value), std / value  # ln K = -ln C
+    line = weighted_line(time, value, std)
+    verdict: Verdict = "changed" if abs(line.slope) > critical * line.slope_std else "cannot_tell"
+    half = COVERAGE * line.slope_std
+    slope, low, high = line.slope, line.slope - half, line.slope + half
+    if relative:
+        slope, low, high = (yearly_change(x) for x in (slope, low, high))
+    return Trend(quantity, location, slope, low, high, "1/year" if relative else f"{unit}/year", verdict)
 
 
 def _stiffnesses(first: Measurement, other: Measurement, limit: float, pairs: int) -> list[QuantityChange]:

@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from calibration_core.acceptance.yearly_change import weighted_line, weighted_mean
 from calibration_core.timeseries import Float1D
 
 COVERAGE = 1.959964
@@ -64,7 +65,8 @@ class History:
     Attributes:
         value: What it is now, as far as all dates since the last change tell.
         std: Standard deviation of `value`.
-        slope: Per year, a line through all dates since the last change; NaN from one date.
+        slope: Per year, a line through all dates since the last change; NaN from one date.  Of the logarithm of a
+            stiffness: `acceptance.yearly_change` turns it into a relative change.
         slope_std: Its standard deviation.
         changes: Steps, in the order of time.
         cause: What changed it, if anything.
@@ -98,22 +100,22 @@ def history(years: Float1D, value: Float1D, std: Float1D, critical: float) -> Hi
     """
     changes = _segmented(value, std, critical)
     start = changes[-1].index if changes else 0
-    level, level_std, slope, slope_std = _line(years[start:], value[start:], std[start:])
+    line = weighted_line(years[start:], value[start:], std[start:])
     cause: Cause = "change" if changes else "none"
-    steep = math.isfinite(slope) and slope_std > 0 and abs(slope) > critical * slope_std
+    steep = math.isfinite(line.slope) and line.slope_std > 0 and abs(line.slope) > critical * line.slope_std
     if changes and len(value) >= 3:
         cause = _cause(years, value, std, changes, critical)
         if cause == "trend":
             changes, start = (), 0
-            level, level_std, slope, slope_std = _line(years, value, std)
+            line = weighted_line(years, value, std)
             steep = True
     elif steep:
         cause = "trend"
     if steep and cause == "trend":
         now, now_std = _at_end(years[start:], value[start:], std[start:])
     else:
-        now, now_std = level, level_std
-    return History(now, now_std, slope, slope_std, changes, cause, len(value))
+        now, now_std = line.mean, line.mean_std
+    return History(now, now_std, line.slope, line.slope_std, changes, cause, len(value))
 
 
 def life(found: History, limit: float) -> Life:
@@ -159,44 +161,28 @@ def _segmented(value: Float1D, std: Float1D, critical: float) -> tuple[Change, .
 
 def _step(value: Float1D, std: Float1D, start: int, k: int, end: int) -> tuple[float, float]:
     (before, before_std), (after, after_std) = (
-        _mean(value[part], std[part]) for part in (slice(start, k), slice(k, end))
+        weighted_mean(value[part], std[part]) for part in (slice(start, k), slice(k, end))
     )
     return after - before, math.hypot(before_std, after_std)
 
 
-def _mean(value: Float1D, std: Float1D) -> tuple[float, float]:
-    weight = 1 / std**2
-    return float(np.sum(weight * value) / np.sum(weight)), 1 / math.sqrt(float(np.sum(weight)))
-
-
-def _line(years: Float1D, value: Float1D, std: Float1D) -> tuple[float, float, float, float]:
-    """Return mean, its standard deviation, slope and its standard deviation."""
-    mean, mean_std = _mean(value, std)
-    weight = 1 / std**2
-    centred = years - float(np.sum(weight * years) / np.sum(weight))
-    information = float(np.sum(weight * centred**2))
-    if np.ptp(years) <= 0:
-        return mean, mean_std, math.nan, math.inf
-    return mean, mean_std, float(np.sum(weight * centred * value)) / information, 1 / math.sqrt(information)
-
-
 def _at_end(years: Float1D, value: Float1D, std: Float1D) -> tuple[float, float]:
-    mean, mean_std, slope, slope_std = _line(years, value, std)
+    line = weighted_line(years, value, std)
     weight = 1 / std**2
     lever = float(years[-1] - np.sum(weight * years) / np.sum(weight))
-    return mean + slope * lever, math.hypot(mean_std, slope_std * lever)
+    return line.mean + line.slope * lever, math.hypot(line.mean_std, line.slope_std * lever)
 
 
 def _cause(years: Float1D, value: Float1D, std: Float1D, changes: tuple[Change, ...], critical: float) -> Cause:
     """Say whether steps or one line through all dates explain more, each number costing what makes it significant."""
-    mean, _, slope, _ = _line(years, value, std)
+    fitted = weighted_line(years, value, std)
     weight = 1 / std**2
     centred = years - float(np.sum(weight * years) / np.sum(weight))
-    line = float(np.sum(((value - mean - slope * centred) / std) ** 2)) + critical**2
+    line = float(np.sum(((value - fitted.mean - fitted.slope * centred) / std) ** 2)) + critical**2
     ends = [0, *(change.index for change in changes), len(value)]
     steps = critical**2 * len(changes)
     for start, end in itertools.pairwise(ends):
-        level, _ = _mean(value[start:end], std[start:end])
+        level, _ = weighted_mean(value[start:end], std[start:end])
         steps += float(np.sum(((value[start:end] - level) / std[start:end]) ** 2))
     if abs(line - steps) < AS_GOOD:
         return "change_or_trend"

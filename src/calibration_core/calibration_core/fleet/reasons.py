@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from calibration_core.acceptance.yearly_change import yearly_change
 from calibration_core.model.effects.words import plain_name
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def _over_time(
     history, found = state.history, []
 
     def sized(size: float) -> str:
-        return f"{100 * math.expm1(size):+z.1f} %" if relative else f"{1e3 * size:+z.3f} mrad"
+        return f"{100 * yearly_change(size):+z.1f} %" if relative else f"{1e3 * size:+z.3f} mrad"
 
     if history.cause == "trend" and abs(history.slope) >= least:
         text = f"{name} changes by {sized(history.slope)} a year"

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from calibration_core.acceptance.yearly_change import yearly_change
 from calibration_core.files.written import csv_bytes, unsigned_zeros
 from calibration_core.fleet.plant import JointState, Plant
 from calibration_core.fleet.series import STIFFNESS
@@ -35,20 +36,24 @@ def ranking(plant: Plant) -> list[Record]:
 
 
 def joints(plant: Plant) -> list[Record]:
-    """Return every quantity of every robot; N*m/rad (N/m) of a stiffness, rad (m) of a backlash or hysteresis."""
+    """Return every quantity of every robot; N*m/rad (N/m) of a stiffness, rad (m) of a backlash or hysteresis.
+
+    `per_year` is that of `acceptance.yearly_change`: relative of a stiffness (unit 1/year), else in rad/year.
+    """
     return [_joint(state) for state in plant.states]
 
 
 def _joint(state: JointState) -> Record:
     found = state.history
-    low, high = found.slope_interval
+    yearly = (found.slope, *found.slope_interval)
+    slope, low, high = map(yearly_change, yearly) if state.kind == STIFFNESS else yearly
     return {
         "type": state.type, "robot": state.robot, "quantity": state.kind, "joint": state.joint,
         "raw": state.raw, "raw_low": state.raw_low, "raw_high": state.raw_high,
         "pooled": state.pooled, "pooled_low": state.pooled_low, "pooled_high": state.pooled_high,
         "is_pooled": state.is_pooled, "belongs": state.belongs, "deviation": state.deviation,
         "dates": found.dates, "cause": found.cause, "changes": len(found.changes),
-        "per_year": found.slope, "per_year_low": low, "per_year_high": high,
+        "per_year": slope, "per_year_low": low, "per_year_high": high,
         "per_year_unit": "1/year" if state.kind == STIFFNESS else "rad/year",
         "months_to_limit": state.life.months if state.life.known else math.nan,
         "months_low": state.life.low if state.life.known else math.nan,

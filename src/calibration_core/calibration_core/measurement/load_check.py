@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.errors import apart, beyond, rounded_down
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.recorded_load import recorded_load
@@ -113,11 +114,14 @@ class LoadCheck:
         size, seen = float(np.linalg.norm(wanted)), float(np.linalg.norm(found))
         allowed = self._allowed(size, floor)
         if abs(seen - size) > allowed:
-            return f"size {seen:.0f}, expected {size:.0f} ± {allowed:.0f}"
+            allowed = rounded_down(allowed)
+            texts = apart(seen, size, allowed)
+            return f"size {texts[0]}, expected {texts[1]} ± {allowed:g}"
         angle = float(np.arctan2(np.linalg.norm(np.cross(wanted, found)), wanted @ found))
         if float(np.linalg.norm(found - wanted)) > floor and angle > self._tolerances.direction:
-            limit = np.rad2deg(self._tolerances.direction)
-            return f"{np.rad2deg(angle):.1f}° from the direction wanted, expected at most {limit:.1f}°"
+            limit = rounded_down(float(np.rad2deg(self._tolerances.direction)), 2)
+            turned = beyond(float(np.rad2deg(angle)), limit, 1)
+            return f"{turned}° from the direction wanted, expected at most {limit:g}°"
         return ""
 
 

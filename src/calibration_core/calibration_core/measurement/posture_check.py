@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from calibration_core.errors import apart
 from calibration_core.planning.plans.tolerances import Tolerances
 from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Int1D
 
@@ -53,8 +54,8 @@ def posture_fault(
         off = np.abs(stood.q - expected)
         row, joint = np.unravel_index(int(np.argmax(off)), off.shape)
         if not off[row, joint] <= tolerance:  # what is not finite is elsewhere
-            found, wanted = stood.q[row, joint], expected[joint]
-            return f"{joints[joint]}: found {found:z.5f} rad, expected {wanted:z.5f} ± {tolerance:.5f} rad {what}"
+            found, wanted = apart(float(stood.q[row, joint]), float(expected[joint]), tolerance, 5)
+            return f"{joints[joint]}: found {found} rad, expected {wanted} ± {tolerance:.5f} rad {what}"
     return ""
 
 

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from calibration_core.errors import TrajectoryError
+from calibration_core.errors import TrajectoryError, beyond, rounded_down
 from calibration_core.motion.speed import SAFETY_RATED_SPEED, Monitored, hermite_bound
 from calibration_core.timeseries import Float1D, Float2D, read_only
 
@@ -162,9 +162,8 @@ def checked(monitored: Monitored, trajectory: Trajectory, limits: MotionLimits) 
         bound = hermite_bound(monitored, time, position, velocity, pieces)
     if bound.max() > limits.speed:
         name = monitored.names[int(np.argmax(bound.max(axis=0)))]
-        raise TrajectoryError(
-            "trajectory", name, f"{1e3 * bound.max():.1f} mm/s at most", f"at most {1e3 * limits.speed:.0f} mm/s"
-        )
+        found, most = 1e3 * float(bound.max()), rounded_down(1e3 * limits.speed)
+        raise TrajectoryError("trajectory", name, f"{beyond(found, most, 1)} mm/s at most", f"at most {most:g} mm/s")
     _within_limits(monitored, _turning_points(time, position, velocity), "trajectory")
     return float(bound.max())
 

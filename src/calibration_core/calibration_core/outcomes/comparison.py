@@ -6,7 +6,7 @@ import dataclasses
 import datetime as dt
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,8 @@ from calibration_core.model.identified.model_file import read_calibrated
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import digest_of, look
+from calibration_core.recording.source import digests_of_several
+from calibration_core.report.results.provenance import further_cells
 from calibration_core.report.rounding import readable_unit, significant
 from calibration_core.report.writing.output import MAX_RESULT, RESULT
 from calibration_core.timeseries import Readings
@@ -44,7 +46,7 @@ class Compared:
         differences: Per measurement after the first.
         trends: Over time; empty for fewer than three.
         cells: One per measurement.
-        digests: File -> SHA-256 of every recording and model.
+        digests: Measurement and file -> SHA-256 of every recording and model.
         remarks: What a reader must know besides, a sentence each.
     """
 
@@ -54,6 +56,11 @@ class Compared:
     cells: tuple[Cell, ...]
     digests: dict[str, str]
     remarks: tuple[str, ...]
+
+    @property
+    def inputs(self) -> dict[str, Mapping[str, str]]:
+        """Role -> file -> SHA-256 of all input files but those of the first cell."""
+        return {"measurement": self.digests, **further_cells(self.cells)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,7 +104,7 @@ def compared_sources(
         compare(measurements, limit),
         trends(measurements),
         cells,
-        {name: digest for one in sources for name, digest in one.digests.items()},
+        digests_of_several((one.measurement.label, one.digests) for one in sources),
         tuple(remarks),
     )
 

@@ -11,7 +11,7 @@ from calibration_core.compensation.deflection import Deflection, PlaneMap, defle
 from calibration_core.compensation.limits import GRAVITY, OVERLOAD, outside
 from calibration_core.compensation.robot import CalibratedRobot, Conditions
 from calibration_core.compensation.task import Task
-from calibration_core.errors import InputError
+from calibration_core.errors import InputError, rounded_down
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.outcomes.compensation import remarks
 from calibration_core.timeseries import Float2D
@@ -61,7 +61,8 @@ def deflected(robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axe
     if refused:
         row, why = refused[0]
         reached = "a place that the robot reaches within its limits"
-        rated = f"at most {robot.cell.robot.rated_load * GRAVITY:.4g} N with the payload (robot.rated_load of the cell)"
+        most = rounded_down(robot.cell.robot.rated_load * GRAVITY)
+        rated = f"at most {most:g} N with the payload (robot.rated_load of the cell)"
         raise task.fault(row, why, rated if why == OVERLOAD else reached)
     conditions = Conditions(task.time, task.temperature, task.path)
     found = deflect(robot, q, task.wrench, conditions, model.estimate, axes)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -51,3 +53,26 @@ def sha256_of(path: Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise RecordingError(path, "", error.strerror or str(error), "a readable file") from None
+
+
+def file_names(paths: Sequence[Path]) -> tuple[str, ...]:
+    """Return what input files are called in a result: their names, or their paths where two have the same name."""
+    count = Counter(path.name for path in dict.fromkeys(paths))
+    return tuple(path.name if count[path.name] == 1 else str(path) for path in paths)
+
+
+def digests_of_several(inputs: Iterable[tuple[str, Mapping[str, str]]]) -> dict[str, str]:
+    """Return the digests of all files of several inputs, each file named with its input.
+
+    Args:
+        inputs: Name of an input, and its file -> SHA-256; a later input of the same name with another content is
+            numbered.
+    """
+    found: dict[str, str] = {}
+    for name, files in inputs:
+        title, number = name, 1
+        while any(found.get(f"{title}: {file}", digest) != digest for file, digest in files.items()):
+            number += 1
+            title = f"{name} ({number})"
+        found |= {f"{title}: {file}": digest for file, digest in files.items()}
+    return found

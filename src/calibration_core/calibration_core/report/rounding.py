@@ -77,6 +77,11 @@ def significant(value: float, digits: int = 2) -> str:
     return fixed(value, decimals(abs(value), digits) if value else 0)
 
 
+def length_in_words(value: float) -> str:
+    """Return a length (m) in the unit that suits it: mm, µm, or m in exponent form where it is next to nothing."""
+    return f"{1e3 * value:.3f} mm" if value >= 1e-4 else f"{1e6 * value:.3g} µm" if value >= 1e-8 else f"{value:.1g} m"
+
+
 def spread(value: float) -> str:
     """Return the size of a deviation or uncertainty: two significant digits, whole numbers in full from 100 on."""
     return fixed(value, 0) if abs(value) >= 99.5 else significant(value)

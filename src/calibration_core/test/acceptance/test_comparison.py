@@ -116,6 +116,7 @@ def test_a_trend_over_three_years() -> None:
     slopes = {one.location: one for one in trends(series)}
     assert slopes["joint_2"].verdict == "changed"
     assert slopes["joint_2"].slope == pytest.approx(-0.042, rel=0.15)
+    assert (1 + slopes["joint_2"].slope) ** 3 == pytest.approx(0.88, abs=0.005)  # what three years make of it
     assert slopes["joint_2"].low < slopes["joint_2"].slope < slopes["joint_2"].high
     assert [one.location for one in slopes.values() if one.verdict == "changed"] == ["joint_2"]
     assert trends(series[:2]) == ()

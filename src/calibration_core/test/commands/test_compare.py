@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -92,3 +93,25 @@ def test_what_it_refuses(
     assert text in error
     assert len(error.splitlines()) <= 3  # progress may stand before the line
     assert not (tmp_path / "out").exists()
+
+
+def test_every_file_of_every_measurement_has_its_digest(
+    simulated: Path, identified: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    again = tmp_path / "identified_again"
+    assert run("identify", later, "--cell", CELL, "--no-report", "--out", again) == 0
+    other = tmp_path / "other.cell.yaml"
+    other.write_bytes(CELL.read_bytes() + b"# the cell of another day\n")
+    measurements = (simulated / "measurements.csv", later, simulated / "recording", identified, again)
+    cells = [word for cell in (CELL, CELL, CELL, CELL, other) for word in ("--cell", cell)]
+    assert run("compare", *measurements, *cells, "--out", tmp_path / "out") == 0
+    listed = {(row["role"], row["file"]): row["sha256"] for row in result_of(tmp_path / "out")["input"]["sha256"]}
+    files = [simulated / "measurements.csv", later, *sorted((simulated / "recording").iterdir())]
+    files += [identified / "model.yaml", again / "model.yaml"]
+    named = [("measurement", f"{path if path in measurements else path.parent}: {path.name}") for path in files]
+    expected = dict(zip(named, files, strict=True)) | {("cell", str(CELL)): CELL, ("cell", str(other)): other}
+    digests = {key: hashlib.sha256(path.read_bytes()).hexdigest() for key, path in expected.items()}
+    assert {key: digest for key, digest in listed.items() if key[0] in {"measurement", "cell"}} == digests
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    for digest in digests.values():
+        assert digest in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,9 @@ import yaml
 from program import CELL, names, result_of, run
 
 from calibration_core.cell import load_cell
+from calibration_core.cli import parse
+from calibration_core.commands.planning.plan import next_step
+from calibration_core.commands.shared.common import typed
 from calibration_core.planning.plans.plan_file import read_plan
 
 DEMO = CELL.with_name("demo.cell.yaml")
@@ -183,3 +187,42 @@ def test_poses_that_decide_whether_a_calibration_holds(
     found = result_of(out)["verify"]
     assert found["decides"] is True
     assert found["least_tolerance"] < 1.5e-4
+    following = ("verify", "RECORDING", "--cell", CELL, "--model", model, "--tolerance", "0.00015", "--fit-tracker")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == f"next: measure it, then {typed(*following)}"
+    assert [line for line in lines if re.search(r"calibration [a-z]+ RECORDING", line)] == lines[
+        -1:
+    ]  # one next step, not two
+
+
+def test_the_smallest_tolerance_that_a_refusal_states_is_accepted(
+    identified: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = identified / "model.yaml"
+    arguments = ("--cell", CELL, "--for", "verify", "--model", model, "--risk", "0.1", "--no-report")
+    least, tried = 2e-5, []
+    while run("plan", *arguments, "--tolerance", f"{least:g}", "--out", tmp_path / "out") == 2:
+        stated = re.search(r"found (\S+) m, expected at least (\S+) m", capsys.readouterr().err)
+        assert stated
+        assert float(stated[1]) < float(stated[2])
+        least = float(stated[2])
+        tried.append(least)
+        assert len(tried) < 4
+    assert tried
+    assert result_of(tmp_path / "out")["verify"]["least_tolerance"] <= least
+    shown = re.search(r"smallest tolerance with these instruments (\S+) mm", capsys.readouterr().out)
+    assert shown
+    assert 1e-3 * float(shown[1]) >= result_of(tmp_path / "out")["verify"]["least_tolerance"]
+
+
+@pytest.mark.parametrize(("options", "following"), [
+    ((), ("identify", "RECORDING", "--cell", CELL)),
+    (("--population", "p.yaml"), ("diagnose", "RECORDING", "--cell", CELL, "--population", "p.yaml")),
+    (("--population", "p.yaml", "--type", "a b"),
+     ("diagnose", "RECORDING", "--cell", CELL, "--population", "p.yaml", "--type", "a b")),
+    (("--for", "geometry"), ("identify", "RECORDING", "--cell", CELL)),
+    (("--for", "verify", "--model", "m.yaml", "--tolerance", "1.1e-4"),
+     ("verify", "RECORDING", "--cell", CELL, "--model", "m.yaml", "--tolerance", "0.00011", "--fit-tracker")),
+])  # fmt: skip
+def test_the_next_step_is_what_the_plan_is_for(options: tuple[str, ...], following: tuple[object, ...]) -> None:
+    assert next_step(parse(["plan", "--cell", str(CELL), *options])) == typed(*map(str, following))

@@ -21,6 +21,7 @@ RUN = [path for path in DOCUMENTS if any(language == "console" for language, _ i
 PYTHON = [path for path in DOCUMENTS if any(language == "python" for language, _ in blocks(path))]
 NOTEBOOKS = sorted(ROOT.glob("src/*/doc/notebooks/*.ipynb"))
 LANGUAGES = {"console", "python", "sh", "text", "yaml", ""}
+RESERVATION = re.compile(r"beyond the model's valid range|refused|usable with reservations|usable: no")
 PLACEHOLDER = re.compile(r"[A-Z]{2,}|\.\.\.|…")  # RECORDING stands for any
 
 
@@ -118,11 +119,15 @@ def test_every_command_that_is_written_is_one(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", PYTHON, ids=lambda path: path.name)
-def test_python_of_a_document_runs(path: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_of_a_document_runs(
+    path: Path, desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(desk)
     for language, text in blocks(path):
         if language == "python":
             exec(compile(text, path.name, "exec"), {})
+    stated = set(RESERVATION.findall(capsys.readouterr().out))
+    assert [words for words in stated if words not in path.read_text("utf-8")] == [], "the page does not speak of it"
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime as dt
 import json
 import math
 from pathlib import Path
@@ -10,12 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration_core.acceptance.comparison import Measurement, trends
 from calibration_core.commands.fleet.results import fleet_files
 from calibration_core.fleet.findings import found_in
 from calibration_core.fleet.next_robot.population_file import population_text, read_population
 from calibration_core.fleet.plant import CONSPICUOUS, UNKNOWN, Plant, evaluate_plant
 from calibration_core.fleet.proposals import proposals
 from calibration_core.fleet.recordings.rows import FAILED, MEASURED, Row
+from calibration_core.fleet.tables import joints
+from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.outcomes.comparison import described_trend
 from calibration_core.report.writing.output import REPORT_HTML
 
 DATES = ("2026-01-12", "2026-07-13", "2027-01-11")
@@ -185,3 +190,30 @@ def test_a_damage_that_was_clearly_seen_counts_although_the_last_recording_does_
     assert said(first, seen(second, 17.0, 9e-5), quiet) == []  # it has been repaired
     assert said(seen(first, 17.0, 3e-5), seen(last, 6.0, 3e-5)) == ["joint 3 has backlash (its last recording)"]
     assert said() == []
+
+
+def test_a_plant_and_a_comparison_state_the_same_yearly_change() -> None:
+    """A stiffness that has fallen by 10.6 % in two years falls by 5.4 % a year, whoever says so."""
+    dates, share = ("2024-01-01", "2025-01-01", "2026-01-01"), (1.0, 0.9457, 0.8944)
+    names, units = tuple(f"compliance.{joint}" for joint in JOINTS), ("rad/(N*m)",) * 6
+    rows, measurements = [], []
+    for row, date, left in zip(rows_of(np.random.default_rng(1), "ten kg", "one", ""), dates, share, strict=True):
+        stiffness = STIFFNESS * np.where(np.arange(6) == 1, left, 1.0)
+        covariance = np.diag((1e-3 / stiffness) ** 2)
+        rows.append(dataclasses.replace(
+            row, date=date, compliance=tuple((1 / stiffness).tolist()), covariance=tuple(covariance.ravel().tolist())
+        ))  # fmt: skip
+        estimate = GaussianEstimate(names, units, 1 / stiffness, covariance)
+        day = dt.datetime.fromisoformat(date).replace(tzinfo=dt.UTC)
+        measurements.append(Measurement(date, day, 18, estimate, GaussianEstimate.nothing()))
+    (trend,) = (one for one in trends(measurements) if one.location == "joint_2")
+    plant = evaluate_plant(rows)
+    (record,) = (one for one in joints(plant) if (one["quantity"], one["joint"]) == ("stiffness", "joint_2"))
+    assert trend.slope == pytest.approx(-0.0543, abs=1e-4)
+    assert (1 + trend.slope) ** 2 == pytest.approx(0.8944, abs=1e-3)
+    assert [record[key] for key in ("per_year", "per_year_low", "per_year_high")] == pytest.approx(
+        [trend.slope, trend.low, trend.high], rel=1e-3
+    )
+    assert record["per_year_unit"] == trend.unit == "1/year"
+    assert "-5.42 % per year" in described_trend(trend)
+    assert "stiffness of joint 2 changes by -5.4 % a year" in [one.text for one in plant.robots[0].reasons]

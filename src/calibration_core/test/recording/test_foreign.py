@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -251,6 +252,20 @@ def test_the_command_writes_a_measurement_table(tmp_path: Path, capsys: pytest.C
     rows = (tmp_path / "out" / "measurements.csv").read_text().splitlines()
     assert rows[0].startswith("configuration,step,q1")
     assert len(rows) == 1 + CONFIGURATIONS * STEPS * len(POINTS)
+
+
+def test_the_command_names_the_digest_of_every_file(tmp_path: Path) -> None:
+    paths = []
+    for path in write("PolyWorks: tab separated report with nominal and measured", tmp_path):
+        (tmp_path / path.stem).mkdir()
+        paths.append(path.rename(tmp_path / path.stem / "export.txt"))
+    assert len(paths) > 1
+    assert main(["import", *map(str, paths), "--out", str(tmp_path / "out")]) == 0
+    rows = json.loads((tmp_path / "out" / "result.json").read_text())["sha256"]
+    assert {row["file"]: row["sha256"] for row in rows} == {
+        str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths
+    }
+    assert set(import_files(paths).readings.provenance.sha256) == {str(path) for path in paths}
 
 
 def test_the_command_takes_a_map(tmp_path: Path) -> None:

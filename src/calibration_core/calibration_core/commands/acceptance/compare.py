@@ -119,7 +119,7 @@ def comparison_result(found: Compared) -> dict[str, Any]:
         ],
         trends=[dataclasses.asdict(one) for one in found.trends],
         remarks=list(found.remarks),
-        input=input_record(found.cells[0], None, {"measurement": found.digests}),
+        input=input_record(found.cells[0], None, found.inputs),
     )
 
 

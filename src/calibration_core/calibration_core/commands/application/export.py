@@ -21,6 +21,7 @@ from calibration_core.model.identified.given import read_given
 from calibration_core.outcomes.inputs import Inputs, naming_model
 from calibration_core.report.results.command import input_record
 from calibration_core.report.results.result import SCHEMA
+from calibration_core.report.rounding import length_in_words
 from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.report.writing.ownership import refuse_inputs
 
@@ -133,15 +134,10 @@ def export_summary(robot: ExportedRobot, exported: Exported) -> str:
     """Return how far what was written is from the model, what it does not hold, and what its reader must know."""
     lines = []
     for one in exported.deviations:
-        size = f"largest {_length(one.largest)}, root mean square {_length(one.rms)}"
+        size = f"largest {length_in_words(one.largest)}, root mean square {length_in_words(one.rms)}"
         lines.append(f"{one.what}: {size} at {one.postures} postures")
     left = _left(robot, exported)
     if left:
         lines.append(f"not in this format: {'; '.join(named(left))}")
     lines += [note.line for note in robot.notes]
     return "\n".join([*lines, *exported.notes, WITHOUT_FORMAT])
-
-
-def _length(value: float) -> str:
-    """Return a length in the unit that suits it."""
-    return f"{1e3 * value:.3f} mm" if value >= 1e-4 else f"{1e6 * value:.3g} µm" if value >= 1e-8 else f"{value:.1g} m"

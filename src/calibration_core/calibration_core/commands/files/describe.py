@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration_core.commands.files.describe_use import describe_use, records
+from calibration_core.commands.files.describe_preparation import OF_PREPARATION
+from calibration_core.commands.files.describe_use import OF_USE
+from calibration_core.commands.files.result_parts import Content, records
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.regular import read_regular
 from calibration_core.model.effects.words import effect_words
@@ -18,6 +20,7 @@ from calibration_core.report.rounding import STIFFNESS, counted, decimals, fixed
 from calibration_core.report.writing.output import RESULT
 
 MOST = 1 << 28  # bytes of a result.json
+EVALUATED = ("identify", "diagnose")
 OF_ROWS = ("compare", "compensate", "deflect")  # their `recording` is no recording: they read tasks, or several
 VERDICTS = {
     "consistent": "The model explains the recording to its noise.",
@@ -66,16 +69,22 @@ def describe(result: Mapping[str, Any]) -> list[str]:
         lines += [f"Usable: {str(result['usable']).replace('_', ' ')}. {_sentence(result.get('reason'))}".rstrip()]
         lines += [f"Next step: {result['next_step']}"] if result.get("next_step") else []
     verdict = result.get("verdict")
-    if isinstance(verdict, str) and verdict in VERDICTS and result["command"] in {"identify", "diagnose"}:
+    if isinstance(verdict, str) and verdict in VERDICTS and result["command"] in EVALUATED:
         lines.append(f"Verdict: {verdict}. {VERDICTS[verdict]}")
     lines += [_joint(joint) for joint in records(result, "stiffness")]
-    lines += describe_use(result) or _fit(result.get("fit"))
-    lines += [_named("Finding", one, "effect", "explanation") for one in records(result, "findings")]
-    lines += [_named("Anomaly", one, "kind", "text") for one in records(result, "anomalies")]
+    sentences = SENTENCES.get(str(result["command"]), _evaluated)
+    stated = [text for text in sentences(result) if text]
+    named = [_named("Finding", one, "effect", "explanation") for one in records(result, "findings")]
+    named += [_named("Anomaly", one, "kind", "text") for one in records(result, "anomalies")]
+    if result["command"] not in EVALUATED:
+        return [*lines, *named, *stated]
+    lines += [*stated, *named]
     proposals = records(result, "next_measurements")
     if proposals:
         why = proposals[0].get("why") or "see the report"
         lines.append(f"Proposed next measurements: {len(proposals)}; the first: {why}")
+    if result.get("usable") == "yes":
+        lines.append("Next step: use model.yaml, which calibration verify, deflect, compensate and export read.")
     return lines
 
 
@@ -147,6 +156,10 @@ def _fit(fit: Any) -> list[str]:
     return ["Fit per coordinate: " + ", ".join(shown) + "."] if shown else []
 
 
+def _evaluated(result: Content) -> Iterable[str]:
+    return _fit(result.get("fit"))
+
+
 def _place(of: Mapping[str, Any]) -> str:
     location = of.get("location")
     if not isinstance(location, Mapping) or not location:
@@ -158,3 +171,12 @@ def _at(key: str, value: Any) -> str:
     """Return a place: `joint joint_2`, `joints joint_2 and joint_3`, `all joints`, or what is there once, `tracker`."""
     named = phrase([*map(str, value)]) if isinstance(value, list) else str(value)
     return f"all {key}" if named == "all" else key if named == key else f"{key} {named}"
+
+
+SENTENCES: Mapping[str, Callable[[Content], Iterable[str]]] = {
+    **OF_PREPARATION,
+    "identify": _evaluated,
+    "diagnose": _evaluated,
+    **OF_USE,
+}
+"""Command -> what its results say beside what all have; every command that writes a result has an entry."""

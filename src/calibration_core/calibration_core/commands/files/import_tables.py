@@ -12,10 +12,10 @@ from calibration_core.commands.shared.common import typed
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.files.written import json_bytes
 from calibration_core.files.yaml_file import read_yaml
-from calibration_core.outcomes.inputs import digest_of
 from calibration_core.recording.foreign.join import Imported, import_files
 from calibration_core.recording.foreign.mapping import ImportMap, import_map
 from calibration_core.recording.foreign.source import Source
+from calibration_core.recording.source import file_names, sha256_of
 from calibration_core.recording.tables.table import write_table
 from calibration_core.report.results.provenance import software
 from calibration_core.report.results.result import SCHEMA
@@ -74,7 +74,7 @@ def _map(path: Path | None, files: Sequence[Path]) -> ImportMap | None:
 
 
 def _result(imported: Imported, arguments: argparse.Namespace) -> dict[str, Any]:
-    readings = imported.readings
+    readings, paths = imported.readings, [source.path for source in imported.sources]
     return {
         "schema": SCHEMA,
         "command": "import",
@@ -97,9 +97,8 @@ def _result(imported: Imported, arguments: argparse.Namespace) -> dict[str, Any]
         ],
         "account": list(imported.account),
         "sha256": [
-            {"role": "source", "file": name, "sha256": digest}
-            for path in [source.path for source in imported.sources]
-            for name, digest in digest_of(path).items()
+            {"role": "source", "file": name, "sha256": sha256_of(path)}
+            for name, path in zip(file_names(paths), paths, strict=True)
         ],
         "software": software(),
     }

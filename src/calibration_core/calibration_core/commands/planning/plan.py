@@ -159,8 +159,19 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 0.8, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, planned.files(report=arguments.report))
     where = f"plan: {arguments.out / PLAN} and {arguments.out / TABLE_1}"
-    following = typed("identify", "RECORDING", "--cell", arguments.cell)
-    return f"{planned.summary}\n{where}\n{report_line(arguments)}\nnext: measure it, then {following}"
+    return f"{planned.summary}\n{where}\n{report_line(arguments)}\nnext: measure it, then {next_step(arguments)}"
+
+
+def next_step(arguments: argparse.Namespace) -> str:
+    """Return the command that evaluates what the plan is for, once it is measured."""
+    words: list[str | Path] = ["RECORDING", "--cell", arguments.cell]
+    if arguments.purpose == "verify":
+        judged = ("--model", arguments.model, "--tolerance", f"{arguments.tolerance:g}", "--fit-tracker")
+        return typed("verify", *words, *judged)
+    if arguments.population is None:
+        return typed("identify", *words)
+    of_type = () if arguments.type is None else ("--type", arguments.type)
+    return typed("diagnose", *words, "--population", arguments.population, *of_type)
 
 
 def make(arguments: argparse.Namespace, cell: Cell, given: GivenModel | None) -> Planned:

@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration_core.acceptance.recheck import Recheck, recheck
 from calibration_core.cell import Cell
-from calibration_core.errors import InputError, PlanError
+from calibration_core.errors import InputError, PlanError, rounded_up
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulation.simulate import simulate_plan
@@ -23,7 +23,7 @@ from calibration_core.planning.plans.plan import Plan, PlannedConfiguration, Ref
 from calibration_core.planning.plans.planned_robot import planned_robot
 from calibration_core.planning.route import clear_order
 from calibration_core.report.document import Column, Facts, Section, Table
-from calibration_core.report.rounding import counted, fixed, listed
+from calibration_core.report.rounding import counted, fixed, listed, significant
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 POSTURES = 300  # that stand for the operating space, and to choose from
@@ -74,7 +74,8 @@ def plan_recheck(
     steps = _steps(cell, model, rules, len(q), rng)
     chosen, found, reference = _chosen(ground, model, q, steps, rules, (tolerance, risk, seed))
     if found.least_tolerance > tolerance:
-        expected = f"at least {found.least_tolerance:.2g} m: below, the instruments leave an unchanged robot undecided"
+        least = f"at least {rounded_up(found.least_tolerance):g} m"
+        expected = f"{least}: below, the instruments leave an unchanged robot undecided"
         raise PlanError("plan --for verify", "--tolerance", f"{tolerance:g} m", expected)
     speed = np.full(ground.site.chain.n, rules.joint_speed)
     way, _ = clear_order(ground.bodies, q[chosen], reference, rules.reference_every, speed)
@@ -161,18 +162,20 @@ def recheck_summary(found: Recheck) -> list[str]:
         worst = found.missed[0]
         reach = found.tolerance / max(found.coverage[worst], 1e-9)
         lines.append(
-            f"not decided by 8 poses: {listed(found.missed)}; a change of {worst} is seen from {1e3 * reach:.3f} mm on"
+            f"not decided by 8 poses: {listed(found.missed)}; a change of {worst} is seen from {_least(reach)} on"
         )
     else:
         lines.append(f"any single change that reaches {tolerance} in 5 % of the operating space is seen with {sure}")
     lines.append(
         f"an unchanged robot conforms with {sure}; smallest tolerance with these instruments "
-        f"{1e3 * found.least_tolerance:.3f} mm"
-    )
-    lines.append(
-        "afterwards: calibration verify RECORDING --cell CELL.yaml --model MODEL.yaml --tolerance M --fit-tracker"
+        f"{_least(found.least_tolerance)}"
     )
     return lines
+
+
+def _least(length: float) -> str:
+    """Return a smallest length (m) in mm, rounded so that what is stated is enough."""
+    return f"{significant(1e3 * rounded_up(length), 3)} mm"
 
 
 def recheck_section(found: Recheck) -> Section:
@@ -182,7 +185,7 @@ def recheck_section(found: Recheck) -> Section:
             ("Tolerance", f"{1e3 * found.tolerance:g} mm"),
             ("Risk of either wrong answer", f"{100 * found.risk:g} %"),
             ("Standard uncertainty", f"{1e6 * found.uncertainty:.1f} µm, the least certain reading"),
-            ("Smallest tolerance", f"{1e3 * found.least_tolerance:.3f} mm with these poses and instruments"),
+            ("Smallest tolerance", f"{_least(found.least_tolerance)} with these poses and instruments"),
         )
     )
     rows = tuple(

@@ -24,6 +24,7 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
+from calibration_core.recording.source import digests_of_several
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Provenance, Readings
 
 
@@ -203,7 +204,7 @@ def _provenance(each: Sequence[Provenance]) -> Provenance:
     return Provenance(
         path=", ".join(one.path for one in each),
         kind=", ".join(dict.fromkeys(one.kind for one in each)),
-        sha256={f"{one.path}: {name}": digest for one in each for name, digest in one.sha256.items()},
+        sha256=digests_of_several((one.path, one.sha256) for one in each),
         messages={f"{one.path}: {name}": count for one in each for name, count in one.messages.items()},
         start=min((one.start for one in each if one.start), default=""),
     )

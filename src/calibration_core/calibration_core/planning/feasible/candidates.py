@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import PlanError
+from calibration_core.errors import PlanError, beyond, rounded_down
 from calibration_core.model.kinematics import linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.planning.feasible.collision import CollisionModel
@@ -159,8 +159,10 @@ def loaded_postures(
     )
     limit = math.inf if rules.k_csm is None else rules.k_csm
     if not (found.k_csm <= limit).any():
-        text = f"K_CSM moves the points by {1e6 * float(found.k_csm.min()):.0f} µm or more under every pull"
-        raise PlanError(cell.path, "robot.stiffness", text, f"at most {1e6 * limit:.0f} µm")
+        most = rounded_down(1e6 * limit)
+        least = beyond(1e6 * float(found.k_csm.min()), most)
+        text = f"K_CSM moves the points by {least} µm or more under every pull"
+        raise PlanError(cell.path, "robot.stiffness", text, f"at most {most:g} µm")
     return found.of(found.k_csm <= limit)
 
 

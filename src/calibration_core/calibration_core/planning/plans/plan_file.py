@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import PlanError, quoted
+from calibration_core.errors import PlanError, beyond, quoted, rounded_down
 from calibration_core.files.yaml_file import YamlFile, read_yaml, yaml_text
 from calibration_core.model.robot import chain_of
 from calibration_core.planning.plans.plan import PREPARATION, Expected, Plan, PlannedConfiguration, Reference
@@ -187,7 +187,8 @@ def _configurations(path: Path, rows: object, cell: Cell, limits: Float2D) -> tu
         wrenches = np.array([_numbers(path, f"{place}.steps.{k}", step, 6) for k, step in enumerate(steps)])
         force = float(np.linalg.norm(wrenches[:, :3], axis=1).max())
         if force > 1.001 * rated:
-            raise PlanError(path, f"{place}.steps", f"{force:.0f} N", f"at most the rated load, {rated:.0f} N")
+            most = rounded_down(rated)
+            raise PlanError(path, f"{place}.steps", f"{beyond(force, most)} N", f"at most the rated load, {most:g} N")
         found[number] = PlannedConfiguration(number, q, wrenches, spare)
     configurations = tuple(found.values())
     if all(configuration.spare for configuration in configurations):

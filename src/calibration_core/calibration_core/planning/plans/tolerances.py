@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable
 
 from calibration_core.cell import Cell
-from calibration_core.errors import quoted
+from calibration_core.errors import quoted, rounded_down
 
 RATED_SHARE = 0.02
 DEVIATIONS = 5.0
@@ -82,5 +82,7 @@ def read_tolerances(value: object, fail: Callable[[str, str, str], Exception]) -
         if name == "force_floor" and number is None:
             continue
         if isinstance(number, bool) or not isinstance(number, int | float) or not low < number <= high:
-            raise fail(f"tolerances.{name}", quoted(number), f"a number above {low:g} and at most {high:.4g}")
+            raise fail(
+                f"tolerances.{name}", quoted(number), f"a number above {low:g} and at most {rounded_down(high):g}"
+            )
     return Tolerances(**value)

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration_core.errors import RecordingError, quoted
+from calibration_core.errors import RecordingError, beyond, quoted
 from calibration_core.files.names import NAME, is_name
 from calibration_core.recording.foreign.mapping import ImportMap
 from calibration_core.recording.foreign.meaning import AXES, FORCES, JOINT, TORQUES
 from calibration_core.recording.foreign.names import split_by, split_names
 from calibration_core.recording.foreign.source import Source, read_source
-from calibration_core.recording.source import sha256_of
+from calibration_core.recording.source import file_names, sha256_of
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Provenance, Readings
 
 SAME_POSTURE = 1e-3  # rad: joint angles that differ less belong to one configuration
@@ -289,7 +289,7 @@ def _by_time(rows: Source, source: Source, tolerance: float) -> Int1D:
     if gap.max() > tolerance:
         row = int(np.argmax(gap))
         expected = f"a row of {source.path.name} within {tolerance:g} s (tolerance in a map)"
-        raise rows.fault(row, "time", f"{gap[row]:.3g} s to the nearest", expected)
+        raise rows.fault(row, "time", f"{beyond(float(gap[row]), tolerance, 3)} s to the nearest", expected)
     return np.asarray(order[nearest], dtype=np.int64)
 
 
@@ -322,7 +322,8 @@ def _readings(rows: _Rows, q: Float2D, wrench: Float2D | None, paths: Sequence[P
     if not _in_order(configuration, step):
         order = np.lexsort((order, step, configuration))
     unknown: Float1D = np.full(len(q), np.nan)
-    files = {Path(path).name: sha256_of(Path(path)) for path in paths}
+    sources = [Path(path) for path in paths]
+    files = {name: sha256_of(path) for name, path in zip(file_names(sources), sources, strict=True)}
     readings = Readings(
         points=points,
         configuration=configuration,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import RecordingError
+from calibration_core.errors import RecordingError, rounded_down
 from calibration_core.timeseries import Bool1D, Int1D, Note, Readings
 
 MAX_DISTANCE = 80.0  # m; trackers measure up to 80 m
@@ -43,10 +43,10 @@ def check_plausible(path: Path, readings: Readings, cell: Cell, lines: Int1D, wo
     if readings.wrench is not None:
         most = OVERLOAD * cell.robot.rated_load * float(np.linalg.norm(cell.gravity) or 9.80665)
         force = np.linalg.norm(readings.wrench[:, :3], axis=1)
-        expected = f"a force in N, at most {most:.4g} ({OVERLOAD:g} times the rated load)"
+        expected = f"a force in N, at most {rounded_down(most):g} ({OVERLOAD:g} times the rated load)"
         _refuse(path, word, lines, "fx fy fz", force > most, force, expected)
         torque = np.linalg.norm(readings.wrench[:, 3:], axis=1)
-        expected = f"a torque in N*m, at most {most * MAX_ARM:.4g}"
+        expected = f"a torque in N*m, at most {rounded_down(most * MAX_ARM):g}"
         _refuse(path, word, lines, "tx ty tz", torque > most * MAX_ARM, torque, expected)
 
 

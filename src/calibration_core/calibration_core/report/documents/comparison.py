@@ -69,7 +69,7 @@ def comparison_document(found: Compared, result: bytes, day: dt.date | None = No
     if found.trends:
         sections.append(Section("Trends", "", (Items(tuple(described_trend(one) for one in found.trends)),)))
     sections.append(Section("Method", "", (Paragraph(_method()), *_remarks(found))))
-    sections.append(Section("Input and software", "", traceability_section(cell, None, {"measurement": found.digests})))
+    sections.append(Section("Input and software", "", traceability_section(cell, None, found.inputs)))
     return numbered(
         cleaned(
             Document(

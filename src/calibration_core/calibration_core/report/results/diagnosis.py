@@ -14,6 +14,7 @@ from calibration_core.diagnosis.location import Located
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.identification.result.estimate import Identification, JointStiffness
 from calibration_core.identification.result.stiffness_interval import joint_stiffness
+from calibration_core.recording.source import digests_of_several
 from calibration_core.report.results.result import anomaly_record, plain, result_dict, stiffness_row, tested
 from calibration_core.report.results.traffic_light import with_light
 
@@ -121,8 +122,7 @@ def further_files(diagnosis: Diagnosis) -> dict[str, Mapping[str, str]]:
         return files
     if len(compared) == 1:
         return {**files, "simulation": compared[0].sha256}
-    each = {f"{one.simulation}: {name}": digest for one in compared for name, digest in one.sha256.items()}
-    return {**files, "simulation": each}
+    return {**files, "simulation": digests_of_several((one.simulation, one.sha256) for one in compared)}
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:

@@ -35,8 +35,8 @@ WHAT = {
     GEOMETRY: "Corrections to the nominal geometry and the tracker pose that belongs to them: first from circles, then "
     "from all sweeps and known configurations together. What the recording does not determine stays nominal and is "
     "named.",
-    WRIST_CENTRE: "Wrist centre in the flange frame, by a fit of all readings of the wrist's motion, which begins where "
-    "spheres and trilateration put it; the points' uncertainty is in it.",
+    WRIST_CENTRE: "Wrist centre in the flange frame, by a fit of all readings of the wrist's motion, which begins "
+    "where spheres and trilateration put it; the points' uncertainty is in it.",
     POINTS: "Points in the flange frame, with the actual kinematics and its uncertainty.",
     STIFFNESS: "Compliances of the joints; what the phases before left uncertain is in their uncertainty.",
 }
