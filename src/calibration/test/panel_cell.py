@@ -94,6 +94,24 @@ def wait(page: Any, condition: Any, seconds: float = LONG) -> None:
         page.wait_for_timeout(50)
 
 
+def opened(
+    browser: Any, address: str, token: str, name: str = "Ann", prepare: Any = lambda _page: None, **options: Any
+) -> Any:
+    """A page of a new device that has entered; errors of its scripts are kept in `page.errors`."""
+    context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, "locale": "en-GB", **options})
+    page = context.new_page()
+    page.set_default_timeout(1e3 * LONG)
+    page.errors = []
+    page.on("pageerror", lambda error: page.errors.append(str(error)))
+    page.on("console", lambda one: page.errors.append(one.text) if "Content Security" in one.text else None)
+    prepare(page)
+    page.goto(f"{address}/#{token}")
+    page.fill("#name", name)
+    page.click("#enter")
+    page.wait_for_selector("#stop")
+    return page
+
+
 class Hands:
     """Pull as the sequencer wants it: what a person with a chain hoist does.
 
@@ -169,18 +187,7 @@ class Cell:
 
     def page(self, browser: Any, name: str = "Ann", **options: Any) -> Any:
         """A page of a new device that has entered; errors of its scripts are kept in `page.errors`."""
-        address, token = self.where()
-        context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, "locale": "en-GB", **options})
-        page = context.new_page()
-        page.set_default_timeout(1e3 * LONG)
-        page.errors = []
-        page.on("pageerror", lambda error: page.errors.append(str(error)))
-        page.on("console", lambda one: page.errors.append(one.text) if "Content Security" in one.text else None)
-        page.goto(f"{address}/#{token}")
-        page.fill("#name", name)
-        page.click("#enter")
-        page.wait_for_selector("#stop")
-        return page
+        return opened(browser, *self.where(), name, **options)
 
 
 @contextlib.contextmanager

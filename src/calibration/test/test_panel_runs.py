@@ -72,6 +72,65 @@ def test_it_ends_while_a_run_that_was_begun_there_goes_on(
         other.stop()
 
 
+@pytest.mark.parametrize("pages", [1, 3])
+def test_it_ends_while_pages_are_open(panel: Any, caplog: pytest.LogCaptureFixture, pages: int) -> None:
+    """Who looks is told nothing more: no task of a page is left when its loop ends."""
+    from calibration.lifecycle import machine
+
+    async def work() -> None:
+        address, token = panel.where()
+        async with client(address) as one, contextlib.AsyncExitStack() as stack:
+            await one.enter(token)
+            for _ in range(pages):
+                opened = one.http.ws_connect(f"{address}/pages", headers=one.headers())
+                await (await stack.enter_async_context(opened)).receive_str()
+            assert await asyncio.to_thread(panel.change, machine.DEACTIVATE), panel.trouble
+
+    for _ in range(3):
+        run(work())
+        gc.collect()
+        assert panel.change(machine.ACTIVATE), panel.trouble
+    assert panel.change(machine.DEACTIVATE), panel.trouble
+    gc.collect()
+    assert [one.getMessage() for one in caplog.records if one.name == "asyncio"] == []
+
+
+def test_work_that_was_begun_in_the_thread_has_ended_when_it_has(caplog: pytest.LogCaptureFixture) -> None:
+    """A task ends with its loop, also one that takes a moment to end, and one that another task has begun."""
+    from aiohttp import web
+
+    from calibration.web.serving import Serving, listening
+
+    ended = []
+
+    async def inner() -> None:
+        try:
+            await asyncio.sleep(3600.0)
+        finally:
+            await asyncio.sleep(0.05)  # what it holds is given back
+            ended.append("inner")
+
+    async def outer() -> None:
+        held.append(asyncio.create_task(inner()))
+        begun.set()
+        await asyncio.sleep(3600.0)
+
+    async def nothing() -> None:
+        return
+
+    held: list[Any] = []
+    begun = threading.Event()
+    serving = Serving(web.Application(), listening("127.0.0.1", 0), None, nothing)
+    serving.start()
+    serving.do(lambda: serving.begin(outer()))
+    assert begun.wait(5.0)
+    serving.stop()
+    assert ended == ["inner"]
+    held.clear()
+    gc.collect()
+    assert [one.getMessage() for one in caplog.records if one.name == "asyncio"] == []
+
+
 @contextlib.contextmanager
 def sequencer(context: Any, after: float, measure: Any) -> Iterator[None]:
     """A sequencer of which the graph shows a part at once, and whose action answers some seconds later."""

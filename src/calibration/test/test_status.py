@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,10 +27,12 @@ from calibration_interfaces.msg import (
 )
 from lifecycle_msgs.msg import State as Lifecycle
 
+from calibration.cell.reading_checks import PresentLoad
 from calibration.lifecycle.machine import ACTIVE
 from calibration.lifecycle.order import Order
 from calibration.status import faults as wrong
 from calibration.status.observer import Observer, Party, Verdict
+from calibration.status.procedure import ProcedureReport
 from calibration.status.whole import Whole
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
@@ -117,6 +122,43 @@ def test_a_run_as_people_see_it(watched: Watched) -> None:
     assert observer.question == ""
     watched.tell(m.Stop)
     assert (observer.text, observer.waiting) == ("the run is over", "")
+
+
+class Report:
+    """A node that keeps what is published."""
+
+    def __init__(self) -> None:
+        self.cell = SimpleNamespace(robot=SimpleNamespace(joints=()))
+        self.told: list[ProcedureState] = []
+
+    def create_publisher(self, *_: Any) -> Any:
+        return SimpleNamespace(publish=lambda one: self.told.append(copy.deepcopy(one)))
+
+    def now_ns(self) -> int:
+        return 0
+
+
+def test_who_resumes_is_told_and_after_the_end_nothing_is_left(watched: Watched) -> None:
+    node = Report()
+    report = ProcedureReport(node)
+
+    def told() -> tuple[bool, bool]:
+        report.publish(watched.sequence, watched.observer, lambda _: PresentLoad(), math.nan, moving=False)
+        return node.told[-1].paused, node.told[-1].held
+
+    begin(watched)
+    watched.tell(m.PermissionChanged, permitted=True)
+    assert told() == (False, False)
+    watched.tell(m.Pause)
+    assert told() == (True, False)
+    watched.tell(m.Resume)
+    watched.tell(m.PermissionChanged, permitted=False, reason="mode")
+    assert told() == (True, True)
+    watched.tell(m.PermissionChanged, permitted=True)
+    assert told() == (True, True)  # it is not resumed by itself
+    report.ended("the disk is full")
+    last = node.told[-1]
+    assert (last.state, last.paused, last.held, last.seconds_left) == (ProcedureState.FINISHED, False, False, 0.0)
 
 
 def test_a_load_of_another_run_is_named() -> None:

@@ -60,8 +60,8 @@ class ProcedureReport:
         """Tell that a run is over, and how."""
         self._message.state, self._message.text = ProcedureState.FINISHED, text
         self._message.waits_for, self._message.waiting, self._message.question = ProcedureState.NOBODY, "", ""
-        self._message.moving = self._message.paused = self._message.load_awaited = False
-        self._message.averaged = math.nan
+        self._message.moving = self._message.paused = self._message.held = self._message.load_awaited = False
+        self._message.averaged, self._message.seconds_left = math.nan, 0.0
         self._message.goal = []
         self._send()
 
@@ -87,7 +87,8 @@ class ProcedureReport:
         new = self._fresh(STATES[sequence.state], observer.text)
         new.plan, new.session, new.recording = old.plan, old.session, old.recording
         new.waits_for, new.waiting, new.question = int(observer.waits_for), observer.waiting, observer.question
-        new.paused, new.moving, new.readings = sequence.paused, moving, observer.readings
+        new.paused, new.held, new.moving = sequence.paused, sequence.held, moving
+        new.readings = observer.readings
         new.kind, new.phase_name = observer.item, observer.phase
         new.configuration, new.attempt = observer.configuration, observer.attempt
         new.step, new.steps = observer.step, observer.steps

@@ -53,11 +53,13 @@ class Folder:
     def _newest(self, *patterns: str) -> dict[str, Path]:
         found = [path for pattern in patterns for path in self.root.glob(pattern) if path.is_file()]
         found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
-        return {path.relative_to(self.root).as_posix(): path for path in found}
+        names = {path.relative_to(self.root): path for path in found}
+        return {name.as_posix(): path for name, path in names.items() if not _hidden(name)}
 
     def sessions(self) -> list[dict[str, Any]]:
         """Return the sessions there are, the newest first: name, and which evaluations have results."""
         found = [path for path in self.root.iterdir() if (path / DATABASE).is_file()] if self.root.is_dir() else []
+        found = [path for path in found if not _hidden(Path(path.name))]
         found.sort(key=lambda path: (path / DATABASE).stat().st_mtime, reverse=True)
         return [{"name": path.name, "files": sorted(self.files(path.name))} for path in found]
 
@@ -78,3 +80,8 @@ class Folder:
     def free(self) -> float | None:
         """Return the bytes that are free where the folder is; None: it is not there yet."""
         return float(shutil.disk_usage(self.root).free) if self.root.is_dir() else None
+
+
+def _hidden(name: Path) -> bool:
+    """Whether a name, or a folder on the way to it, begins with a dot: such files are of tools, not of operators."""
+    return any(part.startswith(".") for part in name.parts)

@@ -277,6 +277,7 @@ class Server:
             self._hub.pages.discard(page)
             session.pages -= 1
             session.left = time.monotonic()
+            await asyncio.wait({sending})  # it ends with the page, also where the server ends
         return socket
 
     async def _listen(self, socket: web.WebSocketResponse) -> None:

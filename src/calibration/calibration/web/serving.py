@@ -140,3 +140,12 @@ class Serving:
         for task in self._tasks:
             task.cancel()
         await runner.cleanup()
+        await self._end_tasks()
+
+    async def _end_tasks(self) -> None:
+        """End whatever is still under way: a task that its loop leaves behind is never ended."""
+        end = self._loop.time() + ENDING
+        while (rest := asyncio.all_tasks() - {asyncio.current_task()}) and (left := end - self._loop.time()) > 0.0:
+            for task in rest:
+                task.cancel()
+            await asyncio.wait(rest, timeout=left)  # in the meantime others may have been begun

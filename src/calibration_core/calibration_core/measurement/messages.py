@@ -326,6 +326,9 @@ class RunState(enum.Enum):
     FINISHED = "nothing"
 
 
+WORKING = frozenset({RunState.MOVING, RunState.SETTLING, RunState.LOADING, RunState.READING, RunState.UNLOADING})
+
+
 class Outcome(enum.Enum):
     """How the procedure ended."""
 

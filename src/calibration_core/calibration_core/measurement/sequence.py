@@ -59,7 +59,7 @@ class Sequence:
         self._load: Float1D | None = None if loaded else np.zeros(6)  # None: under way, failed, or not known
         self._wanted = np.zeros(6)
         self._readings: set[int] = set()  # requests for the present reading
-        self._request, self._deadline, self._now, self._begun = 0, math.inf, math.nan, math.nan
+        self._request, self._deadline, self._now = 0, math.inf, math.nan
         self._phase: tuple[int, int, Phase] | None = None
         self._out: list[m.Command] = []
 
@@ -85,15 +85,15 @@ class Sequence:
 
     @property
     def seconds_left(self) -> float:
-        """Estimate of the time left, s; NaN where nothing is known yet."""
-        return self.queue.seconds_left(self._now - self._begun)
+        """Estimate of the time left, s, without pauses; 0 once it has ended, NaN where nothing is known yet."""
+        return 0.0 if self._state is RunState.FINISHED else self.queue.seconds_left
 
     # --- events -------------------------------------------------------------------------------------------------------
 
     def handle(self, event: m.Event) -> tuple[m.Command, ...]:
         """Take one event; return what is to be done, in order."""
-        self._out = []
-        self._now = event.now
+        self._out, self._now = [], event.now
+        self.queue.pass_time(event.now, working=self._state in m.WORKING and not self.paused)
         if self._state is not RunState.FINISHED:
             self._dispatch(event)
         return tuple(self._out)
@@ -155,7 +155,7 @@ class Sequence:
                 self._failed(event.reason, moved=event.moved)
 
     def _start(self, event: m.Start) -> None:
-        self._begun, self._held = self._now, event.held
+        self._held = event.held
         text = f"{len(self.queue.completed)} of {self.queue.target} configurations are measured already"
         self._out.append(m.Record(Kind.RESUMED if self._resumed else Kind.STARTED, 0, 0, text if self._resumed else ""))
         self._advance()

@@ -92,9 +92,9 @@ def confirm(state: Plain, load: Pull) -> dict[str, Any]:
 
 
 def _procedure(one: Plain) -> dict[str, Any]:
-    keys = ("state", "waits_for", "text", "waiting", "question", "paused", "moving", "session", "plan", "recording",
-            "kind", "phase_name", "configuration", "attempt", "step", "steps", "share_done", "averaged", "seconds_left",
-            "load_awaited", "readings")  # fmt: skip
+    keys = ("state", "waits_for", "text", "waiting", "question", "paused", "held", "moving", "session", "plan",
+            "recording", "kind", "phase_name", "configuration", "attempt", "step", "steps", "share_done", "averaged",
+            "seconds_left", "load_awaited", "readings")  # fmt: skip
     found = {key: one[key] for key in keys}
     found["done"], found["total"] = one["configurations_done"], one["configurations_total"]
     found["skipped"] = one["configurations_skipped"]

@@ -6,6 +6,7 @@ import { before } from "./before.js";
 import { during } from "./during.js";
 import { after } from "./after.js";
 import { sound } from "./sound.js";
+import { edges } from "./edges.js";
 
 const state = { silent: true, hold: 0, me: {} };
 const top = document.getElementById("top");
@@ -19,6 +20,7 @@ state.follow = () => { chosen = false; begun = true; show("during"); };
 state.open = (name) => { chosen = true; show(name); };
 
 async function start() {
+  edges(top, foot);
   await speak(localStorage.getItem("language") || navigator.language.slice(0, 2));
   const secret = location.hash.slice(1);
   if (secret) history.replaceState(null, "", "/");

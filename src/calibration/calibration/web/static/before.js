@@ -62,8 +62,10 @@ export function before(state, told) {
     const aim = Number(wanted.value.replace(",", ".")) / 100 || 0;
     const answer = told(await ask("run", { plan: plan.value, session: resume ? session.value : name.value.trim(), resume, wanted_accuracy: aim, stop_when_enough: enough.checked }));
     asked = false;
-    if (answer.done) state.follow();
-    else update();
+    if (answer.done) {
+      typed = typed && resume; // the name is used now
+      state.follow();
+    } else update();
   }
   async function opened() {
     const found = await folder();
@@ -72,21 +74,27 @@ export function before(state, told) {
     state.proposed = "";
     judged.offer(found.models);
     options(session, [[NEW, w("session_new")], ...found.sessions.map((one) => [one.name, w("session_resume", { name: one.name })])], true);
-    if (!name.value) name.value = proposed(found.sessions.map((one) => one.name));
+    there = found.sessions.map((one) => one.name);
+    propose();
     update();
   }
   session.addEventListener("change", update);
   plan.addEventListener("change", update);
   for (const field of [purpose, against]) field.addEventListener("input", () => update());
-  function proposed(there) {
-    const wish = state.cell ? state.cell.session : "session";
-    for (let n = 1; ; n += 1) {
-      const one = n === 1 ? wish : `${wish}-${n}`;
-      if (!there.includes(one)) return one;
-    }
+  let there = null; // sessions; null: not known yet
+  let typed = false; // the name is the operator's, and stays
+  name.addEventListener("input", () => { typed = true; });
+  function propose() {
+    if (typed || !there || !state.cell) return;
+    const wish = state.cell.session;
+    let n = 1;
+    const one = () => (n === 1 ? wish : `${wish}-${n}`);
+    while (there.includes(one())) n += 1;
+    if (name.value !== one()) name.value = one();
   }
   let made = "";
   function update() {
+    propose();
     if (!state.view) return;
     const rowsNow = state.check || [];
     rows(list, rowsNow, (one) => {

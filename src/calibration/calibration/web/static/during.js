@@ -73,7 +73,8 @@ export function during(state, told) {
     const mine = Boolean(state.me.control);
     text(where, p.kind === "startup" ? w("startup") : p.kind === "reference" ? w("reference")
       : p.total ? w("configuration_of", { n: p.configuration, done: p.done, total: p.total }) : "");
-    text(left, `${w("time_left")}: ${duration(p.seconds_left)}${p.skipped ? ` · ${w("skipped", { n: p.skipped })}` : ""}`);
+    const remaining = view.running ? [`${w("time_left")}: ${duration(p.seconds_left)}`] : [];
+    text(left, [...remaining, ...(p.skipped ? [w("skipped", { n: p.skipped })] : [])].join(" · "));
     done.style.width = `${Math.round(100 * (p.share_done || 0))}%`;
     rows(chain, CHAIN.map((name) => [name, p.state === name]), ([name, on]) => {
       const one = h("li", {}, w(`phase_${name}`));
@@ -89,11 +90,11 @@ export function during(state, told) {
     text(speed, permission.known && permission.speed !== null
       ? w("speed", { speed: number(1000 * permission.speed), limit: number(1000 * permission.speed_limit), point: permission.speed_point }) : "");
     hide(reset, !permission.latched);
-    hide(motion, !(p.paused && p.waits_for === "operator"));
+    hide(motion, !p.held);
     hide(mode, !permission.reasons.some((one) => one === "mode_unknown" || one === "confirmation_expired"));
     for (const one of [reset, motion, mode, ...buttons, override]) one.disabled = !mine;
     hide(buttons[0], p.paused || !view.running);
-    hide(buttons[1], !p.paused);
+    hide(buttons[1], !p.paused || p.held);
     for (const one of buttons.slice(2)) one.disabled = !mine || !view.running || p.kind !== "configuration";
 
     const l = view.load;

@@ -5,11 +5,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from calibration_core.planning.plans.plan import REFERENCE_NUMBER, PhaseName, Plan, PlannedConfiguration
+from calibration_core.planning.plans.remaining_time import RemainingTime
 from calibration_core.timeseries import Float1D, Float2D
+
+TELLING = 0.2  # share of a run, after which what is done tells how long what is left takes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,6 +104,7 @@ class MeasurementQueue:
         self._phase: PhaseName | None = None
         self._since_reference = plan.reference.every if plan.reference is not None and self._pending else 0
         self._total = self._nominal_left()
+        self._time = RemainingTime(self._expected_pace(), TELLING * self._total)
 
     def next(self, now: float) -> Item | None:
         """Return what is to be done next, None if nothing is left; the same again until it is done or given up."""
@@ -137,6 +142,7 @@ class MeasurementQueue:
 
     def done(self, item: Item) -> None:
         """Strike off what was done."""
+        before = self._nominal_left()
         if item.kind == "startup":
             del self._startup_left[0]
         elif item.kind == "reference":
@@ -145,6 +151,7 @@ class MeasurementQueue:
             del self._pending[0]
             self.completed.add(item.number)
             self._since_reference += item.phase == "compliance"
+        self._time.count(before - self._nominal_left())
 
     def give_up(self, item: Item) -> PlannedConfiguration | None:
         """Strike off what cannot be done; return the spare that takes the place of a configuration."""
@@ -179,14 +186,29 @@ class MeasurementQueue:
         """Share of the work that is done, 0 ... 1, by nominal durations."""
         return max(0.0, 1.0 - self._nominal_left() / self._total) if self._total > 0 else 1.0
 
-    def seconds_left(self, elapsed: float) -> float:
-        """Estimate the time left, s, from how long what is done has taken; NaN before anything is done."""
-        share = self.share_done
-        return math.nan if share <= 0.0 else elapsed * (1.0 - share) / share
+    @property
+    def seconds_left(self) -> float:
+        """Estimate of the time left, s, without pauses; NaN where nothing is known yet."""
+        return self._time.of(self._nominal_left())
+
+    def pass_time(self, now: float, *, working: bool) -> None:
+        """Take the time, s of the caller's clock, and whether work was done since it was taken last."""
+        self._time.pass_to(now, working=working)
+
+    def _expected_pace(self) -> float:
+        """Return how many seconds the plan expects for a nominal one; NaN: it expects nothing."""
+        plan = self.plan
+        total = math.nan if plan.expected is None else plan.expected.duration.get("total", math.nan)
+        nominal = self._nominal(plan.startup_cycle, [*plan.preparation, *plan.primary])
+        return total / nominal if nominal > 0.0 and 0.0 < total < math.inf else math.nan
 
     def _nominal_left(self) -> float:
-        way = [*self._startup_left, *(c.q for c in self._pending)]
+        return self._nominal(self._startup_left, self._pending)
+
+    def _nominal(self, startup: Iterable[Float1D], configurations: Sequence[PlannedConfiguration]) -> float:
+        """Return the nominal seconds of a start-up cycle and configurations."""
+        way = [*startup, *(c.q for c in configurations)]
         rules = self._rules
         driven = sum(float(np.abs(b - a).max()) for a, b in itertools.pairwise(way)) / rules.joint_speed
-        steps = sum(len(c.steps) for c in self._pending)
+        steps = sum(len(c.steps) for c in configurations)
         return driven + steps * (rules.load_seconds + rules.reading_seconds)
