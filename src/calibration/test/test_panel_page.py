@@ -115,7 +115,7 @@ def slow_folder(page: Any) -> None:
     )
 
 
-@pytest.mark.parametrize("prepare", [slow_socket, slow_folder])
+@pytest.mark.parametrize("prepare", [slow_socket, pytest.param(slow_folder, marks=pytest.mark.slow)])
 def test_the_session_of_the_launch_file_is_proposed_whatever_comes_first(
     page_of: Callable[..., Any], state: State, prepare: Callable[[Any], None]
 ) -> None:
@@ -123,7 +123,7 @@ def test_the_session_of_the_launch_file_is_proposed_whatever_comes_first(
     wait(page, lambda: page.input_value("#session_name") == SESSION)
 
 
-@pytest.mark.parametrize("prepare", [slow_socket, slow_folder])
+@pytest.mark.parametrize("prepare", [slow_socket, pytest.param(slow_folder, marks=pytest.mark.slow)])
 def test_what_the_operator_has_typed_stays(
     page_of: Callable[..., Any], state: State, prepare: Callable[[Any], None]
 ) -> None:
@@ -187,7 +187,7 @@ def test_the_time_left_is_shown_while_there_is_any(page_of: Callable[..., Any], 
 
 @pytest.mark.parametrize(("held", "shown", "hidden"), [(False, "resume", "resume_motion"),
                                                        (True, "resume_motion", "resume")])  # fmt: skip
-@pytest.mark.parametrize("doing", [ProcedureState.READY, ProcedureState.LOADING])
+@pytest.mark.parametrize("doing", [ProcedureState.READY, pytest.param(ProcedureState.LOADING, marks=pytest.mark.slow)])
 def test_one_button_goes_on_after_a_pause(
     page_of: Callable[..., Any], state: State, held: bool, shown: str, hidden: str, doing: int
 ) -> None:
