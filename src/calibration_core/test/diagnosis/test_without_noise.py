@@ -17,15 +17,28 @@ TILT = AppliedEffect(
     "before",
     {"compliance_x": 2e-7, "compliance_y": 1e-7, "compliance_xy": 1e-8},
 )
-KINDS = {"loaded": {}, "at rest": {"configurations": 0, "rest": 40}, "both": {"configurations": 10, "rest": 30}}
+KINDS: dict[str, dict[str, Any]] = {
+    "loaded": {},
+    "at rest": {"configurations": 0, "rest": 40},
+    "both": {"configurations": 10, "rest": 30},
+}
 
 
-@pytest.mark.parametrize("effects", [(), (TILT,)], ids=["nothing", "a bearing"])
-@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_nothing_but_what_is_there_is_found(tmp_path: Path, kind: dict[str, Any], effects: tuple[Any, ...]) -> None:
+@pytest.mark.parametrize(
+    ("kind", "effects"),
+    [
+        ("loaded", ()),
+        ("at rest", ()),
+        ("both", (TILT,)),
+        pytest.param("loaded", (TILT,), marks=pytest.mark.slow),
+        pytest.param("at rest", (TILT,), marks=pytest.mark.slow),
+        pytest.param("both", (), marks=pytest.mark.slow),
+    ],
+)
+def test_nothing_but_what_is_there_is_found(tmp_path: Path, kind: str, effects: tuple[Any, ...]) -> None:
     """The points of a loaded recording stand a millimetre elsewhere than the cell file says, which is found, too."""
     cell = setup(tmp_path, 0)
-    found = diagnose(measured(cell, 0, 7, effects=effects, noise=0.0, **kind), cell)
+    found = diagnose(measured(cell, 0, 7, effects=effects, noise=0.0, **KINDS[kind]), cell)
     named = [(one.effect, dict(one.location)) for one in found.findings if one.effect != "measurement_point_offset"]
     assert named == [(one.effect, dict(one.location)) for one in effects]
     assert [one.kind for one in found.anomalies if one.kind != "noise_overstated"] == []
