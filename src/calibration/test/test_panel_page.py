@@ -20,7 +20,7 @@ from calibration.topics import STATE
 
 SESSION = "today"
 OFTEN = 0.2  # s between two states
-PATIENCE = 20.0  # s, that a page may take to show what it was told
+PATIENCE = 20.0  # s, that a page may take to show what it was sent
 SLOW_SOCKET = """
 const Quick = window.WebSocket;
 window.WebSocket = class extends Quick {
@@ -76,7 +76,7 @@ def page_of(chromium: Any, folder: Path, spinning: Any) -> Iterator[Callable[...
 
 @pytest.fixture
 def state(spinning: Any) -> State:
-    """A state that is told again and again; the test changes it."""
+    """A state that is published again and again; the test changes it."""
     procedure = ProcedureState(seconds_left=math.nan, averaged=math.nan, band_force=math.nan, band_angle=math.nan)
     one = State(procedure=procedure, procedure_known=True, permission_known=True)
     one.permission = Permission(permitted=True, speed=0.0, speed_limit=0.25)

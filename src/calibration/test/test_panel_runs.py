@@ -74,7 +74,7 @@ def test_it_ends_while_a_run_that_was_begun_there_goes_on(
 
 @pytest.mark.parametrize("pages", [1, 3])
 def test_it_ends_while_pages_are_open(panel: Any, caplog: pytest.LogCaptureFixture, pages: int) -> None:
-    """Who looks is told nothing more: no task of a page is left when its loop ends."""
+    """A page that only looks gets nothing more: no task of a page is left when its loop ends."""
     from calibration.lifecycle import machine
 
     async def work() -> None:

@@ -129,10 +129,10 @@ class Report:
 
     def __init__(self) -> None:
         self.cell = SimpleNamespace(robot=SimpleNamespace(joints=()))
-        self.told: list[ProcedureState] = []
+        self.published: list[ProcedureState] = []
 
     def create_publisher(self, *_: Any) -> Any:
-        return SimpleNamespace(publish=lambda one: self.told.append(copy.deepcopy(one)))
+        return SimpleNamespace(publish=lambda one: self.published.append(copy.deepcopy(one)))
 
     def now_ns(self) -> int:
         return 0
@@ -142,22 +142,22 @@ def test_who_resumes_is_told_and_after_the_end_nothing_is_left(watched: Watched)
     node = Report()
     report = ProcedureReport(node)
 
-    def told() -> tuple[bool, bool]:
+    def reported() -> tuple[bool, bool]:
         report.publish(watched.sequence, watched.observer, lambda _: PresentLoad(), math.nan, moving=False)
-        return node.told[-1].paused, node.told[-1].held
+        return node.published[-1].paused, node.published[-1].held
 
     begin(watched)
     watched.tell(m.PermissionChanged, permitted=True)
-    assert told() == (False, False)
+    assert reported() == (False, False)
     watched.tell(m.Pause)
-    assert told() == (True, False)
+    assert reported() == (True, False)
     watched.tell(m.Resume)
     watched.tell(m.PermissionChanged, permitted=False, reason="mode")
-    assert told() == (True, True)
+    assert reported() == (True, True)
     watched.tell(m.PermissionChanged, permitted=True)
-    assert told() == (True, True)  # it is not resumed by itself
+    assert reported() == (True, True)  # it is not resumed by itself
     report.ended("the disk is full")
-    last = node.told[-1]
+    last = node.published[-1]
     assert (last.state, last.paused, last.held, last.seconds_left) == (ProcedureState.FINISHED, False, False, 0.0)
 
 

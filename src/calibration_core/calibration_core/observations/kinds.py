@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.timeseries import Bool1D, Readings
+from calibration_core.timeseries import Bool1D, Float1D, Readings
 
 SLACK = 0.02  # of the largest force: less is none
 FEWEST = 12  # unloaded postures from which on they alone fix frames and geometry
@@ -53,21 +53,29 @@ def loaded_configurations(readings: Readings) -> list[int]:
     return [int(number) for number in np.unique(readings.configuration[~single_steps(readings)])]
 
 
-def unloaded_visits(readings: Readings) -> list[int]:
-    """Return the numbers of configurations with several steps at none of which anything pulls, as of a reference.
+def relative_pull(readings: Readings) -> Float1D:
+    """Return how hard every reading is pulled, (m,), as a share of the range of the force of its recording, 0 to 1.
 
-    The smallest force of a recording is that of no load: a sensor may show the weight of the tool.  Of several
-    recordings, each is judged by its own.
+    The smallest force of a recording is that of no load: a sensor may show the weight of the tool.  Zero where no
+    wrench was recorded, or the force is always the same.
     """
+    pull = np.zeros(len(readings))
+    if readings.wrench is not None:
+        for rows in readings.each():
+            force = np.linalg.norm(readings.wrench[rows, :3], axis=1)
+            if np.ptp(force) > 0:
+                pull[rows] = (force - force.min()) / np.ptp(force)
+    return pull
+
+
+def unloaded_visits(readings: Readings) -> list[int]:
+    """Return the numbers of configurations with several steps at none of which anything pulls, as of a reference."""
+    pulled = relative_pull(readings) > SLACK
     found: list[int] = []
-    if readings.wrench is None:
-        return found
     for rows in readings.each():
-        force = np.linalg.norm(readings.wrench[rows, :3], axis=1)
-        force -= force.min(initial=np.inf)
-        pulled = np.unique(readings.configuration[rows[force > SLACK * force.max(initial=0.0)]])
-        if len(pulled):
-            found += sorted(set(loaded_configurations(readings.select(rows))) - set(pulled.tolist()))
+        some = np.unique(readings.configuration[rows][pulled[rows]])
+        if len(some):  # otherwise nothing was loaded, or nobody knows
+            found += sorted(set(loaded_configurations(readings.select(rows))) - set(some.tolist()))
     return found
 
 

@@ -43,13 +43,13 @@ def go_on(world: Any, done: int, each: float = 0.0) -> None:
 
 
 def wait(world: Any, *, polls: int = 10) -> list[float]:
-    """Let time pass in which nothing is done; return the time left as it was told meanwhile."""
-    told = []
+    """Let time pass in which nothing is done; return the time left as it was reported meanwhile."""
+    reported = []
     for _ in range(polls):
         world.now += 30.0
         world.tell(m.PermissionChanged(world.now, world.permitted))
-        told.append(left(world))
-    return told
+        reported.append(left(world))
+    return reported
 
 
 def test_what_the_plan_expects_is_told_before_anything_is_done(world: Any) -> None:
@@ -79,10 +79,10 @@ def test_it_follows_how_long_what_is_done_took(started: Started, plan_of: Plans)
         world = started(expecting(plan_of(count=COUNT, spares=0), total=TOTAL))
         world.act("gain")
         go_on(world, COUNT // 2, each)
-        told, since = left(world), world.now
+        reported, since = left(world), world.now
         go_on(world, COUNT, each)
-        found[each] = told
-        assert told == pytest.approx(world.now - since, rel=0.2)
+        found[each] = reported
+        assert reported == pytest.approx(world.now - since, rel=0.2)
     assert found[9.0] == pytest.approx(10.0 * found[0.0], rel=0.05)  # its start-up cycle is repeated
 
 
@@ -99,8 +99,8 @@ def test_pauses_and_waiting_change_nothing(world: Any, begin: list[str], end: li
         world.act(action)
     while world.asked is not None:  # what was begun ends in the pause
         world.act("answer")
-    before, told = left(world), wait(world)
-    assert told == [before] * len(told)
+    before, reported = left(world), wait(world)
+    assert reported == [before] * len(reported)
     for action in end:
         world.act(action)
     go_on(world, len(world.completed) + 1)
@@ -138,6 +138,6 @@ def test_a_plan_that_expects_nothing_is_told_once_enough_is_done(
     go_on(world, 1)
     assert math.isnan(left(world))
     go_on(world, COUNT // 2)
-    told, since = left(world), world.now
+    reported, since = left(world), world.now
     go_on(world, COUNT)
-    assert told == pytest.approx(world.now - since, rel=0.2)
+    assert reported == pytest.approx(world.now - since, rel=0.2)

@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.identification.result.estimate import OperatingSpace, Precondition
-from calibration_core.observations.kinds import loaded_configurations, unloaded_visits
+from calibration_core.observations.kinds import loaded_configurations, relative_pull, unloaded_visits
 from calibration_core.timeseries import Condition, Float2D, Override, Readings
 
 MIN_CONFIGURATIONS = 12
@@ -176,18 +176,11 @@ def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
 
 
 def _unloaded(readings: Readings, cell: Cell) -> list[Precondition]:
-    """Say whether every loaded configuration was measured without load, too; displacements are differences already.
-
-    The smallest force of a recording is that of no load: a sensor may show the weight of the tool.
-    """
+    """Say whether every loaded configuration was measured without load, too; displacements are differences already."""
     if readings.wrench is None or cell.measurements.points == "displacement":
         return []
-    bare, every = 0, 0
-    for rows in readings.each():
-        force = np.linalg.norm(readings.wrench[rows, :3], axis=1)
-        light = force - force.min() <= UNLOADED * np.ptp(force)
-        numbers = np.unique(readings.configuration[rows])
-        bare, every = bare + len(np.unique(readings.configuration[rows[light]])), every + len(numbers)
+    light = relative_pull(readings) <= UNLOADED
+    bare, every = len(np.unique(readings.configuration[light])), len(np.unique(readings.configuration))
     found = f"{bare} of {every} configurations"
     return [Precondition("7.6", "the unloaded position measured in every configuration", found, bare == every)]
 

@@ -13,7 +13,7 @@ from calibration_core.planning.plans.plan import REFERENCE_NUMBER, PhaseName, Pl
 from calibration_core.planning.plans.remaining_time import RemainingTime
 from calibration_core.timeseries import Float1D, Float2D
 
-TELLING = 0.2  # share of a run, after which what is done tells how long what is left takes
+PACE_KNOWN = 0.2  # share of a run, after which the pace of what is done is that of what is left
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,7 +104,7 @@ class MeasurementQueue:
         self._phase: PhaseName | None = None
         self._since_reference = plan.reference.every if plan.reference is not None and self._pending else 0
         self._total = self._nominal_left()
-        self._time = RemainingTime(self._expected_pace(), TELLING * self._total)
+        self._time = RemainingTime(self._expected_pace(), PACE_KNOWN * self._total)
 
     def next(self, now: float) -> Item | None:
         """Return what is to be done next, None if nothing is left; the same again until it is done or given up."""

@@ -8,7 +8,7 @@ import math
 class RemainingTime:
     """Estimates the time left; waiting and pauses do not change it.
 
-    Work is counted in nominal seconds.  What one of them takes is what the plan expects, until enough is done to tell.
+    Work is counted in nominal seconds.  What one of them takes is what the plan expects, until enough is done.
     """
 
     def __init__(self, expected_pace: float, enough: float) -> None:
@@ -16,7 +16,7 @@ class RemainingTime:
 
         Args:
             expected_pace: s that the plan expects for a nominal second; NaN: it expects nothing.
-            enough: Nominal seconds of work that tell the pace.
+            enough: Nominal seconds of work after which the pace is known.
         """
         self._expected_pace, self._enough = expected_pace, enough
         self._now = math.nan
