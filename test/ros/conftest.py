@@ -193,7 +193,7 @@ class Suite:
             while time.monotonic() < again:
                 for accepted in sent:
                     if accepted.done() and accepted.result().accepted:
-                        return Run(accepted.result())
+                        return Run(accepted.result(), self)
                 time.sleep(0.01)
         raise AssertionError(f"the plan is not accepted\n{self.log('sequencer')[-1500:]}")
 
@@ -258,8 +258,8 @@ class Suite:
 class Run:
     """A plan that is being measured."""
 
-    def __init__(self, handle: Any) -> None:
-        self._handle, self._result = handle, handle.get_result_async()
+    def __init__(self, handle: Any, suite: Suite) -> None:
+        self._handle, self._suite, self._result = handle, suite, handle.get_result_async()
 
     def result(self, timeout: float) -> Any:
         """Wait for the end; return the result."""
@@ -268,7 +268,8 @@ class Run:
             if self._result.done():
                 return self._result.result().result
             time.sleep(0.01)
-        raise AssertionError(f"no result within {timeout:.0f} s")
+        said = "\n".join(f"{name}:\n{self._suite.log(name)[-1500:]}" for name in self._suite.processes)
+        raise AssertionError(f"no result within {timeout:.0f} s\n{said}")
 
     @property
     def over(self) -> bool:

@@ -9,8 +9,10 @@ import dataclasses
 import enum
 import functools
 import importlib
+from collections.abc import Callable
 from typing import Any
 
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos import QoSCompatibility as Compatibility
@@ -21,6 +23,7 @@ from calibration_core.recording.messages.kinds import StreamKind
 
 SAMPLES_DEPTH = 2000  # two seconds at 1 kHz: a keep-last history overwrites without a word
 EVENTS_DEPTH = 1000
+IN_A_TURN = 100  # samples that are taken before anything else has its turn
 
 
 class Quality(enum.Enum):
@@ -147,6 +150,42 @@ def subscription_profile(node: Node, name: str, depth: int = SAMPLES_DEPTH) -> Q
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
     )
+
+
+def subscribe_to_samples(
+    node: Node, kind: Any, name: str, callback: Callable[[Any], None], quality: QoSProfile, **more: Any
+) -> Any:
+    """Subscribe to a stream; where several samples wait, all of them are taken in one turn.
+
+    An executor takes one message of every subscription in a turn.  Where turns are longer than the time between two
+    samples, as on a busy machine, the queue would fill and every sample would be as old as the queue is deep.
+
+    Args:
+        node: Who subscribes.
+        kind: Class of the messages.
+        name: Topic.
+        callback: What gets the messages, one at a time, in their order.
+        quality: Profile of the subscription.
+        more: Further arguments of `create_subscription`.
+
+    Returns:
+        The subscription.
+    """
+
+    def take(message: Any) -> None:
+        callback(message)
+        try:
+            with subscription.handle:
+                for _ in range(IN_A_TURN - 1):
+                    waiting = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                    if waiting is None:
+                        return
+                    callback(waiting[0])
+        except InvalidHandle:  # the subscription was destroyed in this turn
+            return
+
+    subscription = node.create_subscription(kind, name, take, quality, **more)
+    return subscription
 
 
 def several_publishers(node: Node, name: str) -> str:

@@ -11,7 +11,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from calibration.conversions import stamp_ns, wrench_values
-from calibration.topics import TARE
+from calibration.topics import TARE, subscribe_to_samples
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
 MEAN = 0.5  # s of the cell's time, over which the present wrench is averaged
@@ -38,7 +38,7 @@ class WrenchWatch:
     def listen(self) -> None:
         """Listen to wrench and tares."""
         newest = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._node.create_subscription(WrenchStamped, self.topic.lstrip("/"), self._on_wrench, newest)
+        subscribe_to_samples(self._node, WrenchStamped, self.topic.lstrip("/"), self._on_wrench, newest)
         self._node.create_subscription(TARE.message, TARE.relative, self._on_tare, TARE.qos)
 
     def _on_wrench(self, message: WrenchStamped) -> None:

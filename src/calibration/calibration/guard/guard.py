@@ -35,7 +35,7 @@ from calibration.process_tree import STANDSTILL
 from calibration.robot_state.adapter import Received, Report, Source, assemble
 from calibration.robot_state.catalogue import load_type
 from calibration.robot_state.confirmation import Confirmation, checked, confirmed
-from calibration.topics import GUARD_EVIDENCE, PERMISSION, ROBOT_STATE, several_publishers
+from calibration.topics import GUARD_EVIDENCE, PERMISSION, ROBOT_STATE, several_publishers, subscribe_to_samples
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from calibration_core.model.nominal import nominal_parameters, tool_point
@@ -125,7 +125,8 @@ class GuardNode(CalibrationNode):
         # Best effort is heard from every publisher, and of a state only the newest matters.
         newest = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
         kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.create_subscription(JointState, self.cell.topics.joint_states.lstrip("/"), self._on_joints, newest)
+        joint_states = self.cell.topics.joint_states.lstrip("/")
+        subscribe_to_samples(self, JointState, joint_states, self._on_joints, newest)
         for source in self.adapter.sources:
             if not source.is_service:
                 quality = newest if source.max_age is not None else kept

@@ -13,7 +13,13 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from calibration.conversions import Sample
-from calibration.topics import incompatible, message_class, several_publishers, subscription_profile
+from calibration.topics import (
+    incompatible,
+    message_class,
+    several_publishers,
+    subscribe_to_samples,
+    subscription_profile,
+)
 from calibration_core.errors import InputError
 from calibration_core.observations.samples import Limits, Problem, StreamCheck
 from calibration_core.observations.window import Averaging, SettledWindow, Waiting
@@ -69,8 +75,8 @@ class Source:
                 return
             self._node.destroy_subscription(self._subscription)
         self._profile = subscription_profile(self._node, self.name)
-        self._subscription = self._node.create_subscription(
-            self._type, self.name, self._callback, self._profile, callback_group=self._group
+        self._subscription = subscribe_to_samples(
+            self._node, self._type, self.name, self._callback, self._profile, callback_group=self._group
         )
 
 

@@ -51,7 +51,16 @@ from calibration.sequencer.preflight import guard_ready, joints_heard, missing, 
 from calibration.sequencer.provenance import provenance
 from calibration.sequencer.run_action import NAME, RunAction
 from calibration.sequencer.runner import Call, Runner
-from calibration.topics import EVENT, MOTION_PULSE, PERMISSION, PLAN_MARKERS, READING, Quality, profile
+from calibration.topics import (
+    EVENT,
+    MOTION_PULSE,
+    PERMISSION,
+    PLAN_MARKERS,
+    READING,
+    Quality,
+    profile,
+    subscribe_to_samples,
+)
 from calibration_core.cell import load_cell
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
@@ -152,7 +161,8 @@ class SequencerNode(CalibrationNode):
 
     def _listen(self) -> None:
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.create_subscription(JointState, self.cell.topics.joint_states.lstrip("/"), self._on_joints, newest)
+        joint_states = self.cell.topics.joint_states.lstrip("/")
+        subscribe_to_samples(self, JointState, joint_states, self._on_joints, newest)
         pulse = PERMISSION.qos
         pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
         silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
