@@ -60,6 +60,20 @@ class DemonstrationError(Exception):
     """The demonstration cannot go on."""
 
 
+@contextlib.contextmanager
+def signals_wait() -> Iterator[None]:
+    """Have signals wait for the end of a block; a process that starts in it does not inherit that."""
+    arrived: list[int] = []
+    before = {number: signal.signal(number, lambda one, _: arrived.append(one)) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for number in arrived:
+        signal.raise_signal(number)
+
+
 class Processes:
     """Whatever was started; each in a group of its own, so that what it starts ends with it."""
 
@@ -68,9 +82,10 @@ class Processes:
         self._running: list[subprocess.Popen[str]] = []
 
     def start(self, command: list[str], **streams: Any) -> subprocess.Popen[str]:
-        """Start one."""
-        process = subprocess.Popen(command, start_new_session=True, text=True, **streams)
-        self._running.append(process)
+        """Start one; a signal that ends the demonstration meanwhile finds it on the list of what has to end."""
+        with signals_wait():
+            process = subprocess.Popen(command, start_new_session=True, text=True, **streams)
+            self._running.append(process)
         return process
 
     def run(self, command: list[str]) -> str:

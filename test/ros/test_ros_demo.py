@@ -19,6 +19,26 @@ pytest.importorskip("rclpy")
 ROOT = Path(__file__).resolve().parents[2]
 MARK = "CALIBRATION_TEST"
 LONGEST = 180.0  # s
+INTERRUPTED_WHILE_IT_STARTS_A_PROCESS = """
+import importlib.util, signal, subprocess, sys
+specification = importlib.util.spec_from_file_location("demo", sys.argv[1])
+demo = importlib.util.module_from_spec(specification)
+specification.loader.exec_module(demo)
+
+class Interrupted(subprocess.Popen):
+    def __init__(self, *given, **more):
+        super().__init__(*given, **more)
+        signal.raise_signal(signal.SIGTERM)
+
+subprocess.Popen = Interrupted
+for number in demo.SIGNALS:
+    signal.signal(number, demo.leave)
+processes = demo.Processes()
+try:
+    processes.start(["sleep", "60"])
+finally:
+    processes.stop()
+"""
 
 
 class Demonstration:
@@ -70,6 +90,14 @@ def test_interrupted(demonstration: Demonstration, still_running: Any, number: s
     demonstration.process.send_signal(number)
     assert demonstration.process.wait(30.0) == 128 + number, demonstration.output()
     assert still_running(demonstration.mark) == []
+
+
+def test_interrupted_while_it_starts_a_process(source_environment: dict[str, str], still_running: Any) -> None:
+    mark = str(uuid.uuid4())
+    command = [sys.executable, "-c", INTERRUPTED_WHILE_IT_STARTS_A_PROCESS, str(ROOT / ".ci" / "demo.py")]
+    done = subprocess.run(command, check=False, env={**source_environment, MARK: mark}, timeout=60.0)
+    assert done.returncode == 128 + signal.SIGTERM
+    assert still_running(mark) == []
 
 
 @pytest.mark.slow
