@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,10 @@ def test_an_off_axis_compliance_is_named_measured_and_gives_the_stiffnesses_back
     assert found.held_out_after < 1.15 * found.noise < 0.6 * found.held_out_before
     assert finding.held_out_gain > 0.5
     assert "joint_2" in finding.explanation
+    stated = {joint: float(bias) for joint, bias in re.findall(r"(joint_\d) ([+-]\d+) %", finding.explanation)}
+    biases = dict(zip(found.stiffness, 100 * (np.array(before) / after - 1), strict=True))
+    assert stated
+    assert all(abs(bias - biases[joint]) <= 0.5 for joint, bias in stated.items()), (stated, biases)
 
 
 @pytest.mark.parametrize(

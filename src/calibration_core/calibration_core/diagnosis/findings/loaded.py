@@ -121,10 +121,14 @@ def _explanation(
 
 
 def _bias(changes: dict[str, float], findings: int) -> str:
-    """Say which stiffnesses of the standard's model are biased by all findings together; empty where none is."""
-    moved = {joint: change for joint, change in changes.items() if abs(change) > SEEN}
+    """Say which stiffnesses of the standard's model are biased by all findings together; empty where none is.
+
+    `changes` go from the standard's model to the extended one; a bias goes the other way, relative to what is right.
+    """
+    biases = {joint: 1.0 / (1.0 + change) - 1.0 for joint, change in changes.items()}
+    moved = {joint: bias for joint, bias in biases.items() if abs(bias) > SEEN}
     if not moved:
         return ""
-    listed = ", ".join(f"{joint} {100 * change:+z.0f} %" for joint, change in moved.items())
+    listed = ", ".join(f"{joint} {100 * bias:+z.0f} %" for joint, bias in moved.items())
     which = "it" if findings == 1 else "all findings"
     return f" Leaving {which} out biases the stiffness of {listed}."
