@@ -73,6 +73,8 @@ def test_a_residual_that_unproven_parameters_would_explain_is_stated(seed: int, 
     assert answer.content["verdict"] == "consistent"
     assert (answer.content["fit"]["rms_after"] > 10 * SIGMA) is noted
     assert [text.startswith("it leaves 468 µm per coordinate, the noise is 21 µm") for text in texts] == [True] * noted
+    assert ("the identified model leaves 468 µm per coordinate" in answer.content["reason"]) is noted
+    assert not noted or answer.content["usable"] == "with_reservations"
 
 
 def test_a_rigid_robot_claims_nothing() -> None:

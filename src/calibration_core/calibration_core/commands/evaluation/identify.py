@@ -29,9 +29,8 @@ from calibration_core.model.identified.valid_range import range_of
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import as_anomalies, blocked, look, refuse_fitted, with_model_note, with_unit_note
-from calibration_core.report.results.diagnosis import identified_dict
+from calibration_core.report.results.diagnosis import identified_dict, unproven
 from calibration_core.report.results.traffic_light import light_of
-from calibration_core.report.results.verdict import rest
 from calibration_core.report.summary import summary
 from calibration_core.report.writing.identification_files import identification_files
 from calibration_core.report.writing.output import Content, write_files
@@ -241,8 +240,8 @@ def _searched(
 
 def _unproven(found: Identification, searched: Diagnosis) -> tuple[Note, ...]:
     """Say where nothing is missing, and yet the identified model of postures at rest leaves more than noise."""
-    left = rest(found)
-    if found.kind != "absolute" or searched.verdict != "consistent" or not left.significant:
+    left = unproven(found, searched)
+    if left is None:
         return ()
     text = (
         f"it leaves {1e6 * left.seen:.0f} µm per coordinate, the noise is {1e6 * left.noise:.0f} µm: geometry and "

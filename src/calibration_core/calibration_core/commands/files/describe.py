@@ -100,7 +100,7 @@ def _recording(result: Mapping[str, Any]) -> list[str]:
     ]
     points = recording.get("points")
     names = [f"points {', '.join(map(str, points))}"] if isinstance(points, list) and points else []
-    kind = "with loads" if recording.get("loaded") else "without loads"
+    kind = "with load steps" if recording.get("loaded") else "without load steps"
     title = "Plan" if result["command"] == "plan" else "Recording"
     return [f"{title} {recording.get('file')}: {', '.join([*counts, *names, kind])}."]
 

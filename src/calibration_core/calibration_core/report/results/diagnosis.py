@@ -17,6 +17,7 @@ from calibration_core.identification.result.stiffness_interval import joint_stif
 from calibration_core.recording.source import digests_of_several
 from calibration_core.report.results.result import anomaly_record, plain, result_dict, stiffness_row, tested
 from calibration_core.report.results.traffic_light import with_light
+from calibration_core.report.results.verdict import ResidualVerdict, rest
 
 
 def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
@@ -64,16 +65,16 @@ def judgement(diagnosis: Diagnosis) -> dict[str, Any]:
 
     Outliers alone are those of the fit that the result is about: `identify` names the readings that it did not use.
     """
-    rest = diagnosis.rest
+    left = diagnosis.rest
     return {
         "verdict": diagnosis.verdict,
         "findings": [_finding(finding) for finding in diagnosis.findings],
         "anomalies": [anomaly_record(anomaly) for anomaly in diagnosis.anomalies],
         "unexplained": {
-            "rms": rest.rms if rest.significant else 0.0,
-            "significant": rest.significant,
-            "where": dict(rest.where) if rest.significant else {},
-            "text": rest.text,
+            "rms": left.rms if left.significant else 0.0,
+            "significant": left.significant,
+            "where": dict(left.where) if left.significant else {},
+            "text": left.text,
         },
     }
 
@@ -89,7 +90,28 @@ def identified_dict(found: Identification, searched: Diagnosis | None, cell: Cel
     content = result_dict(found, cell)
     if searched is None:
         return content
-    return with_light({**content, **plain(judgement(searched))})
+    return with_light({**content, **plain(judgement(searched))}, further=_against(found, searched))
+
+
+def unproven(found: Identification, searched: Diagnosis) -> ResidualVerdict | None:
+    """Return what the identified model of positions leaves where it is more than noise and yet nothing is missing.
+
+    Geometry and compliances that do not clearly improve configurations left out stay as the cell file states them.
+    """
+    left = rest(found)
+    if found.kind != "absolute" or searched.verdict != "consistent" or not left.significant:
+        return None
+    return left
+
+
+def _against(found: Identification, searched: Diagnosis) -> tuple[tuple[str, str], ...]:
+    """Return what else speaks against using an identified model, with what to do about it."""
+    left = unproven(found, searched)
+    if left is None:
+        return ()
+    figures = f"{1e6 * left.seen:.0f} µm per coordinate, the noise is {1e6 * left.noise:.0f} µm"
+    step = "measure more configurations, until they prove what is unknown"
+    return ((f"the identified model leaves {figures}", step),)
 
 
 def extended_joints(diagnosis: Diagnosis) -> tuple[JointStiffness, ...]:

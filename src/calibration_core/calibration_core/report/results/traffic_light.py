@@ -64,7 +64,10 @@ def light_of(content: Mapping[str, Any]) -> Light:
 
 
 def with_light(
-    content: dict[str, Any], good: str = EXPLAINED, residual: tuple[str, str] | None = None
+    content: dict[str, Any],
+    good: str = EXPLAINED,
+    residual: tuple[str, str] | None = None,
+    further: Sequence[tuple[str, str]] = (),
 ) -> dict[str, Any]:
     """Return the content of result.json with `usable`, `reason` and `next_step`.
 
@@ -74,6 +77,7 @@ def with_light(
         content: The contract's keys, and `preconditions` where there are some.
         good: Why it is usable, where nothing speaks against it.
         residual: What a verdict other than `consistent` means, and what to do then; None: what the findings say.
+        further: What else speaks against using it, each with what to do about it.
     """
     anomalies: Sequence[Mapping[str, Any]] = content["anomalies"]
     wrong = [anomaly for anomaly in anomalies if anomaly["kind"] in BLOCKING]
@@ -82,7 +86,7 @@ def with_light(
         step = first.get("remedy") or "put the input right, or use the files that belong together, and run this again"
         emptied = {"stiffness": [], "findings": [], "verdict": "unexplained"}
         return {**content, **emptied, "usable": "no", "reason": first["text"], "next_step": step}
-    reasons = list(_reservations(content, anomalies, residual))
+    reasons = [*further, *_reservations(content, anomalies, residual)]
     if not reasons:
         return {**content, "usable": "yes", "reason": good, "next_step": ""}
     step = next((step for _, step in reasons if step), "")
