@@ -25,6 +25,7 @@ from calibration_core.input_checks.units import (
     SEEN_BY_PRIOR,
     VISIBLE,
     CellSizes,
+    apart,
     expected_motion,
     torques_apart,
     unit_anomaly,
@@ -179,7 +180,7 @@ def _alternatives(
                                axes=axes)  # fmt: skip
         yield Meant(anomaly, fit(motion, columns_of(motion, at, force @ turn.T, torque @ turn.T, given), limit))
     if np.any(torque):
-        for factor in (1e-3, 1e3):
+        for factor in apart():
             anomaly = torques_apart(motion, given, facts, factor)
             yield Meant(anomaly, fit(motion, columns_of(motion, at, force, factor * torque, given), limit))
     turned = dataclasses.replace(motion, q=np.radians(motion.q))

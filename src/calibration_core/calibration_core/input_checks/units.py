@@ -7,6 +7,8 @@ factors of a hundred and more.
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -20,8 +22,9 @@ SEEN_BY_PRIOR = 100.0  # factor from the usual stiffness of a rated load that is
 SEEN_BY_STATED = 8.0  # factor from the stated stiffness
 FORCES = ((1000.0, "kN", 0.01), (9.80665, "kgf", 0.3))  # N, name, largest force over the rated load's weight
 LENGTHS = ((1e-3, "mm"), (0.01, "cm"), (0.0254, "inches"))  # m
-TORQUE_UNITS = {1e-3: "N·mm", 1e3: "kN·m"}  # by what makes N·m of them
-FORCE_UNITS = {1e-3: "mN", 1e3: "kN"}  # by what makes N of them
+POUND = 4.4482216152605  # N
+TORQUE_UNITS = {1e-3: "N·mm", 1e3: "kN·m", 9.80665: "kgf·m", 0.0254 * POUND: "lbf·in"}  # by what makes N·m of them
+FORCE_UNITS = {1e-3: "mN", 1e3: "kN", 9.80665: "kgf (daN: by 10)", POUND: "lbf"}  # by what makes N of them
 OF_ITS_LOAD = "robots of its rated load do"
 
 
@@ -52,22 +55,29 @@ def expected_motion(motion: Motion, given: Reading, facts: CellSizes) -> Float1D
     return columns_of(motion, posture_of(motion), motion.force, motion.torque, given) @ usual
 
 
+def apart() -> tuple[float, ...]:
+    """Return the factors that torques of other units than the forces may need."""
+    return tuple(sorted({*TORQUE_UNITS, *(1.0 / factor for factor in FORCE_UNITS)}))
+
+
 def torques_apart(motion: Motion, given: Reading, facts: CellSizes, factor: float) -> InputAnomaly:
     """Name the unit that is wrong where torques belong to the forces only when they are multiplied by a factor.
 
-    Either the torques are wrong, or the forces by the reciprocal: the springs fit alike.  What is right lets the robot
-    give way as its stated stiffness says, or as robots of its rated load usually do.
+    Either the torques are wrong, or the forces by the reciprocal: the springs fit alike.  Where both have a unit of
+    that name, what is right lets the robot give way as its stated stiffness says, or as robots of its rated load
+    usually do.
 
     Args:
         motion: The motion under load.
         given: How the wrench is read.
         facts: What the cell file tells about sizes.
-        factor: 0.001 or 1000.
+        factor: One of `apart`.
     """
-    ways = (
-        ("torques", factor, TORQUE_UNITS[factor], motion.force, factor * motion.torque),
-        ("forces", 1 / factor, FORCE_UNITS[1 / factor], motion.force / factor, motion.torque),
-    )
+    ways = []
+    if torque_unit := _named(TORQUE_UNITS, factor):
+        ways.append(("torques", factor, torque_unit, motion.force, factor * motion.torque))
+    if force_unit := _named(FORCE_UNITS, 1 / factor):
+        ways.append(("forces", 1 / factor, force_unit, motion.force / factor, motion.torque))
     moved = float(np.linalg.norm(motion.moved))
 
     def unlikely(force: Float2D, torque: Float2D) -> float:
@@ -80,6 +90,10 @@ def torques_apart(motion: Motion, given: Reading, facts: CellSizes, factor: floa
     remedy = f"multiply the {what} by {by:g}: they look like {unit} beside {other} of another unit"
     text = "forces and torques have units that do not belong together"
     return InputAnomaly("wrench_unit", text, remedy, 0.0, factor=by)
+
+
+def _named(units: Mapping[float, str], factor: float) -> str:
+    return next((name for one, name in units.items() if math.isclose(one, factor)), "")
 
 
 def unit_words(motion: Motion, facts: CellSizes) -> str:
