@@ -8,6 +8,8 @@ import pytest
 
 from calibration_core.report.results.traffic_light import with_light
 
+LEVER = "frames.force_torque (frames.wrench_point where wrench_at is wrench_point)"
+
 
 def content(**stiffness: Any) -> dict[str, Any]:
     return {"anomalies": [], "findings": [], "verdict": "consistent", "stiffness": [{"joint": "joint_5", **stiffness}]}
@@ -48,7 +50,9 @@ def test_causes_that_the_recording_cannot_tell_apart_are_named_together() -> Non
         ("wrench_frame_misalignment", ("wrench_crosstalk",), "frames.force_torque"),
         ("wrench_crosstalk", ("wrench_frame_misalignment",), "frames.force_torque"),
         ("tracker_frame_misalignment", (), "frames.tracker"),
-        ("measurement_point_offset", ("wrench_point_offset",), "frames.measurement_points and frames.wrench_point"),
+        ("measurement_point_offset", ("wrench_point_offset",), f"frames.measurement_points and {LEVER}"),
+        ("wrench_point_offset", (), LEVER),
+        ("wrench_point_offset", ("wrench_frame_misalignment",), LEVER),
         ("base_compliance", (), ""),
     ],
 )

@@ -134,8 +134,9 @@ def _missing(content: Mapping[str, Any]) -> tuple[str, str]:
     step = "use the extended model that diagnose writes (model.yaml)"
     several = {one["effect"] for finding in findings for one in _alike(finding)}
     stated = [effect.stated for effect in catalogue() if effect.stated and effect.name in several]
-    if stated:
-        step = f"hold {' and '.join(stated)} of the cell file against what is mounted, and correct it; else {step}"
+    fields = [one for one in stated if not any(other != one and other.startswith(one) for other in stated)]
+    if fields:
+        step = f"hold {' and '.join(fields)} of the cell file against what is mounted, and correct it; else {step}"
     return f"the standard's model leaves something out ({names}){rest}", step
 
 

@@ -39,5 +39,5 @@ EFFECT = Effect(
     candidates=_candidates,
     absolute=False,
     sentence="the load pulls at another point than stated",
-    stated="frames.wrench_point",
+    stated="frames.force_torque (frames.wrench_point where wrench_at is wrench_point)",
 )
