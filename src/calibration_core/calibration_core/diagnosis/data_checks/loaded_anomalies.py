@@ -27,6 +27,7 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
 LOOSE = 4.0  # times the variance of the other points
 SWINGING = 4.0  # times the variance that the other configurations have
+UNSEEN = 0.1  # times the claimed noise: common movements of that size are rounding, as of a simulation without noise
 CERTAIN = 1e-6
 UNDERSTATED = 1.1  # times the claim
 
@@ -230,7 +231,8 @@ def _unsettled(
         return None
     common = [np.median(rest, axis=1) for rest in groups.values()]  # one wild reading of three points does not count
     power = np.array([float((rest**2).mean()) for rest in common])
-    quiet = float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)]))
+    claimed = float(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3)
+    quiet = max(float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)])), UNSEEN**2 * claimed)
     freedom = np.array([rest.size for rest in common])
     restless = _beyond(power, freedom, quiet)
     if restless.any():
