@@ -77,6 +77,18 @@ def test_other_effects_are_named_with_their_place(
     assert found.verdict == "missing_physics"
 
 
+def test_an_effect_far_beyond_its_usual_size_is_not_drawn_towards_it(cell: Cell) -> None:
+    """A lever arm of 150 mm, 30 times its usual size: sizes and stiffnesses lie in their intervals all the same."""
+    truth = [0.0, 0.0, 0.15]
+    found = diagnose_loaded(planted(cell, 8, "wrench_point_offset", "lever arm", truth, 8, sensor="force_torque"), cell)
+    (finding,) = found.findings
+    assert finding.effect == "wrench_point_offset"
+    off = [(one.value - value) / one.std for one, value in zip(finding.parameters, truth, strict=True)]
+    assert np.abs(off).max() < 2.0
+    values = np.array(list(found.stiffness.values()))
+    assert np.abs((values[:, 0] - STIFFNESS) / values[:, 1]).max() < 2.0
+
+
 def test_exact_aliases_are_said_even_where_the_prior_decides(cell: Cell) -> None:
     readings = planted(cell, 21, "base_compliance", "rocking", [6e-8, 5e-8, 0.0], base="base")
     finding = diagnose_loaded(readings, cell).findings[0]

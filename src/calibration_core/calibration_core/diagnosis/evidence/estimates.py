@@ -13,13 +13,14 @@ from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.estimation.likelihood.small_effects import MOST, shared_power
 from calibration_core.timeseries import Float1D, Float2D
 
+WIDENED = 3  # times, a prior is compared with the size that was found
 RANK = 1e-10  # of the largest eigenvalue: directions below it are rounding errors
 
 
 def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | float = 0.0) -> tuple[Float1D, Float2D]:
     """Return values and covariance of null corrections and accepted parameters, in their units.
 
-    Accepted parameters keep their (wide) priors.
+    Accepted parameters keep their (wide) priors; where an effect is larger than these, its prior is as wide as it.
 
     Args:
         design: The whitened model.
@@ -42,11 +43,27 @@ def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | float 
     half = solve_triangular(lower, scaled.T, lower=True, check_finite=False).T
     columns = [*range(n), *(n + c for c in own)]
     metric = gram[columns] - half[columns] @ half.T
-    matrix = metric[:, columns] + np.diag(np.concatenate([np.zeros(n), np.ones(len(own))]))
+    unit = np.concatenate([np.ones(n), design.prior[own]])
+    counts = [design.blocks[i].stop - design.blocks[i].start for i in accepted]
+    width = np.ones(len(counts))
+    value, inverse = _solved(metric, columns, np.repeat(width, counts))
+    for _ in range(WIDENED):
+        ends = n + np.cumsum(counts)
+        sizes = [np.sqrt(np.mean(value[end - k : end] ** 2)) for k, end in zip(counts, ends, strict=True)]
+        if all(size <= one for size, one in zip(sizes, width, strict=True)):
+            break
+        width = np.maximum(width, sizes)
+        value, inverse = _solved(metric, columns, np.repeat(width, counts))
+    return value * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
+
+
+def _solved(metric: Float2D, columns: list[int], width: Float1D) -> tuple[Float1D, Float2D]:
+    """Return values (n + k,), and their covariance, of null corrections and accepted parameters with such priors."""
+    n = len(columns) - len(width)
+    matrix = metric[:, columns] + np.diag(np.concatenate([np.zeros(n), width**-2.0]))
     scale = np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
     inverse = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
-    unit = np.concatenate([np.ones(n), design.prior[own]])
-    return (inverse @ metric[:, -1]) * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
+    return inverse @ metric[:, -1], inverse
 
 
 def _unit(design: Design, gram: Float2D) -> Float1D:
