@@ -40,16 +40,6 @@ def good() -> tuple[Readings, Cell]:
     return observe(ROOT / "bags" / "small_loaded", cell), cell
 
 
-@pytest.fixture(scope="module")
-def many(tmp_path_factory: pytest.TempPathFactory) -> tuple[Readings, Cell]:
-    """A recording that shows differences of less than ten times between forces and torques."""
-    noise = Noise(1.0, False, 0.0, spherical_claim=False)
-    played = generate(Scenario(0, "nothing", "heavy", "L", 781, (), 0.0, noise))
-    path = tmp_path_factory.mktemp("many") / "cell.yaml"
-    path.write_text(yaml_text(played.cell), encoding="utf-8")
-    return played.readings, load_cell(path)
-
-
 def wrench(force: float = 1.0, torque: float = 1.0, turn: np.ndarray | None = None) -> Change:
     def change(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
         assert readings.wrench is not None
@@ -152,29 +142,6 @@ def test_sizes_decide_whether_forces_or_torques_have_the_wrong_unit(
     assert found.factor is not None
     parts = (factor, 1.0) if "forces by" in found.remedy else (1.0, factor)
     assert check_inputs(*wrench(*parts)(changed, cell)) == ()  # the remedy heals it
-
-
-@pytest.mark.parametrize("stated", [True, False])
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (wrench(1 / 9.80665, 1.0), "multiply the forces by 9.80665: they look like kgf (daN: by 10)"),
-        (wrench(0.1, 1.0), "multiply the forces by 9.80665: they look like kgf (daN: by 10)"),
-        (wrench(1 / 4.44822, 1.0), "multiply the forces by 4.44822: they look like lbf"),
-        (wrench(1.0, 1 / 9.80665), "multiply the torques by 9.80665: they look like kgf·m"),
-        (wrench(1.0, 1 / 0.112985), "multiply the torques by 0.112985: they look like lbf·in"),
-    ],
-)
-def test_units_that_are_less_than_a_thousand_apart_are_named(
-    many: tuple[Readings, Cell], change: Change, words: str, stated: bool
-) -> None:
-    readings, cell = many
-    assert check_inputs(readings, cell) == ()
-    if not stated:
-        cell = cell.model_copy(update={"robot": cell.robot.model_copy(update={"stiffness": None})})
-    (found,) = check_inputs(*change(readings, cell))
-    assert found.kind == "wrench_unit"
-    assert found.remedy.startswith(words)
 
 
 def test_every_turn_of_the_axes_is_named(good: tuple[Readings, Cell]) -> None:
