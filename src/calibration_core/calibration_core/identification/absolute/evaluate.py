@@ -50,7 +50,7 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.model.statics import gravity_torque
+from calibration_core.model.statics import gravity_torque, load_torque
 from calibration_core.observations.covariance import coordinate_std, position_covariance
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Note, Readings
 
@@ -253,7 +253,9 @@ def _stiffness(
         eigenvectors=np.eye(n),
     )
     chain = case.problem.chain.corrected(result.parameters.geometry)
-    torque = gravity_torque(chain, posture(chain, case.problem.q))
+    at = posture(chain, case.problem.q)
+    load = case.problem.load
+    torque = gravity_torque(chain, at) + (0.0 if load is None else load_torque(at, load))
     torque_rms = np.sqrt(np.mean(torque**2, axis=1))
     freedom = result.freedom if noise.scale > 1.0 else None
     table = stiffness_table(joints, solution, noise.scale, freedom, torque_rms, chain.prismatic, chain.rigid)
@@ -266,10 +268,10 @@ def _stiffness(
 
 
 def _unproven(torque: float, fitted: bool) -> str:
-    if torque < UNLOADED_TORQUE:
-        return "not fitted: gravity does not load this joint"
+    if torque < UNLOADED_TORQUE and not fitted:
+        return "not fitted: nothing loads this joint"
     how = "fitted beside the others, from the stated value on" if fitted else "not fitted"
-    return f"{how}: it does not clearly improve configurations left out (gravity torque {torque:.2g} N·m rms)"
+    return f"{how}: it does not clearly improve configurations left out (torque {torque:.2g} N·m rms)"
 
 
 def _condition(result: GeometryFit) -> float:
