@@ -9,6 +9,7 @@ from calibration_core.errors import IdentificationError
 from calibration_core.identification.geometry.fit import AbsoluteProblem, fit
 from calibration_core.identification.geometry.frames import fit_frames
 from calibration_core.identification.geometry.terms import TrackerTerm
+from calibration_core.identification.stiffness.predict import references_alone
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
@@ -98,12 +99,7 @@ def require_positions(readings: Readings, cell: Cell) -> None:
     """
     path = readings.provenance.path
     if cell.measurements.points == "displacement":
-        raise IdentificationError(
-            path,
-            "step",
-            "single steps, and positions relative to step 0 (measurements.points: displacement)",
-            "several steps per configuration, or absolute positions",
-        )
+        raise references_alone(readings)
     count = len(np.unique(readings.configuration))
     if count < MIN_CONFIGURATIONS:
         raise IdentificationError(

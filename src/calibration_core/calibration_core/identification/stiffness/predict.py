@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import ModelFileError, RecordingError
+from calibration_core.errors import IdentificationError, ModelFileError, RecordingError
 from calibration_core.model.effects.applied import applied_shift
 from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.equilibrium import solve_equilibrium
@@ -82,6 +82,26 @@ def from_step_zero(readings: Readings, values: Float2D) -> Float2D:
     order = np.lexsort((readings.step, group))
     _, starts = np.unique(group[order], return_index=True)
     return values - values[order[starts]][group]
+
+
+def require_differences(readings: Readings, cell: Cell) -> None:
+    """Refuse displacements none of which is more than the reference of its configuration and point.
+
+    Raises:
+        IdentificationError: No reading is left that shows anything.
+    """
+    if cell.measurements.points == "displacement" and references(readings).all():
+        raise references_alone(readings)
+
+
+def references_alone(readings: Readings) -> IdentificationError:
+    """Return the error of displacements that show nothing, because each is the reference of itself."""
+    return IdentificationError(
+        readings.provenance.path,
+        "step",
+        "single steps, and positions relative to step 0 (measurements.points: displacement)",
+        "several steps per configuration, or absolute positions",
+    )
 
 
 def references(readings: Readings) -> Bool1D:
