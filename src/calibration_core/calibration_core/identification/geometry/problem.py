@@ -9,11 +9,11 @@ from calibration_core.errors import IdentificationError
 from calibration_core.identification.geometry.fit import AbsoluteProblem, fit
 from calibration_core.identification.geometry.frames import fit_frames
 from calibration_core.identification.geometry.terms import TrackerTerm
-from calibration_core.identification.stiffness.predict import references_alone
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
+from calibration_core.observations.kinds import references_alone
 from calibration_core.timeseries import Float3D, Readings
 
 MIN_CONFIGURATIONS = 3

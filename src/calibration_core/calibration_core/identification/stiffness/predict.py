@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import IdentificationError, ModelFileError, RecordingError
+from calibration_core.errors import ModelFileError, RecordingError
 from calibration_core.model.effects.applied import applied_shift
 from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.observations.kinds import references_alone
 from calibration_core.timeseries import Bool1D, Float2D, Readings
 
 
@@ -92,16 +93,6 @@ def require_differences(readings: Readings, cell: Cell) -> None:
     """
     if cell.measurements.points == "displacement" and references(readings).all():
         raise references_alone(readings)
-
-
-def references_alone(readings: Readings) -> IdentificationError:
-    """Return the error of displacements that show nothing, because each is the reference of itself."""
-    return IdentificationError(
-        readings.provenance.path,
-        "step",
-        "single steps, and positions relative to step 0 (measurements.points: displacement)",
-        "several steps per configuration, or absolute positions",
-    )
 
 
 def references(readings: Readings) -> Bool1D:
