@@ -231,7 +231,8 @@ def described(one: QuantityChange) -> str:
     if not math.isfinite(one.low):
         return f"{one.quantity} of {one.location}: cannot tell, not known in one of the two"
     if one.quantity == "stiffness":
-        size = f"{100 * one.change:+z.1f} % ({100 * one.low:+z.1f} to {100 * one.high:+z.1f} %)"
+        high = f"to {100 * one.high:+z.1f} %" if math.isfinite(one.high) else "% to no bound"
+        size = f"{100 * one.change:+z.1f} % ({100 * one.low:+z.1f} {high})"
     else:
         size = f"{_with_unit(one.unit, one.change)} ({_ends(one)})"
     text = f"{one.quantity} of {one.location}: {size}, {WORDS[one.verdict]}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,28 @@ def test_a_folder_beside_a_recording_and_three_dates(
     trend = {row["location"]: row for row in result["trends"]}
     assert trend["joint_2"]["slope"] < 0
     assert result["remarks"]
+
+
+def test_a_folder_with_a_rigid_joint(
+    identified: Path, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rigid = tmp_path / "rigid"
+    shutil.copytree(identified, rigid)
+    model = read_yaml(rigid / "model.yaml", 1 << 24, "model").data
+    model["compliance"][5] = 0.0
+    model["stiffness"][5] = None
+    (row,) = [row for row in model["parameters"] if row["name"] == "compliance.joint_6"]
+    row["value"] = 0.0
+    (rigid / "model.yaml").write_text(yaml_text(model))
+    for k, pair in enumerate([(identified, rigid), (rigid, identified), (rigid, simulated / "measurements.csv")]):
+        out = tmp_path / f"out{k}"
+        assert run("compare", *pair, "--cell", CELL, "--out", out) == 0
+        row = differences(out)["compliance", "joint_6"]
+        assert row["unit"] == "rad/(N*m)"
+        assert row["low"] < row["change"] < row["high"]
+        assert 0.0 in {row["first"], row["second"]}
+        assert "compliance of joint_6: " in capsys.readouterr().out
+        assert "Compliance of rigid joints" in (out / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,7 @@ def _verdict(found: Compared) -> Verdict:
 def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
     stiffness = [one for one in rows if one.quantity == "stiffness"]
     others = [one for one in rows if one.quantity != "stiffness"]
+    rigid = "Compliance of rigid joints, b" if any(one.quantity == "compliance" for one in others) else "B"
     blocks: list[Block] = [
         Table(
             "Joint stiffness",
@@ -128,7 +129,7 @@ def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
     if others:
         blocks.append(
             Table(
-                "Backlash, hysteresis and effects",
+                f"{rigid}acklash, hysteresis and effects",
                 (
                     Column("Quantity", "left", wide=True), Column("Location", "left"), Column("First"),
                     Column("Second"),
