@@ -97,9 +97,9 @@ def comparison_result(found: Compared) -> dict[str, Any]:
     recording = {
         "file": first.label,
         "configurations": first.configurations,
-        "steps": None,
+        "steps": found.steps,
         "points": list(found.cells[0].points),
-        "loaded": True,
+        "loaded": found.loaded,
     }
     return command_result(
         "compare",

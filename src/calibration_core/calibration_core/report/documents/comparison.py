@@ -97,6 +97,8 @@ def _verdict(found: Compared) -> Verdict:
     changed = [one for rows in found.differences for one in rows if one.verdict == "changed"]
     open_ = [one for rows in found.differences for one in rows if one.verdict == "cannot_tell"]
     headline = f"{counted(len(changed), 'change')} found" if changed else "No change found"
+    if not any(found.differences):
+        headline = "Nothing to compare"
     lines = [("Changed", described(one)) for one in changed[:5]]
     if open_:
         lines.append(("Cannot tell", listed([f"{one.quantity} of {one.location}" for one in open_])))
