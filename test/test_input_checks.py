@@ -76,6 +76,16 @@ def mirrored(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
     return readings, cell.model_copy(update={"frames": cell.frames.model_copy(update={"measurement_points": there})})
 
 
+def left_handed(axis: int, *, stated: bool = True) -> Change:
+    def change(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
+        if not stated:
+            cell = cell.model_copy(update={"frames": cell.frames.model_copy(update={"tracker": None})})
+        sign = np.where(np.arange(3) == axis, -1.0, 1.0)
+        return dataclasses.replace(readings, position=sign * readings.position), cell
+
+    return change
+
+
 def read_in_base(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
     how = cell.measurements.model_copy(update={"wrench_axes": "base"})
     return readings, cell.model_copy(update={"measurements": how})
@@ -106,6 +116,8 @@ def test_real_recordings_are_not_accused(table: Path) -> None:
         (positions(1e-3), "position_unit", {"factor": 1e3}),
         (points((1, 0, 2)), "point_order", {"points": ["mp1", "mp2"]}),
         (mirrored, "point_order", {"points": ["mp1", "mp2", "mp3"]}),
+        *((left_handed(k), "point_order", {"points": ["mp1", "mp2", "mp3"], "axes": f"-{'xyz'[k]}"}) for k in range(3)),
+        (left_handed(1, stated=False), "point_order", {"points": ["mp1", "mp2", "mp3"]}),
         (shuffled, "no_relation", {}),
     ],
 )
@@ -119,6 +131,16 @@ def test_what_is_wrong_is_named(
     assert record["remedy"]
     for key, value in further.items():
         assert record[key] == pytest.approx(value) if isinstance(value, float) else record[key] == value
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real recordings are not beside the project")
+@pytest.mark.parametrize("name", ["wam_random", "ur5_grid", "ur10_D", "motoman"])
+def test_left_handed_readings_of_real_recordings_are_named(name: str) -> None:
+    cell = load_cell(next(path for path in REAL.glob("*.cell.yaml") if name.startswith(path.name.split(".", 1)[0])))
+    readings, cell = left_handed(1)(observe(REAL / f"{name}.csv", cell), cell)
+    (found,) = check_inputs(readings, cell)
+    assert found.kind == "point_order"
+    assert found.remedy.startswith("the sign of one coordinate of the readings is wrong: ")
 
 
 @pytest.mark.parametrize("stated", [True, False])

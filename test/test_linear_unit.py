@@ -234,6 +234,8 @@ def test_a_rail_that_is_declared_rigid_is_not_asked_for(folder: Path, plan: Path
         assert rail["value"] in {None, "Infinity", float("inf")}
         assert not rail["identifiable"]
         assert "declared rigid" in rail["reason"]
+        assert result["unidentified"] == []
+        assert "rail" not in result["reason"]
         assert all(abs(row["value"] / k - 1) < 0.1 for row, k in zip(others, stiff[1:], strict=True))
     run("plan", "--cell", folder / "rigid.cell.yaml", "--configurations", 12, "--out", folder / "rigid", "--no-report")
 

@@ -29,6 +29,7 @@ COVERAGE = 1.96  # 95 %
 AS_GOOD = 6.0  # chi-squared (3 nats): a change elsewhere that explains nearly as much
 YEAR = 365.25 * 86400.0  # s
 COMPLIANCE = "compliance."
+OF_JOINTS = ("stiffness", "compliance")  # the two quantities that say how much a joint gives way
 Verdict = Literal["changed", "not_changed", "cannot_tell"]
 
 
@@ -56,7 +57,8 @@ class QuantityChange:
     """One quantity of one measurement beside the first.
 
     Attributes:
-        quantity: `stiffness`, `backlash`, `hysteresis`, or an effect's parameter.
+        quantity: `stiffness`, or `compliance` of a joint that one of the two measurements shows as rigid; `backlash`,
+            `hysteresis`, or an effect's parameter.
         location: Joint, or where the effect is.
         first: Value of the first measurement, SI.
         second: Of the other.
@@ -176,27 +178,63 @@ def _stiffnesses(first: Measurement, other: Measurement, limit: float, pairs: in
     changed = changes(difference, covariance, critical)
     found = []
     for name in names:
-        location = name.removeprefix(COMPLIANCE)
+        unit = one.units[one.names.index(name)]
+        before, after = (float(estimate.value[estimate.names.index(name)]) for estimate in (one, two))
         if name not in known:
-            values = (1 / estimate.value[estimate.names.index(name)] for estimate in (one, two))
-            before, after = (float(x) for x in values)
-            found.append(
-                QuantityChange("stiffness", location, before, after, _stiffness_unit(one, name), after / before - 1,
-                           -math.inf, math.inf, "cannot_tell", None, limit)
-            )  # fmt: skip
+            found.append(_joint(name, unit, (before, after), (-math.inf, math.inf), "cannot_tell", None, limit))
             continue
         k = known.index(name)
-        std = math.sqrt(covariance[k, k])
-        before, after = float(a.value[k]), float(b.value[k])
-        low, high = (-(d / (before + d)) for d in (difference[k] + COVERAGE * std, difference[k] - COVERAGE * std))
+        std, d = math.sqrt(covariance[k, k]), float(difference[k])
+        ends, typical = _ends((before, after), (d - COVERAGE * std, d + COVERAGE * std)), before
+        own = limit
+        if min(before, after) <= 0:
+            own, typical = limit * max(before, after, 0.0), 1.0
+        verdict = _verdict(k in changed, max(map(abs, ends)), own)
+        needed = _needed(verdict, (first.configurations, other.configurations), std / typical, own, critical)
         alike = tuple(known[j].removeprefix(COMPLIANCE) for j in changed.get(k, ()))
-        verdict = _verdict(k in changed, max(abs(low), abs(high)), limit)
-        needed = _needed(verdict, (first.configurations, other.configurations), std / before, limit, critical)
-        found.append(
-            QuantityChange("stiffness", location, 1 / before, 1 / after, _stiffness_unit(a, name), before / after - 1,
-                       low, high, verdict, needed, limit, alike)
-        )  # fmt: skip
+        found.append(_joint(name, unit, (before, after), ends, verdict, needed, own, alike))
     return found
+
+
+def _ends(values: tuple[float, float], difference: tuple[float, float]) -> tuple[float, float]:
+    """Return the ends of an interval of a joint's change, as `_joint` states it, from those of its compliance."""
+    before, after = values
+    if min(before, after) <= 0:
+        return difference
+    low, high = (-d / (before + d) if before + d > 0 else math.inf for d in reversed(difference))
+    return low, high
+
+
+def _joint(
+    name: str,
+    unit: str,
+    values: tuple[float, float],
+    ends: tuple[float, float],
+    verdict: Verdict,
+    needed: int | None,
+    limit: float,
+    alike: tuple[str, ...] = (),
+) -> QuantityChange:
+    """Return the relative change of a joint's stiffness; of its compliance where one of the two is none.
+
+    Args:
+        name: Of the compliance.
+        unit: Of the compliance.
+        values: Both compliances.
+        ends: Of the interval, as `_ends` gives them.
+        verdict: As in `QuantityChange`, as all below.
+        needed: `configurations`.
+        limit: For `stiffness` relative, for `compliance` in its unit.
+        alike: `or_else`.
+    """
+    location, (before, after) = name.removeprefix(COMPLIANCE), values
+    if min(values) <= 0:  # a stiffness beyond all bounds has no relative change, and JSON no number for it
+        change = after - before
+        return QuantityChange("compliance", location, before, after, unit, change, *ends, verdict, needed, limit, alike)
+    stiffness, change = "N/m" if unit == "m/N" else "N*m/rad", before / after - 1
+    return QuantityChange(
+        "stiffness", location, 1 / before, 1 / after, stiffness, change, *ends, verdict, needed, limit, alike
+    )
 
 
 def changes(difference: Float1D, covariance: Float2D, critical: float) -> dict[int, tuple[int, ...]]:
@@ -278,7 +316,3 @@ def _known(estimate: GaussianEstimate, name: str) -> bool:
 def _named(name: str) -> tuple[str, str]:
     quantity, _, location = name.partition(".")
     return ("stiffness", location) if quantity == "compliance" else (quantity, location)
-
-
-def _stiffness_unit(estimate: GaussianEstimate, name: str) -> str:
-    return "N/m" if estimate.units[estimate.names.index(name)] == "m/N" else "N*m/rad"

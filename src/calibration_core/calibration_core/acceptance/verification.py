@@ -11,7 +11,7 @@ from calibration_core.acceptance.decision import Decision, decide, overall
 from calibration_core.acceptance.prediction_covariance import by_wrench, model_columns, propagated, repeatability
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError
-from calibration_core.identification.stiffness.predict import predict_readings, references
+from calibration_core.identification.stiffness.predict import predict_readings, references, require_differences
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -81,10 +81,12 @@ def verify(
         fit_tracker: Fit the tracker's pose to this recording first, because it was set up anew.
 
     Raises:
+        IdentificationError: The recording holds displacements, and reference steps alone.
         RecordingError: The recording has a point that the model does not know, or too few places to fit a frame.
         ModelFileError: The model contains an effect that this recording has no data for.
         EquilibriumError: A load is beyond what the joints can carry.
     """
+    require_differences(readings, cell)
     displacement = cell.measurements.points == "displacement"
     places = len(np.unique(readings.configuration))
     if fit_tracker and (displacement or places < FEWEST):

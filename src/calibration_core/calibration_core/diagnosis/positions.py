@@ -266,7 +266,7 @@ def diagnose_mixed(
     silent = dataclasses.replace(identification, anomalies=())
     result = diagnosis_of(found, evaluated, silent, cell, test=test, offers=offers, anomalies=anomalies)
     result = dataclasses.replace(result, aliases=aliases(found.extended.model.state, differences=False))
-    open_joints = any(not joint.identifiable for joint in identification.stiffness)
+    open_joints = any(joint.open for joint in identification.stiffness)
     if offers is None or result.next_measurements or not open_joints:
         return result
     # no posture shows what no load has shown

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import stat
 from pathlib import Path
@@ -22,12 +24,10 @@ def read_regular(path: Path, most: int, what: str, error: type[InputError] = Inp
         InputError: It cannot be read, is no regular file (directory, device, pipe), or is larger.
     """
     try:
-        with open(path, "rb", opener=_without_waiting) as stream:
-            status = os.fstat(stream.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                raise error(path, "", "no regular file", f"a readable {what}")
-            if status.st_size > most:
-                raise error(path, "", f"{status.st_size} bytes", f"a {what} of at most {most} bytes")
+        with open_regular(path) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size > most:
+                raise error(path, "", f"{size} bytes", f"a {what} of at most {most} bytes")
             content = stream.read(most + 1)
     except IsADirectoryError:
         raise error(path, "", "a directory", f"a readable {what}") from None
@@ -36,6 +36,19 @@ def read_regular(path: Path, most: int, what: str, error: type[InputError] = Inp
     if len(content) > most:
         raise error(path, "", f"more than {most} bytes", f"a {what} of at most {most} bytes")
     return content
+
+
+def open_regular(path: Path) -> io.BufferedReader:
+    """Open a regular file for reading; links are followed.
+
+    Raises:
+        OSError: It cannot be opened, or is no regular file (directory, device, pipe): `strerror` says so.
+    """
+    stream = open(path, "rb", opener=_without_waiting)  # noqa: SIM115 - the caller closes it
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        raise OSError(errno.EINVAL, "no regular file", str(path))
+    return stream
 
 
 def _without_waiting(path: str, flags: int) -> int:

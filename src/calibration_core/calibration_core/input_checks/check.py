@@ -35,7 +35,10 @@ def check_inputs(readings: Readings, cell: Cell) -> tuple[InputAnomaly, ...]:
     if not found and cell.measurements.points == "absolute":
         first = _first_of_groups(some)
         loaded = some.wrench is not None and len(first) < len(some)
-        seen = PositionRecording(chain, first.q, first.position, first.point, points, tuple(readings.points), loaded)
+        stated = cell.frames.tracker
+        turn = None if stated is None else pose_matrix(np.array(stated.xyz), np.array(stated.rpy))[:3, :3]
+        names = tuple(readings.points)
+        seen = PositionRecording(chain, first.q, first.position, first.point, points, names, loaded, turn)
         found += check_positions(seen)
     if not found and some.wrench is not None:
         motion = _motion(some, cell, chain, points)

@@ -26,6 +26,7 @@ SCALES = {1e-3: "mm", 1e3: "km", 0.0254: "inches", 0.01: "cm", 0.3048: "feet"}
 NEAR_SCALE = 0.03  # relative
 FITS = 3  # turns of tracker frame and points
 LEAST_EVIDENCE = 30.0  # nats
+NEAR_TURN = np.radians(40.0)  # of the stated orientation: two mirror images of one recording are half a turn apart
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,6 +41,7 @@ class PositionRecording:
         points: (k, 3) m, where the cell file has them, flange frame.
         names: Names of the points.
         loaded: Whether the recording holds loads, so that its geometry is taken from the robot file.
+        tracker: (3, 3) orientation of the tracker in the base frame as the cell file states it; None: it does not.
     """
 
     chain: Chain
@@ -49,6 +51,7 @@ class PositionRecording:
     points: Float2D
     names: tuple[str, ...]
     loaded: bool = False
+    tracker: Float2D | None = None
 
 
 def check_positions(seen: PositionRecording) -> list[InputAnomaly]:
@@ -137,10 +140,15 @@ def _predicted(seen: PositionRecording) -> Float2D:
 
 def _moved(target: Float2D, source: Float2D) -> Float2D:
     """Return the source after the best rotation and shift, (m, 3) m."""
+    return np.asarray((source - source.mean(axis=0)) @ _turn(target, source).T + target.mean(axis=0))
+
+
+def _turn(target: Float2D, source: Float2D) -> Float2D:
+    """Return the rotation, (3, 3), that brings the source nearest to the target, both (m, 3) m."""
     a, b = target - target.mean(axis=0), source - source.mean(axis=0)
     u, _, vt = np.linalg.svd(a.T @ b)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
-    return np.asarray(b @ ((u * signs) @ vt).T + target.mean(axis=0))
+    return np.asarray((u * signs) @ vt)
 
 
 def _registered(target: Float2D, source: Float2D) -> tuple[float, float]:
@@ -176,8 +184,33 @@ def _alternatives(seen: PositionRecording, stands: float, reach: float) -> Itera
             anomaly = InputAnomaly("position_unit", f"positions look like {unit}", f"give positions in m: multiply "
                                    f"them by {factor:g}", 0.0, factor=factor)  # fmt: skip
             yield anomaly, misplaced(dataclasses.replace(seen, position=factor * seen.position))
+    yield _mirrored(seen)
 
 
 def _orders(seen: PositionRecording) -> Iterator[tuple[InputAnomaly, float]]:
     for anomaly, points in other_points(seen.names, seen.points):
         yield anomaly, misplaced(dataclasses.replace(seen, points=points))
+
+
+def _mirrored(seen: PositionRecording) -> tuple[InputAnomaly, float]:
+    """Return that the tracker's axes are left-handed, with what is left of the positions then.
+
+    Mirror images in the three axes are turns of each other: only a stated orientation of the tracker says which one.
+    """
+    images = [seen.position * np.where(np.arange(3) == axis, -1.0, 1.0) for axis in range(3)]
+    there, which = _predicted(seen), ""
+    if seen.tracker is not None:
+        cosines = [(np.trace(seen.tracker.T @ _turn(there, image)) - 1.0) / 2.0 for image in images]
+        axis = int(np.argmax(cosines))
+        which = "xyz"[axis] if np.arccos(np.clip(cosines[axis], -1.0, 1.0)) < NEAR_TURN else ""
+    wrong = "the sign of one coordinate of the readings is wrong: "
+    if which:
+        remedy = f"{wrong}turn the sign of {which} of all positions"
+    else:
+        remedy = (
+            f"{wrong}export the positions in right-handed axes, or turn the sign of one of x, y and z of all of them"
+        )
+    text = "the readings are mirrored: the tracker's axes are left-handed"
+    axes = f"-{which}" if which else ""
+    anomaly = InputAnomaly("point_order", text, remedy, 0.0, points=seen.names, axes=axes)
+    return anomaly, _registered(there, images[0])[0]

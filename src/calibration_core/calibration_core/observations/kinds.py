@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.errors import IdentificationError
 from calibration_core.timeseries import Bool1D, Float1D, Readings
 
 SLACK = 0.02  # of the largest force: less is none
@@ -36,6 +37,16 @@ def at_rest(readings: Readings) -> Bool1D:
 def holds_single_steps(readings: Readings) -> bool:
     """Say whether any configuration has one step alone."""
     return bool(np.any(single_steps(readings)))
+
+
+def references_alone(readings: Readings) -> IdentificationError:
+    """Return the error of displacements that show nothing, because each is the reference of itself."""
+    return IdentificationError(
+        readings.provenance.path,
+        "step",
+        "single steps, and positions relative to step 0 (measurements.points: displacement)",
+        "several steps per configuration, or absolute positions",
+    )
 
 
 def postures_at_rest(readings: Readings) -> int:

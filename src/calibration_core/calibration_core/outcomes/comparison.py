@@ -48,6 +48,8 @@ class Compared:
         cells: One per measurement.
         digests: Measurement and file -> SHA-256 of every recording and model.
         remarks: What a reader must know besides, a sentence each.
+        steps: Number of measured steps of the first, all configurations together; None where its result states none.
+        loaded: Whether the first was measured under loads.
     """
 
     measurements: tuple[Measurement, ...]
@@ -56,6 +58,8 @@ class Compared:
     cells: tuple[Cell, ...]
     digests: dict[str, str]
     remarks: tuple[str, ...]
+    steps: int | None
+    loaded: bool
 
     @property
     def inputs(self) -> dict[str, Mapping[str, str]]:
@@ -65,11 +69,21 @@ class Compared:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ComparedSource:
-    """One measurement before its laws are estimated: a recording with its identification, or a folder's model."""
+    """One measurement before its laws are estimated: a recording with its identification, or a folder's model.
+
+    Attributes:
+        measurement: What is compared.
+        recorded: The recording with its identification; None for a folder.
+        digests: File -> SHA-256.
+        steps: As in `Compared`.
+        loaded: As in `Compared`.
+    """
 
     measurement: Measurement
     recorded: tuple[Readings, Identification] | None
     digests: dict[str, str]
+    steps: int | None
+    loaded: bool
 
 
 def source_of(path: Path, cell: Cell) -> ComparedSource:
@@ -98,14 +112,22 @@ def compared_sources(
     )
     if len(measurements) > 2 and any(one.date is None for one in measurements):
         remarks.append("No trend: a date is not known; give --dates, one for each measurement.")
-    limit = typical("backlash", cells[0].robot.rated_load)
+    differences = compare(measurements, typical("backlash", cells[0].robot.rated_load))
+    remarks += [
+        f"Nothing to compare: {measurements[0].label} and {other.label} have no stiffness, and no law of a joint, in "
+        "common."
+        for other, rows in zip(measurements[1:], differences, strict=True)
+        if not rows
+    ]
     return Compared(
         measurements,
-        compare(measurements, limit),
+        differences,
         trends(measurements),
         cells,
         digests_of_several((one.measurement.label, one.digests) for one in sources),
         tuple(remarks),
+        sources[0].steps,
+        sources[0].loaded,
     )
 
 
@@ -148,12 +170,15 @@ def _folder(path: Path, cell: Cell) -> ComparedSource:
         recording, start = content["recording"], content["input"]["recording"]["start"]
         several = content.get("recordings") or [recording]
         count = sum(int(one["configurations"]) for one in several)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        steps = [one.get("steps") for one in several]
+    except (AttributeError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(path / RESULT, "recording", quoted(str(error)), "the result of identify or diagnose") from None
     if count < 1:
         raise InputError(path / RESULT, "recording.configurations", str(count), "at least one")
     measurement = Measurement(str(path), date_of(start), count, _compliances(model), _effects(model))
-    return ComparedSource(measurement, None, digest_of(path / MODEL))
+    known = all(isinstance(one, int) for one in steps)
+    loaded = any(one.get("loaded") is True for one in several)
+    return ComparedSource(measurement, None, digest_of(path / MODEL), sum(steps) if known else None, loaded)
 
 
 def recorded_source(readings: Readings, cell: Cell, label: str) -> ComparedSource:
@@ -173,7 +198,8 @@ def recorded_source(readings: Readings, cell: Cell, label: str) -> ComparedSourc
     chosen = [k for k, name in enumerate(estimate.names) if name.startswith(COMPLIANCE)]
     count = len(np.unique(readings.configuration))
     measurement = Measurement(label, date_of(readings.provenance.start), count, estimate.chosen(chosen), NOTHING)
-    return ComparedSource(measurement, (readings, found), dict(readings.provenance.sha256))
+    steps = len(np.unique(np.column_stack([readings.configuration, readings.step]), axis=0))
+    return ComparedSource(measurement, (readings, found), dict(readings.provenance.sha256), steps, loaded=True)
 
 
 def _compliances(model: CalibratedModel) -> GaussianEstimate:
@@ -231,7 +257,8 @@ def described(one: QuantityChange) -> str:
     if not math.isfinite(one.low):
         return f"{one.quantity} of {one.location}: cannot tell, not known in one of the two"
     if one.quantity == "stiffness":
-        size = f"{100 * one.change:+z.1f} % ({100 * one.low:+z.1f} to {100 * one.high:+z.1f} %)"
+        high = f"to {100 * one.high:+z.1f} %" if math.isfinite(one.high) else "% to no bound"
+        size = f"{100 * one.change:+z.1f} % ({100 * one.low:+z.1f} {high})"
     else:
         size = f"{_with_unit(one.unit, one.change)} ({_ends(one)})"
     text = f"{one.quantity} of {one.location}: {size}, {WORDS[one.verdict]}"

@@ -11,7 +11,12 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.identification.checks.space import operating_space
 from calibration_core.identification.result.estimate import OperatingSpace, Residuals
-from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings, references
+from calibration_core.identification.stiffness.predict import (
+    from_step_zero,
+    predict_readings,
+    references,
+    require_differences,
+)
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
@@ -59,7 +64,8 @@ class Prediction:
         space: The operating space.
         error: Of the positions; where they are differences, reference steps, zero by definition, are not counted.
         before: The same with the cell file's model; None where it states no tracker pose.
-        deflection: Error of the differences to step 0, with the model and with the cell file's; None for single steps.
+        deflection: Error of the differences to step 0, with the model and with the cell file's; None for single steps,
+            and where no point was read at two steps of a configuration.
         check: The error beside what noise and the model's intervals allow.
         noted: What else is wrong with the input and does not forbid a prediction.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
@@ -102,24 +108,26 @@ def predict(cell: Cell, given: GivenModel, readings: Readings, noted: tuple[Inpu
         noted: What the look at the input found that does not forbid a prediction.
 
     Raises:
-        InputError: The model does not know a point of the recording, or needs data that the recording has not.
+        InputError: The model does not know a point of the recording, or needs data that the recording has not; or the
+            recording holds reference steps alone.
         EquilibriumError: The load is beyond what the joints can carry.
     """
     refuse_lengths(cell)
+    require_differences(readings, cell)
     parameters = given.parameters
     with naming_model(Path(given.file)):
         predicted = predict_readings(readings, cell, parameters)
         check = check_prediction(readings, cell, given.calibrated)
     error = readings.position - predicted
     displacement = cell.measurements.points == "displacement"
-    counted_rows = ~references(readings) if displacement else np.ones(len(readings), dtype=bool)
+    later = ~references(readings)
+    counted_rows = later if displacement else np.ones(len(readings), dtype=bool)
     nominal = None
     if displacement or cell.frames.tracker is not None:
         nominal = readings.position - predict_readings(readings, cell, nominal_parameters(cell))
     load = None if readings.wrench is None else load_of(readings, cell, parameters)
     deflection = None
-    if is_loaded(readings) and nominal is not None:
-        later = ~references(readings)
+    if is_loaded(readings) and later.any() and nominal is not None:
         after, before = (from_step_zero(readings, one)[later] for one in (error, nominal))
         deflection = ErrorSize.of(after), ErrorSize.of(before)
     return Prediction(

@@ -88,7 +88,7 @@ def make_pose_plan(
         PlanError: Too few postures are asked for, can be reached and seen, or can be driven between without collision.
     """
     rules = rules or PlanningRules()
-    check_counts(cell, configurations, spares)
+    check_counts(configurations, spares)
     parameters = parameters or nominal_parameters(cell)
     ground = ground_of(cell, parameters, rules.space, task)
     more = math.ceil(spares * configurations)

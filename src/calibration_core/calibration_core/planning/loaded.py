@@ -107,7 +107,7 @@ def make_plan(
         PlanError: Too few configurations are asked for, or too few can be reached and seen under the rules.
     """
     rules = rules or PlanningRules()
-    check_counts(cell, configurations, spares, least)
+    check_counts(configurations, spares, least)
     if cell.frames.wrench_point is None:
         raise cell.missing("frames.wrench_point", "planning loads")
     parameters = parameters or nominal_parameters(cell)
@@ -164,13 +164,13 @@ def make_plan(
     return dataclasses.replace(plan, expected=expected)
 
 
-def check_counts(cell: Cell, configurations: int, spares: float, least: int = LEAST_CONFIGURATIONS) -> None:
+def check_counts(configurations: int, spares: float, least: int = LEAST_CONFIGURATIONS) -> None:
     """Raise PlanError where fewer configurations or spares are asked for than make sense."""
     if not least <= configurations <= MOST_CONFIGURATIONS:
         expected = f"{least} to {MOST_CONFIGURATIONS} (CWA 17384, 5.1)"
-        raise PlanError(cell.path, "configurations", str(configurations), expected)
+        raise PlanError("plan", "--configurations", str(configurations), expected)
     if not 0.0 <= spares <= 5.0:
-        raise PlanError(cell.path, "spares", f"{spares:g}", "a share from 0 to 5, the standard asks for 0.5")
+        raise PlanError("plan", "--spares", f"{spares:g}", "a share from 0 to 5, the standard asks for 0.5")
 
 
 def ground_of(cell: Cell, parameters: ModelParameters, rules: SpaceRules, task: Float2D | None) -> Ground:

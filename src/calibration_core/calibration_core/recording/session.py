@@ -24,6 +24,7 @@ from typing import Any
 
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.files.regular import open_regular
 from calibration_core.recording.session_values import ConfirmedReading, as_readings, checked_reading
 from calibration_core.recording.source import SESSION_DATABASE, sha256_of
 from calibration_core.timeseries import Condition, Note, Override, Readings
@@ -82,7 +83,7 @@ def _copy(file: Path) -> Iterator[Path]:
     """Copy a database with its write-ahead log, as it was at one moment, to a folder that is deleted afterwards."""
     log = file.with_name(file.name + "-wal")
     try:
-        with file.open("rb") as stream:
+        with open_regular(file) as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 raise RecordingError(file, "", "another kind of file", "a session's database (SQLite)")
         with tempfile.TemporaryDirectory() as folder:

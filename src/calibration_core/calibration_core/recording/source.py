@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from calibration_core.errors import RecordingError
+from calibration_core.files.regular import open_regular
 
 BAG_SUFFIXES = (".mcap", ".db3")
 SESSION_DATABASE = "session.db"  # in the directory of a session
@@ -49,7 +50,7 @@ def sha256_of(path: Path) -> str:
         RecordingError: The file cannot be read.
     """
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise RecordingError(path, "", error.strerror or str(error), "a readable file") from None

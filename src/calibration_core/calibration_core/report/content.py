@@ -126,7 +126,8 @@ def _facts(result: Identification, cell: Cell, day: dt.date) -> Facts:
 
 def _verdict(result: Identification, left: ResidualVerdict, light: Light) -> Verdict:
     known = [joint for joint in result.stiffness if joint.identifiable]
-    total = len(result.stiffness) or len(result.model.joints)
+    rigid = [joint.joint for joint in result.stiffness if not (joint.identifiable or joint.open)]
+    total = len(result.stiffness) - len(rigid) or len(result.model.joints)
     lines: list[tuple[str, str]] = []
     if known:
         headline = f"Joint stiffness identified: {len(known)} of {counted(total, 'joint')}"
@@ -140,9 +141,11 @@ def _verdict(result: Identification, left: ResidualVerdict, light: Light) -> Ver
             headline += (
                 f"; {len(fitted)} of {counted(len(result.parameters), 'parameter')} of frames and geometry identified"
             )
-    open_joints = [joint.joint for joint in result.stiffness if not joint.identifiable]
+    open_joints = [joint.joint for joint in result.stiffness if joint.open]
     if open_joints:
         lines.append(("Not identifiable", listed(open_joints)))
+    if rigid:
+        lines.append(("Declared rigid, not asked for", listed(rigid)))
     lines.append(("Residual", stiffness.rest_text(left)))
     unit = length_unit(result.fit.held_out_mean_after)
     mean, largest = (

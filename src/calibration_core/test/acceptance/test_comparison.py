@@ -64,6 +64,38 @@ def test_a_softer_joint_of_simulated_recordings(joint: int) -> None:
     assert one.unit == "N*m/rad"
 
 
+def test_the_compliances_of_a_rigid_joint_are_compared() -> None:
+    found, _ = identified()
+    estimate = compliances(found.estimate)
+    value = estimate.value.copy()
+    value[5] = 0.0
+    rigid = dataclasses.replace(estimate, value=value)
+    for pair, sign in (((estimate, rigid), -1), ((rigid, estimate), 1)):
+        rows = compare([measurement(one) for one in pair], LAW)[0]
+        assert [one.quantity for one in rows] == ["stiffness"] * 5 + ["compliance"]
+        last = rows[5]
+        assert (last.location, last.unit, last.verdict) == ("joint_6", "rad/(N*m)", "changed")
+        assert (last.first, last.second) == (pair[0].value[5], pair[1].value[5])
+        assert last.change == pytest.approx(sign * estimate.value[5])
+        assert last.high - last.low == pytest.approx(2 * 1.96 * np.sqrt(2) * estimate.std[5])
+        assert last.limit == pytest.approx(0.05 * estimate.value[5])
+    (*_, both) = compare([measurement(rigid), measurement(rigid)], LAW)[0]
+    assert (both.change, both.verdict, both.configurations) == (0.0, "cannot_tell", None)
+    unknown = dataclasses.replace(rigid, covariance=np.diag([*np.diag(rigid.covariance)[:5], np.inf]))
+    (*_, open_) = compare([measurement(unknown), measurement(estimate)], LAW)[0]
+    assert (open_.quantity, open_.verdict) == ("compliance", "cannot_tell")
+    assert np.isfinite([open_.first, open_.second, open_.change]).all()
+
+
+def test_a_compliance_that_may_be_none_leaves_no_bound_to_the_change() -> None:
+    found, _ = identified()
+    estimate = compliances(found.estimate)
+    value = estimate.value.copy()
+    value[5] = 0.5 * estimate.std[5]
+    (*_, last) = compare([measurement(estimate), measurement(dataclasses.replace(estimate, value=value))], LAW)[0]
+    assert last.low < last.change < last.high == np.inf
+
+
 def test_what_cannot_be_told_says_what_would_tell() -> None:
     """With so many configurations the change of the limit would be found in nine of ten."""
     found, _ = identified()

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
 from program import CELL, KEYS, result_of, run
 
 from calibration_core.files.yaml_file import read_yaml, yaml_text
+
+WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +58,58 @@ def test_a_folder_beside_a_recording_and_three_dates(
     trend = {row["location"]: row for row in result["trends"]}
     assert trend["joint_2"]["slope"] < 0
     assert result["remarks"]
+
+
+def test_a_folder_with_a_rigid_joint(
+    identified: Path, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rigid = tmp_path / "rigid"
+    shutil.copytree(identified, rigid)
+    model = read_yaml(rigid / "model.yaml", 1 << 24, "model").data
+    model["compliance"][5] = 0.0
+    model["stiffness"][5] = None
+    (row,) = [row for row in model["parameters"] if row["name"] == "compliance.joint_6"]
+    row["value"] = 0.0
+    (rigid / "model.yaml").write_text(yaml_text(model))
+    for k, pair in enumerate([(identified, rigid), (rigid, identified), (rigid, simulated / "measurements.csv")]):
+        out = tmp_path / f"out{k}"
+        assert run("compare", *pair, "--cell", CELL, "--out", out) == 0
+        row = differences(out)["compliance", "joint_6"]
+        assert row["unit"] == "rad/(N*m)"
+        assert row["low"] < row["change"] < row["high"]
+        assert 0.0 in {row["first"], row["second"]}
+        assert "compliance of joint_6: " in capsys.readouterr().out
+        assert "Compliance of rigid joints" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_folder_says_how_many_steps_were_measured(identified: Path, simulated: Path, tmp_path: Path) -> None:
+    arguments = ("--cell", CELL, "--no-report", "--out", tmp_path / "out")
+    for pair in ((identified, identified), (simulated / "measurements.csv", identified)):
+        assert run("compare", *pair, *arguments) == 0
+        recording = result_of(tmp_path / "out")["recording"]
+        assert (recording["steps"], recording["loaded"]) == (12 * 9, True)
+
+
+def test_recordings_at_rest_leave_nothing_to_compare(
+    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with (simulated / "measurements.csv").open(newline="") as stream:
+        rows = [row for row in csv.DictReader(stream) if row["step"] == "0"]
+    with (tmp_path / "rest.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, [name for name in rows[0] if name not in WRENCH],
+                                extrasaction="ignore")  # fmt: skip
+        writer.writeheader()
+        writer.writerows(rows)
+    found, out = tmp_path / "found", tmp_path / "out"
+    assert run("identify", tmp_path / "rest.csv", "--cell", CELL, "--no-report", "--out", found) == 0
+    assert run("compare", found, found, "--cell", CELL, "--out", out) == 0
+    result = result_of(out)
+    line = f"Nothing to compare: {found} and {found} have no stiffness, and no law of a joint, in common."
+    assert line in capsys.readouterr().out.splitlines()
+    assert line in result["remarks"]
+    assert (result["recording"]["steps"], result["recording"]["loaded"]) == (12, False)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "No change found" not in page
 
 
 @pytest.mark.parametrize(

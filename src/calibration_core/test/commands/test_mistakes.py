@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import csv
+import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from program import CELL, names, run
 
 from calibration_core.cli import main
+from calibration_core.errors import RecordingError
+from calibration_core.fleet.recordings.inputs import input_file
 
 ROOT = Path(__file__).resolve().parents[4]
 ANGLES = "0.1 0.5 0.2 0.3 0.7 0.1"
@@ -97,6 +102,76 @@ def test_an_empty_file_is_said_to_hold_nothing(
 def test_a_directory_where_a_file_is_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, tmp_path, "plan", "--cell", ROOT)
     assert line == f"{ROOT}: found a directory, expected a readable cell file (YAML)\n"
+
+
+@pytest.fixture
+def in_time() -> Iterator[None]:
+    """End a test that waits for ever."""
+
+    def end(*_: object) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.alarm(30)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+TABLE, MODEL = "{simulated}/measurements.csv", "{identified}/model.yaml"
+PIPES = [
+    ("plan", "--cell", CELL, "--task", "pipe.csv"),
+    ("plan", "--cell", CELL, "--population", "pipe.yaml"),
+    ("plan", "--cell", CELL, "--model", "pipe.yaml"),
+    ("simulate", "--cell", CELL, "--plan", "pipe.yaml"),
+    ("identify", "pipe.csv", "--cell", CELL),
+    ("identify", "pipe.db3", "--cell", CELL),
+    ("identify", "session", "--cell", CELL),
+    ("identify", TABLE, "--cell", "pipe.yaml"),
+    ("identify", TABLE, "--cell", CELL, "--test", "pipe.csv"),
+    ("diagnose", TABLE, "--cell", CELL, "--simulation", "pipe.csv"),
+    ("predict", "pipe.csv", "--cell", CELL, "--model", MODEL),
+    ("verify", TABLE, "--cell", CELL, "--model", "pipe.yaml", "--tolerance", 1e-3),
+    ("compare", TABLE, "pipe.csv", "--cell", CELL),
+    ("deflect", "--cell", CELL, "--model", MODEL, "--poses", "pipe.csv", "--wrench", "0 0 -9 0 0 0"),
+    ("compensate", "pipe.csv", "--cell", CELL, "--model", MODEL),
+    ("export", "--cell", CELL, "--model", MODEL, "--format", "ur", "--template", "pipe.yaml"),
+    ("init", "pipe.urdf", "--rated-load", 10),
+    ("check", CELL, "pipe.csv"),
+    ("import", "pipe.csv"),
+    ("import", TABLE, "--map", "pipe.yaml"),
+    ("fleet", "pipe.csv"),
+]
+
+
+@pytest.mark.usefixtures("in_time")
+@pytest.mark.parametrize("arguments", PIPES, ids=lambda words: " ".join(str(word).split("/")[-1] for word in words))
+def test_a_pipe_where_a_file_is_meant(
+    arguments: tuple[object, ...], simulated: Path, identified: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No command waits for somebody to write to it."""
+    (tmp_path / "session").mkdir()
+    for name in ("pipe.csv", "pipe.yaml", "pipe.urdf", "pipe.db3", "session/session.db"):
+        os.mkfifo(tmp_path / name)
+    placed = [
+        tmp_path / word
+        if isinstance(word, str) and word.startswith(("pipe.", "session"))
+        else str(word).format(simulated=simulated, identified=identified)
+        for word in arguments
+    ]
+    out = () if arguments[0] == "check" else ("--out", tmp_path / "out")
+    assert run(*placed, *out) == 2
+    printed = capsys.readouterr()
+    (line,) = [text for text in (printed.out + printed.err).splitlines() if "found no regular file" in text]
+    assert ", expected " in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("in_time")
+def test_a_pipe_in_a_plant_is_a_recording_that_cannot_be_used(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(RecordingError, match=r"pipe\.csv: found no regular file, expected a recording"):
+        input_file(str(tmp_path / "pipe.csv"))
 
 
 def test_describe_of_what_is_no_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -111,8 +111,8 @@ def test_the_same_seed_gives_the_same_plan_and_options_reach_the_planner(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--configurations", 11), "12 to 200"),
-        (("--spares", "nan"), "a share"),
+        (("--configurations", 11), "plan: --configurations: found 11, expected 12 to 200"),
+        (("--spares", "nan"), "plan: --spares: found nan, expected a share"),
         (("--load-levels", 0.5, 1), "the first 0"),
         (("--load-levels", 0, "nan"), "shares from -1"),
         (("--load-share", 1.2), "at most 1"),

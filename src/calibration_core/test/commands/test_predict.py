@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,54 @@ def test_damaged_models_are_refused_in_one_line(
     assert run("predict", table, "--cell", cell_path, "--model", model, "--out", tmp_path / "out") == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def kept(table: Path, out: Path, keep: Callable[[dict[str, str]], bool], **values: str) -> Path:
+    """Write the rows of a measurement table that are to be kept, with these values; return the new table."""
+    with table.open(newline="") as stream:
+        rows = [{**row, **values} for row in csv.DictReader(stream) if keep(row)]
+    with out.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return out
+
+
+def once(row: dict[str, str]) -> bool:
+    """Say whether a reading is one of those that are left where every point is read at a step of its own."""
+    return row["point"] == f"mp{int(row['step']) + 1}"
+
+
+@pytest.mark.parametrize("keep", [lambda row: row["step"] == "1", once], ids=["single steps", "points once each"])
+def test_differences_of_reference_steps_alone_are_refused(
+    keep: Callable[[dict[str, str]], bool],
+    simulated: Path,
+    identified: Path,
+    cell_path: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    cell, out, model = tmp_path / "cell.yaml", tmp_path / "out", identified / "model.yaml"
+    spherical = "{sigma_range: 8.0e-6, sigma_range_per_m: 4.0e-7, sigma_angle: 3.0e-6,"
+    text = cell_path.read_text().replace(spherical, "{sigma: 1.5e-5,")
+    cell.write_text(text + "measurements: {points: displacement}\n")
+    table = kept(simulated / "measurements.csv", tmp_path / "some.csv", keep, x="0", y="0", z="0")
+    for command, *more in (("predict",), ("verify", "--tolerance", 1e-3)):
+        assert run(command, table, "--cell", cell, "--model", model, *more, "--out", out) == 2
+        error = capsys.readouterr().err
+        assert error.splitlines()[-1].startswith(f"{table}: step: found single steps, and positions relative to step 0")
+        assert not out.exists()
+
+
+def test_points_that_are_read_once_each_have_no_deflection(
+    simulated: Path, identified: Path, cell_path: Path, tmp_path: Path
+) -> None:
+    table = kept(simulated / "measurements.csv", tmp_path / "some.csv", once)
+    arguments = ("--cell", cell_path, "--model", identified / "model.yaml", "--no-report", "--out", tmp_path / "out")
+    assert run("predict", table, *arguments) == 0
+    content = result_of(tmp_path / "out")
+    assert content["deflection"] is None
+    assert content["fit"]["rms_after"] < 1.3 * content["fit"]["noise"]
 
 
 def test_reference_steps_of_differences_are_not_counted(planned: Path, cell_path: Path, tmp_path: Path) -> None:

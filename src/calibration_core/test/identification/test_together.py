@@ -15,7 +15,9 @@ from calibration_core.errors import InputError
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.several.members import members_of
-from calibration_core.outcomes.together.evaluate import identify_together
+from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.outcomes.together.evaluate import covered, identify_together
+from calibration_core.outcomes.together.prepare import prepare
 from calibration_core.timeseries import Readings
 
 TRUE = np.array(STIFFNESS)
@@ -185,6 +187,44 @@ def test_recordings_at_rest_share_the_geometry(tmp_path: Path) -> None:
         assert soft[name].value == pytest.approx(STIFFNESS[int(name[-1]) - 1], abs=4 * soft[name].std)
     assert found.together is not None
     assert found.together.disagreements == ()
+
+
+def without_sensor(cell: Cell) -> Cell:
+    """Return a cell that says nothing of a force/torque sensor."""
+    frames = cell.frames.model_copy(update={"force_torque": None})
+    instruments = cell.instruments.model_copy(update={"force_torque": None})
+    return cell.model_copy(update={"frames": frames, "instruments": instruments})
+
+
+def test_the_sensor_is_asked_for_only_where_a_wrench_was_recorded(tmp_path: Path) -> None:
+    cells = cells_in(tmp_path)[:2]
+    still = [measured(cell, k, 90 + k, configurations=0, rest=25) for k, cell in enumerate(cells)]
+    bare = [without_sensor(cell) for cell in cells]
+    prepared = together(still, bare)
+    assert prepared.merged.readings.wrench is None
+    found = identify_together(prepared)
+    assert found.kind == "absolute"
+    assert covered(prepared, found.model).force == (0.0, 0.0)
+    loads = measured(cells[1], 1, 21)
+    prepared = together([still[0], loads], [bare[0], cells[1]])
+    found = identify_together(prepared)
+    assert found.kind == "loaded"
+    assert covered(prepared, found.model).force[1] == pytest.approx(2300, rel=0.01)
+    with pytest.raises(InputError, match=r"B\.cell\.yaml: frames\.force_torque: found nothing"):
+        together([still[0], loads], bare)
+
+
+def test_a_test_with_loads_asks_for_the_sensor_beside_recordings_at_rest(tmp_path: Path) -> None:
+    cells = cells_in(tmp_path)[:2]
+    still = [measured(cell, k, 90 + k, configurations=0, rest=25) for k, cell in enumerate(cells)]
+    loads = measured(cells[0], 0, 21)
+    members = members_of(still, cells)
+    prepared = prepare(members, [0, 1], Options(), loads)
+    assert prepared.test is not None
+    np.testing.assert_allclose(prepared.test.wrench, loads.wrench, atol=1e-9)
+    members = members_of(still, [without_sensor(cell) for cell in cells])
+    with pytest.raises(InputError, match=r"A\.cell\.yaml: frames\.force_torque: found nothing"):
+        prepare(members, [0, 1], Options(), loads)
 
 
 def test_one_at_rest_and_one_loaded_give_geometry_and_stiffness(tmp_path: Path) -> None:

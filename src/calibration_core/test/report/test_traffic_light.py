@@ -20,6 +20,7 @@ def content(**stiffness: Any) -> dict[str, Any]:
     [
         ({"identifiable": True}, False),
         ({"identifiable": False}, True),
+        ({"identifiable": False, "reason": "declared rigid in the cell file: not asked for"}, False),
         ({"identifiable": False, "extended": {"value": 18877.0, "std": 4460.0}}, False),
         ({"identifiable": False, "extended": {"value": 31664.0, "std": 36580.0}}, True),
     ],

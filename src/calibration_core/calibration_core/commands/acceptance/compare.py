@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from calibration_core.acceptance.comparison import OF_JOINTS
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.errors import InputError, quoted
 from calibration_core.identification.several.members import cells_of
@@ -96,9 +97,9 @@ def comparison_result(found: Compared) -> dict[str, Any]:
     recording = {
         "file": first.label,
         "configurations": first.configurations,
-        "steps": None,
+        "steps": found.steps,
         "points": list(found.cells[0].points),
-        "loaded": True,
+        "loaded": found.loaded,
     }
     return command_result(
         "compare",
@@ -128,8 +129,8 @@ def comparison_summary(found: Compared) -> str:
     lines = []
     for other, rows in zip(found.measurements[1:], found.differences, strict=True):
         lines.append(f"{found.measurements[0].label} -> {other.label}")
-        lines += [f"  {described(one)}" for one in rows if one.quantity == "stiffness" or one.verdict == "changed"]
-        others = [one for one in rows if one.quantity != "stiffness" and one.verdict != "changed"]
+        lines += [f"  {described(one)}" for one in rows if one.quantity in OF_JOINTS or one.verdict == "changed"]
+        others = [one for one in rows if one.quantity not in OF_JOINTS and one.verdict != "changed"]
         if others:
             fine = sum(one.verdict == "not_changed" for one in others)
             lines.append(f"  backlash, hysteresis and effects: {fine} not changed, {len(others) - fine} cannot tell")

@@ -14,6 +14,7 @@ from calibration_core.commands.files.describe_use import OF_USE
 from calibration_core.commands.files.result_parts import Content, records
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.regular import read_regular
+from calibration_core.identification.result.estimate import DECLARED_RIGID
 from calibration_core.model.effects.words import effect_words
 from calibration_core.report.results.result import SCHEMA
 from calibration_core.report.rounding import STIFFNESS, counted, decimals, fixed, phrase, significant
@@ -129,6 +130,8 @@ def _named(title: str, of: Mapping[str, Any], name: str, text: str) -> str:
 
 def _joint(joint: Mapping[str, Any]) -> str:
     value, std, unit = joint.get("value"), joint.get("std"), str(joint.get("unit", "")).replace("*", "·")
+    if joint.get("reason") == DECLARED_RIGID:
+        return f"Stiffness of {joint.get('joint')}: {DECLARED_RIGID}."
     if not isinstance(value, int | float) or not joint.get("identifiable", True):
         return f"Stiffness of {joint.get('joint')}: not identifiable. {_sentence(joint.get('reason'))}".rstrip()
     half = STIFFNESS.factor * 1.96 * std if isinstance(std, int | float) else math.nan

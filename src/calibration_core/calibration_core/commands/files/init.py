@@ -14,10 +14,12 @@ from calibration_core.cell import load_cell
 from calibration_core.cell.library import library_robot
 from calibration_core.cell.schema import cell_schema_text
 from calibration_core.cell.serial_chain import SerialChain, serial_chain
+from calibration_core.cell.urdf import MAX_BYTES
 from calibration_core.commands.files.cell_text import SCHEMA_NAME, URDF_NAME, Answers, cell_text, guessed
 from calibration_core.commands.files.init_arguments import numbers, point, points
 from calibration_core.commands.shared.common import typed
 from calibration_core.errors import InputError, OutputError, RecordingError, shown_path
+from calibration_core.files.regular import read_regular
 from calibration_core.files.written import json_bytes
 from calibration_core.model.robot import chain_of
 from calibration_core.outcomes.inputs import digest_of
@@ -90,10 +92,7 @@ def _robot(arguments: argparse.Namespace, urdf: Path) -> tuple[str, Answers | No
     """Write the robot's URDF to a place; return where it comes from, and what the library knows of it."""
     robot = Path(arguments.robot)
     if robot.suffix.lower() in {".urdf", ".xacro", ".xml"}:
-        try:
-            urdf.write_bytes(robot.read_bytes())
-        except OSError as error:
-            raise InputError(robot, "", error.strerror or str(error), "a URDF") from None
+        urdf.write_bytes(read_regular(robot, MAX_BYTES, "URDF"))
         if robot.suffix.lower() == ".xacro":
             serial_chain(robot)  # says what to do
         return str(robot), None

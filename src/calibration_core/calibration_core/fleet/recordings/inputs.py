@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.files.regular import open_regular
 from calibration_core.fleet.recordings.manifest import Entry
 
 ABSENT = "absent"
@@ -81,14 +82,15 @@ def input_file(path: str) -> InputFile:
             known = system.info(name)
             size = known.get("size")
             return InputFile(path, -1 if size is None else int(size), 0, _fingerprint(system, name, known))
-        with Path(path).open("rb") as stream:
+        with open_regular(Path(path)) as stream:
             status = Path(path).stat()
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
             return InputFile(path, status.st_size, status.st_mtime_ns, digest)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         return InputFile(path, -1, 0, ABSENT)
     except (OSError, ValueError, ImportError) as error:
-        raise RecordingError(path, "", quoted(str(error), 120), EXPECTED) from None
+        reason = getattr(error, "strerror", None) or quoted(str(error), 120)
+        raise RecordingError(path, "", reason, EXPECTED) from None
 
 
 def is_unchanged(entry: Entry, noted: Sequence[InputFile]) -> bool:

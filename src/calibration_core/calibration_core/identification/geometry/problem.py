@@ -13,6 +13,7 @@ from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
+from calibration_core.observations.kinds import references_alone
 from calibration_core.timeseries import Float3D, Readings
 
 MIN_CONFIGURATIONS = 3
@@ -98,12 +99,7 @@ def require_positions(readings: Readings, cell: Cell) -> None:
     """
     path = readings.provenance.path
     if cell.measurements.points == "displacement":
-        raise IdentificationError(
-            path,
-            "step",
-            "single steps, and positions relative to step 0 (measurements.points: displacement)",
-            "several steps per configuration, or absolute positions",
-        )
+        raise references_alone(readings)
     count = len(np.unique(readings.configuration))
     if count < MIN_CONFIGURATIONS:
         raise IdentificationError(

@@ -15,6 +15,8 @@ from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Note, Readings
 
+DECLARED_RIGID = "declared rigid in the cell file: not asked for"  # the reason of a joint of which nothing is asked
+
 
 @dataclasses.dataclass(frozen=True)
 class JointStiffness:
@@ -43,6 +45,11 @@ class JointStiffness:
     reason: str = ""
     unit: str = "N*m/rad"
     extended: JointStiffness | None = None
+
+    @property
+    def open(self) -> bool:
+        """Whether the stiffness was asked for, and this recording does not determine it."""
+        return not self.identifiable and self.reason != DECLARED_RIGID
 
 
 @dataclasses.dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.identification.result.estimate import JointStiffness, Unidentified
+from calibration_core.identification.result.estimate import DECLARED_RIGID, JointStiffness, Unidentified
 from calibration_core.identification.result.stiffness_interval import TWO_SIDED, joint_stiffness
 from calibration_core.identification.statistics.distributions import student_quantile
 from calibration_core.identification.statistics.solve import Solution
@@ -51,7 +51,7 @@ def stiffness_table(
                 centre=float(solution.unbounded[i]) if solution.determined[i] else value,
                 quantile=quantile,
                 identifiable=bool(solution.determined[i]) and relative <= HARDLY,
-                reason="declared rigid in the cell file: not asked for"
+                reason=DECLARED_RIGID
                 if stated_rigid
                 else _reason(solution, i, relative, _load(float(torque_rms[i]), slides=slides)),
                 unit="N/m" if slides else "N*m/rad",
@@ -74,15 +74,20 @@ def _reason(solution: Solution, i: int, relative: float, load: str) -> str:
     return ""
 
 
-def weak_directions(names: tuple[str, ...], solution: Solution) -> tuple[Unidentified, ...]:
+def weak_directions(
+    names: tuple[str, ...], solution: Solution, rigid: tuple[bool, ...] = ()
+) -> tuple[Unidentified, ...]:
     """Name the combinations of parameters that the recording cannot, or hardly, determine.
 
     Args:
         names: (n,) names of the parameters.
         solution: With the eigenvectors of the column-scaled normal matrix.
+        rigid: Per parameter, whether it is of a joint that is declared rigid and not asked for; none where empty.
     """
     found = []
     for i, name in enumerate(names):
+        if rigid and rigid[i]:
+            continue
         if not solution.determined[i] and np.abs(solution.eigenvectors[i]).max() > 1 - NAMED**2:
             found.append(Unidentified({name: 1.0}, f"the readings do not depend on {name}"))
     largest = float(solution.eigenvalues[-1])

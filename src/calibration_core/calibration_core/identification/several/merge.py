@@ -22,6 +22,7 @@ from calibration_core.identification.stiffness.predict import from_step_zero
 from calibration_core.model.chain import xyz_rpy
 from calibration_core.model.kinematics import posture
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
 from calibration_core.recording.source import digests_of_several
@@ -75,6 +76,9 @@ def placed(
 ) -> Readings:
     """Return a recording in the base frame, named and numbered beside the others.
 
+    Beside recordings with a wrench those without have one of zero; where neither it nor any of them has one, it has
+    none.
+
     Args:
         member: The recording.
         found: What it, or another recording of its set-up, shows by itself.
@@ -82,6 +86,9 @@ def placed(
         names: Points of all recordings.
         differences: Whether positions become displacements from the first step of their configuration and point, as
             they do where one of the recordings holds displacements alone.
+
+    Raises:
+        CellError: It has a wrench, and its cell file does not say where the sensor or the wrench point is.
     """
     readings, cell, model = member.readings, member.cell, found.model
     _require_points(member, names)
@@ -90,7 +97,9 @@ def placed(
     position = from_step_zero(readings, position) if differences else position + model.tracker[:3, 3]
     m = len(readings)
     wrench, claim, change = np.zeros((m, 6)), np.zeros((m, 6, 6)), np.tile(np.eye(6), (m, 1, 1))
+    recorded = readings.wrench is not None or reference[0].readings.wrench is not None
     if readings.wrench is not None:
+        load_of(readings, cell, model)  # refuses a cell that does not say where the sensor is: nothing may have asked
         change = _wrench_change(member, model, *reference)
         wrench = np.einsum("mij,mj->mi", change, readings.wrench)
         claim = scale**2 * change @ wrench_covariance(readings, cell) @ change.transpose(0, 2, 1)
@@ -102,13 +111,13 @@ def placed(
         point=np.array([names.index(member.point(name)) for name in readings.points])[readings.point],
         configuration=readings.configuration + member.first_number,
         position=position,
-        wrench=wrench,
+        wrench=wrench if recorded else None,
         time=readings.time - (np.nanmin(readings.time) if np.isfinite(readings.time).any() else 0.0),
         position_covariance=None if seen is None else rotation @ seen @ rotation.T,
         wrench_covariance=None,
         recording=np.full(m, member.number - 1),
         position_claim=scale**2 * rotation @ position_covariance(readings, cell) @ rotation.T,
-        wrench_claim=claim,
+        wrench_claim=claim if recorded else None,
         viewpoint=np.tile(model.tracker[:3, 3], (m, 1)),
         wrench_change=change,
         notes=tuple(dataclasses.replace(note, place=f"{path}: {note.place}") for note in readings.notes),
@@ -147,7 +156,7 @@ def _wrench_change(member: Member, model: ModelParameters, to_member: Member, to
         at = posture(chain_of(member.cell).corrected(model.geometry), member.readings.q)
         arm, turn = (at.point(between) - at.flange_origin).T, np.tile(np.eye(3), (m, 1, 1))
     else:
-        assert model.force_torque is not None  # noqa: S101 - its identification has needed them
+        assert model.force_torque is not None  # noqa: S101 - `placed` has asked for it
         assert to.model.force_torque is not None  # noqa: S101
         target = to.model.force_torque[:3, :3].T
         arm = np.tile(target @ between, (m, 1))
@@ -161,9 +170,9 @@ def _wrench_change(member: Member, model: ModelParameters, to_member: Member, to
 def _point(member: Member, model: ModelParameters) -> Float1D:
     """Return where a recording's wrenches are reduced to, flange frame, m."""
     if member.cell.measurements.wrench_at == "wrench_point":
-        assert model.wrench_point is not None  # noqa: S101 - its identification has needed it
+        assert model.wrench_point is not None  # noqa: S101 - `placed` has asked for it
         return model.wrench_point
-    assert model.force_torque is not None  # noqa: S101 - its identification has needed it
+    assert model.force_torque is not None  # noqa: S101 - `placed` has asked for it
     return model.force_torque[:3, 3]
 
 

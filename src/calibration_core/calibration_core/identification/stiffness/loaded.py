@@ -133,7 +133,7 @@ def identify_prepared(
         fit=figures,
         noise=noise,
         stages=(),
-        unidentified=weak_directions(joints, fit.solution),
+        unidentified=weak_directions(joints, fit.solution, chain.rigid),
         exclusions=rejection.exclusions,
         anomalies=anomalies_of(noise, rejection.exclusions, readings),
         preconditions=check_preconditions(readings, cell, space, figures.noise, k_csm=options.method != "linear"),

@@ -12,6 +12,7 @@ from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.observations.kinds import references_alone
 from calibration_core.timeseries import Bool1D, Float2D, Readings
 
 
@@ -82,6 +83,16 @@ def from_step_zero(readings: Readings, values: Float2D) -> Float2D:
     order = np.lexsort((readings.step, group))
     _, starts = np.unique(group[order], return_index=True)
     return values - values[order[starts]][group]
+
+
+def require_differences(readings: Readings, cell: Cell) -> None:
+    """Refuse displacements none of which is more than the reference of its configuration and point.
+
+    Raises:
+        IdentificationError: No reading is left that shows anything.
+    """
+    if cell.measurements.points == "displacement" and references(readings).all():
+        raise references_alone(readings)
 
 
 def references(readings: Readings) -> Bool1D:

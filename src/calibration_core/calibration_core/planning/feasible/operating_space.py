@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import math
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.errors import PlanError, quoted
+from calibration_core.files.regular import read_regular
 from calibration_core.planning.feasible.candidates import Ground, brought, places_of
 from calibration_core.planning.feasible.space import joint_range
 from calibration_core.timeseries import Bool1D, Float2D
@@ -82,13 +84,10 @@ def read_task(path: str | Path, ground: Ground) -> Float2D:
         PlanError: It is missing or malformed, or holds none of these columns.
     """
     path = Path(path)
+    content = read_regular(path, MAX_BYTES, "table (CSV)", PlanError)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise PlanError(path, "", f"{path.stat().st_size} bytes", f"a table of at most {MAX_BYTES} bytes")
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(itertools.islice(csv.reader(stream), MOST_ROWS + 2))
-    except OSError as error:
-        raise PlanError(path, "", error.strerror or str(error), "a readable table (CSV)") from None
+        text = io.StringIO(content.decode("utf-8"), newline="")
+        rows = list(itertools.islice(csv.reader(text), MOST_ROWS + 2))
     except (UnicodeDecodeError, csv.Error) as error:
         raise PlanError(path, "", str(error), "a table (CSV) in UTF-8") from None
     head = [name.strip() for name in rows[0]] if rows else []

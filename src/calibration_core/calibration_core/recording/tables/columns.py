@@ -47,8 +47,13 @@ def checked_columns(path: str | Path, header: Sequence[str], cell: Cell, place: 
             raise RecordingError(path, f"{place}, column {quoted(name)}", "an unknown column", choices + extra)
         if names.count(name) > 1:
             raise RecordingError(path, f"{place}, column {name}", f"the column {names.count(name)} times", "it once")
-    some_wrench = any(name in names for name in WRENCH)
-    for name in [*required, *(WRENCH if some_wrench else ())]:
+    for name in required:
         if name not in names:
             raise RecordingError(path, f"{place}, column {name}", "no such column", "columns " + ", ".join(required))
+    of_wrench = [name for name in WRENCH if name in names]
+    if of_wrench and len(of_wrench) < len(WRENCH):
+        absent = next(name for name in WRENCH if name not in names)
+        found = f"no such column beside {', '.join(of_wrench)}"
+        expected = f"the columns of a wrench together ({', '.join(WRENCH)}), or none of them"
+        raise RecordingError(path, f"{place}, column {absent}", found, expected)
     return names

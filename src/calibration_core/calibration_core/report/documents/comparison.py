@@ -97,6 +97,8 @@ def _verdict(found: Compared) -> Verdict:
     changed = [one for rows in found.differences for one in rows if one.verdict == "changed"]
     open_ = [one for rows in found.differences for one in rows if one.verdict == "cannot_tell"]
     headline = f"{counted(len(changed), 'change')} found" if changed else "No change found"
+    if not any(found.differences):
+        headline = "Nothing to compare"
     lines = [("Changed", described(one)) for one in changed[:5]]
     if open_:
         lines.append(("Cannot tell", listed([f"{one.quantity} of {one.location}" for one in open_])))
@@ -106,6 +108,7 @@ def _verdict(found: Compared) -> Verdict:
 def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
     stiffness = [one for one in rows if one.quantity == "stiffness"]
     others = [one for one in rows if one.quantity != "stiffness"]
+    rigid = "Compliance of rigid joints, b" if any(one.quantity == "compliance" for one in others) else "B"
     blocks: list[Block] = [
         Table(
             "Joint stiffness",
@@ -128,7 +131,7 @@ def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
     if others:
         blocks.append(
             Table(
-                "Backlash, hysteresis and effects",
+                f"{rigid}acklash, hysteresis and effects",
                 (
                     Column("Quantity", "left", wide=True), Column("Location", "left"), Column("First"),
                     Column("Second"),

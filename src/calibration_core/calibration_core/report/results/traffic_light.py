@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from calibration_core.identification.result.estimate import DECLARED_RIGID
 from calibration_core.identification.result.stiffness_interval import DETERMINED
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.words import effect_sentence
@@ -109,7 +110,9 @@ def _reservations(
         (f"not as the standard demands ({one['clause']}): {one['requirement']}", f"measure with {one['requirement']}")
         for one in unmet
     ]
-    unknown = [one["joint"] for one in content["stiffness"] if not _determined(one)]
+    unknown = [
+        one["joint"] for one in content["stiffness"] if not _determined(one) and one.get("reason") != DECLARED_RIGID
+    ]
     if unknown:
         words = ", ".join(unknown)
         found.append((f"not identifiable: {words}", f"measure configurations in which the load turns {words}"))
