@@ -72,6 +72,16 @@ def urdf_joint_types(path: Path, own_limits: tuple[str, ...] = ()) -> dict[str, 
     return {str(joint.get("name")): str(joint.get("type")) for joint in root.findall("joint")}
 
 
+def urdf_travels(path: Path) -> dict[str, tuple[float, float]]:
+    """Return the limits, m, of a URDF's joints that slide and drive themselves, by their names; errors as above."""
+    return {
+        str(joint.get("name")): (float(str(limit.get("lower"))), float(str(limit.get("upper"))))
+        for joint in ET.fromstring(urdf_bytes(path)).findall("joint")
+        if joint.get("type") == "prismatic" and joint.find("mimic") is None
+        for limit in joint.findall("limit")[:1]
+    }
+
+
 def _tree(path: Path, raw: bytes) -> ET.Element:
     """Parse, and end as soon as there is too much or too deep."""
     parser: ET.XMLPullParser[ET.Element] = ET.XMLPullParser(("start", "end"))
