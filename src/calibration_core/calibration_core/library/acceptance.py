@@ -30,6 +30,7 @@ from calibration_core.outcomes.comparison import (
     source_of,
 )
 from calibration_core.outcomes.inputs import Inputs, look, naming_model
+from calibration_core.outcomes.own_recordings import refuse_own
 from calibration_core.outcomes.verification import places
 from calibration_core.report.writing.output import Content
 from calibration_core.timeseries import Float1D
@@ -180,14 +181,15 @@ def verify(
     verifying.refuse_tolerance(tolerance)
     cell, readings = recording.cell, recording.readings
     given = given_model(model, cell)
-    if isinstance(model, str | Path):
-        verifying.refuse_own(readings, Path(model))
+    readings = refuse_own(readings, given, cell)
     blocking = [one for one in look(readings, None, cell) if one.blocks]
     if blocking:
         raise RecordingError(readings.provenance.path, blocking[0].kind, blocking[0].text, "a recording as it claims")
     with naming_model(Path(given.file)):
         found = judged_by(readings, cell, given.calibrated, tolerance, fit_tracker=fit_tracker)
-    return VerificationResult(cell, recording, given.parameters, found, given.digest)
+    return VerificationResult(
+        cell, dataclasses.replace(recording, readings=readings), given.parameters, found, given.digest
+    )
 
 
 def compare(

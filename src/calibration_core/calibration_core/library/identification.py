@@ -19,7 +19,7 @@ from calibration_core.library.models import HoldsModel, given_model, in_memory
 from calibration_core.library.recordings import Recording, recordings_of
 from calibration_core.library.result import Columns, Judged, Picture, columns_of
 from calibration_core.model.identified.given import GivenModel
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float1D, Float2D, Readings
 
 STIFFNESS = ("joint", "value", "std", "low", "high", "compliance", "compliance_std", "identifiable", "reason", "unit")
 ANOMALY = ("kind", "location", "magnitude", "unit", "text", "remedy")
@@ -32,9 +32,11 @@ class IdentificationResult(Judged):
     Attributes:
         cell: The cell that it holds for.
         answer: What was identified, or the refusal of input that is not what it claims to be (`usable` is `no`).
+        fitted: The recordings that the model was identified from, and those of the model that it started from.
     """
 
     answer: Identified | Refusal
+    fitted: tuple[Readings, ...] = ()
 
     @property
     def _joints(self) -> tuple[JointStiffness, ...]:
@@ -99,7 +101,7 @@ class IdentificationResult(Judged):
         if isinstance(self.answer, Refusal):
             raise self.answer.error
         found = self.answer.identification
-        return in_memory(found.model, self.answer.model_text, found.estimate, self.answer.covered)
+        return in_memory(found.model, self.answer.model_text, found.estimate, self.answer.covered, self.fitted)
 
 
 def identify(
@@ -142,8 +144,9 @@ def identify(
         method=method, weights=weights, deflections=deflections, robust=robust, readmit=frozenset(readmit)
     )
     given = None if model is None else given_model(model, cell)
+    fitted = (*recordings, *(() if given is None else given.recordings))
     tested = None if test is None else test.readings
-    return IdentificationResult(cell, evaluate_all(recordings, cells, options, tested, given))
+    return IdentificationResult(cell, evaluate_all(recordings, cells, options, tested, given), fitted)
 
 
 def residual_columns(found: Identification) -> Columns:
