@@ -18,6 +18,7 @@ from calibration_core.cell import Cell
 from calibration_core.commands.acceptance import compare as comparing
 from calibration_core.commands.acceptance import verify as verifying
 from calibration_core.errors import InputError, RecordingError
+from calibration_core.library.arguments import checked
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.recordings import Recording
 from calibration_core.library.result import Columns, Picture, Result, columns_of
@@ -157,6 +158,7 @@ class ComparisonResult(Result):
         return comparing.comparison_result(self.found)
 
 
+@checked
 def verify(
     recording: Recording, model: str | Path | HoldsModel, tolerance: float, *, fit_tracker: bool = False
 ) -> VerificationResult:
@@ -192,6 +194,7 @@ def verify(
     )
 
 
+@checked
 def compare(
     first: Recording | str | Path,
     second: Recording | str | Path,

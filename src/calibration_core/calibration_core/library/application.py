@@ -19,6 +19,7 @@ from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.compensation.tables import PLACE
 from calibration_core.compensation.task import Task, places, read_task
 from calibration_core.errors import InputError
+from calibration_core.library.arguments import Numbers, checked
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.result import Columns, Picture, Result
 from calibration_core.model.identified.given import GivenModel
@@ -169,11 +170,12 @@ class CompensationResult(Result):
         return compensating.compensation_result(self.applied, self.cell, self.inputs)
 
 
+@checked
 def deflect(
     cell: Cell,
     model: str | Path | HoldsModel,
-    task: str | Path | ArrayLike,
-    wrench: ArrayLike | None = None,
+    task: str | Path | Numbers,
+    wrench: Numbers | None = None,
     *,
     axes: Axes = "base",
     payload: Sequence[float] | None = None,
@@ -206,15 +208,16 @@ def deflect(
     return DeflectionResult(cell, done, inputs)
 
 
+@checked
 def compensate(
     cell: Cell,
     model: str | Path | HoldsModel,
-    task: str | Path | ArrayLike,
-    wrench: ArrayLike | None = None,
+    task: str | Path | Numbers,
+    wrench: Numbers | None = None,
     *,
     axes: Axes = "base",
     payload: Sequence[float] | None = None,
-    seed_q: ArrayLike | None = None,
+    seed_q: Numbers | None = None,
     one_path: bool = False,
 ) -> CompensationResult:
     """Correct targets so that the tool of the calibrated, loaded robot reaches them.

@@ -10,6 +10,7 @@ from calibration_core.commands.evaluation.diagnose import Diagnosed, evaluate_al
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.library.arguments import checked
 from calibration_core.library.identification import ANOMALY
 from calibration_core.library.models import HoldsModel, given_model, in_memory
 from calibration_core.library.recordings import Recording, recordings_of
@@ -86,6 +87,7 @@ class DiagnosisResult(Judged):
         )
 
 
+@checked
 def diagnose(
     recording: Recording | Sequence[Recording],
     *,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from calibration_core.cell import Cell
 from calibration_core.model.identified.calibrated import ValidRange
@@ -14,6 +14,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Readings
 
 
+@runtime_checkable
 class HoldsModel(Protocol):
     """A result with an identified model."""
 
