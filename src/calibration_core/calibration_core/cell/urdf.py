@@ -1,8 +1,9 @@
 """A URDF as a file of somebody else's: read as text, and refused before any parser of robots sees it.
 
 What is refused: files that are too large, define entities or a document type, are no UTF-8, nest too deeply or hold too
-many elements; names that are missing or used twice; numbers that are none; masses below zero; limits that are no
-interval, or not in radians.  The first fault ends the reading, in one line with its place.
+many elements; names that are missing or used twice; numbers that are none; masses below zero; angles of a pose beyond a
+turn, as degrees are; limits that are no interval, or not in radians.  The first fault ends the reading, in one line
+with its place.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import cast
 from xml.etree import ElementTree as ET
 
+from calibration_core.cell.values import IN_DEGREES, TURN
 from calibration_core.errors import CellError, quoted
 from calibration_core.files.names import NAME, is_name
 
@@ -177,8 +179,9 @@ def _numbers(path: Path, owner: ET.Element) -> None:
             if len(parts) not in wanted:
                 expected = " or ".join(str(count) for count in wanted)
                 raise CellError(path, f"{place}, {key}", quoted(text), f"{expected} number{'s' * (wanted != (1,))}")
-            for part in parts:
-                _number(path, f"{place}, {key}", part)
+            values = [_number(path, f"{place}, {key}", part) for part in parts]
+            if key == "rpy" and max(map(abs, values)) > TURN:
+                raise CellError(path, f"{place}, {key}", quoted(text), IN_DEGREES)
 
 
 def _below(owner: ET.Element) -> Iterator[tuple[str, ET.Element]]:
