@@ -36,7 +36,7 @@ Plane = Literal["xy", "xz", "yz"]
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class DeflectionResult(Result):
-    """How far a load moves and turns tool and points, against the robot under its own weight.
+    """How far a load moves and turns tool and points, against the robot under its own weight and that of its payload.
 
     Attributes:
         cell: The cell that it holds for.
@@ -189,7 +189,8 @@ def deflect(
         task: Joint angles (m, n) or (n,), rad (m where a joint slides), or a file with places (contract, section 7).
         wrench: (6,) or (m, 6) N and N*m of the environment on the robot, at the wrench point; None: as the file says.
         axes: Axes of the wrench.
-        payload: Mass (kg) and centre of gravity (m, flange frame) of what the robot carries; None: nothing.
+        payload: Mass (kg) and centre of gravity (m, flange frame) of what hangs on the flange before the load pulls:
+            the answer is against the robot with it; None: nothing.
         plane: Plane of the drawing, through the first place.
 
     Returns:
