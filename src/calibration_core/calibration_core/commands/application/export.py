@@ -32,7 +32,7 @@ WITHOUT_FORMAT = (
 )
 OF_FORMAT = {"ur": ("--template",), "table": ("--joints", "--points", "--q", "--range")}
 """Format -> the options that have an effect on it alone."""
-MOST = {"urdf": 1e-9, "dh": 1e-6, "ur": 1e-6}  # m: what is written may not differ from the model by more
+MOST = {"urdf": 1e-9, "dh": 1e-6, "ur": 1e-6, "mjcf": 1e-9}  # m: what is written may not differ from the model by more
 
 
 def run(arguments: argparse.Namespace) -> str:
