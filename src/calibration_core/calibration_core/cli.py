@@ -242,7 +242,7 @@ def _predict(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
 
 
-def _use(parser: argparse.ArgumentParser) -> None:
+def _use(parser: argparse.ArgumentParser, payload: str) -> None:
     """Add what both commands take that use a model on a load."""
     parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
     parser.add_argument(
@@ -251,13 +251,11 @@ def _use(parser: argparse.ArgumentParser) -> None:
         help="of the environment on the robot at the wrench point, N and N·m, all rows",
     )
     parser.add_argument("--axes", choices=("base", "tool"), default="base", help="axes of the wrenches (default base)")
-    parser.add_argument(
-        "--payload", metavar='"mass cx cy cz"', help="what the robot carries besides: kg, and m in the flange frame"
-    )
+    parser.add_argument("--payload", metavar='"mass cx cy cz"', help=f"{payload}: kg, and m in the flange frame")
 
 
 def _deflect(parser: argparse.ArgumentParser) -> None:
-    _use(parser)
+    _use(parser, "what hangs on the flange before the load pulls, and is no part of the answer")
     parser.add_argument("--q", metavar='"q1 ... qn"', help="joint angles, rad (m where a joint slides)")
     parser.add_argument(
         "--poses", type=path, metavar="FILE.csv", help="places of the tool or joint angles, and wrenches"
@@ -272,7 +270,7 @@ def _compensate(parser: argparse.ArgumentParser) -> None:
         metavar="TASK.csv",
         help="places of the tool (x y z roll pitch yaw) or q1 ... qn, and wrenches",
     )
-    _use(parser)
+    _use(parser, "what hangs on the flange, and is compensated")
     parser.add_argument(
         "--seed-q", metavar='"q1 ... qn"', help="chooses the branch of places (default: middle of the limits)"
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -329,6 +330,9 @@ def load_cell(path: str | Path) -> Cell:
 
     Source: what CWA 17384, clauses 5 and 7, asks to be known of robot, frames and instruments.
     """
+    given: object = path
+    if not isinstance(given, str | os.PathLike) or not str(given):
+        raise CellError("load_cell", "path", quoted(given), "the path of a cell file")
     path = Path(path)
     file = read_yaml(path, MAX_BYTES, "cell file (YAML)", CellError)
     if not isinstance(file.data, dict):

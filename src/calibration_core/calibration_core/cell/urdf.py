@@ -1,8 +1,9 @@
 """A URDF as a file of somebody else's: read as text, and refused before any parser of robots sees it.
 
 What is refused: files that are too large, define entities or a document type, are no UTF-8, nest too deeply or hold too
-many elements; names that are missing or used twice; numbers that are none; masses below zero; limits that are no
-interval, or not in radians.  The first fault ends the reading, in one line with its place.
+many elements; names that are missing or used twice; numbers that are none; masses below zero; angles of a pose beyond a
+turn, as degrees are; limits that are no interval, or not in radians.  The first fault ends the reading, in one line
+with its place.
 """
 
 from __future__ import annotations
@@ -14,8 +15,10 @@ from pathlib import Path
 from typing import cast
 from xml.etree import ElementTree as ET
 
+from calibration_core.cell.values import IN_DEGREES, TURN
 from calibration_core.errors import CellError, quoted
 from calibration_core.files.names import NAME, is_name
+from calibration_core.files.regular import read_regular
 
 MAX_BYTES = 8 << 20
 MAX_ELEMENTS = 50_000
@@ -44,13 +47,7 @@ def urdf_bytes(path: Path, own_limits: tuple[str, ...] = ()) -> bytes:
     Raises:
         CellError: The file cannot be used; file, place, what was found and what was expected.
     """
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise CellError(path, "", f"{size} bytes", f"a URDF of at most {MAX_BYTES} bytes")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise CellError(path, "", error.strerror or str(error), "a URDF (robot.urdf of the cell file)") from None
+    raw = read_regular(path, MAX_BYTES, "URDF (robot.urdf of the cell file)", CellError)
     try:
         raw.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -70,6 +67,16 @@ def urdf_joint_types(path: Path, own_limits: tuple[str, ...] = ()) -> dict[str, 
     """Return the types of a URDF's joints by their names; arguments and errors as `urdf_bytes`."""
     root = ET.fromstring(urdf_bytes(path, own_limits))
     return {str(joint.get("name")): str(joint.get("type")) for joint in root.findall("joint")}
+
+
+def urdf_travels(path: Path) -> dict[str, tuple[float, float]]:
+    """Return the limits, m, of a URDF's joints that slide and drive themselves, by their names; errors as above."""
+    return {
+        str(joint.get("name")): (float(str(limit.get("lower"))), float(str(limit.get("upper"))))
+        for joint in ET.fromstring(urdf_bytes(path)).findall("joint")
+        if joint.get("type") == "prismatic" and joint.find("mimic") is None
+        for limit in joint.findall("limit")[:1]
+    }
 
 
 def _tree(path: Path, raw: bytes) -> ET.Element:
@@ -167,8 +174,9 @@ def _numbers(path: Path, owner: ET.Element) -> None:
             if len(parts) not in wanted:
                 expected = " or ".join(str(count) for count in wanted)
                 raise CellError(path, f"{place}, {key}", quoted(text), f"{expected} number{'s' * (wanted != (1,))}")
-            for part in parts:
-                _number(path, f"{place}, {key}", part)
+            values = [_number(path, f"{place}, {key}", part) for part in parts]
+            if key == "rpy" and max(map(abs, values)) > TURN:
+                raise CellError(path, f"{place}, {key}", quoted(text), IN_DEGREES)
 
 
 def _below(owner: ET.Element) -> Iterator[tuple[str, ET.Element]]:

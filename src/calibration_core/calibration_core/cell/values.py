@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from calibration_core.files.names import CONTROL_FREE, NAME, PRINTABLE, is_name, is_printable
 
 TURN = 2 * math.pi * 1.001  # rad: an angle beyond a turn is in degrees
+IN_DEGREES = f"radians, at most one turn ({2 * math.pi:.2f}) either way: is it in degrees?"
 EARTH = 9.80665  # m/s^2
 MOST_OFF = 2.0  # m/s^2 from the Earth's gravity: more is another unit, or axes that are forgotten
 LARGEST = 1e12  # in SI units: stiffer or larger is nothing that a cell has
@@ -55,8 +56,7 @@ def _statement(value: str) -> str:
 
 def _radians(value: float) -> float:
     if abs(value) > TURN:
-        msg = f"radians, at most one turn ({2 * math.pi:.2f}) either way: is it in degrees?"
-        raise ValueError(msg)
+        raise ValueError(IN_DEGREES)
     return value
 
 

@@ -14,10 +14,18 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from calibration_core.files.written import numbers
-from calibration_core.formats.calibrated import Exported, ExportedRobot, joint_frames, named, refuse_mimics
+from calibration_core.formats.calibrated import (
+    Exported,
+    ExportedRobot,
+    deviation,
+    joint_frames,
+    named,
+    random_postures,
+    refuse_mimics,
+)
 from calibration_core.formats.springs import LinkSprings, Spring, Springs, springs_of
 from calibration_core.model.chain import Chain
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 FILE = "robot.xml"
 LEAST_MASS = 1e-6  # kg: MuJoCo wants every moving body to be massive
@@ -67,7 +75,44 @@ def mjcf_files(robot: ExportedRobot) -> Exported:
         notes.append("The masses of the links are not known: the model bends under external loads alone.")
     else:
         notes.append("Moments of inertia are placeholders: statics needs masses and centres of gravity alone.")
-    return Exported({FILE: ET.tostring(root, encoding="utf-8") + b"\n"}, held=springs.held, notes=tuple(notes))
+    written = ET.tostring(root, encoding="utf-8") + b"\n"
+    q = random_postures(chain)
+    compared = deviation(f"flange poses of {FILE}, its springs unloaded,", chain, q, _rebuilt(written, chain, q))
+    return Exported({FILE: written}, held=springs.held, deviations=(compared,), notes=tuple(notes))
+
+
+def _rebuilt(written: bytes, chain: Chain, q: Float2D) -> Float3D:
+    """Return the (m, 4, 4) flange poses of what was written, its drives at q, (m, n), and its springs unloaded."""
+    from scipy.spatial.transform import Rotation
+
+    root = ET.fromstring(written)
+    above = {child: parent for parent in root.iter("body") for child in parent.findall("body")}
+    here = next(body for body in root.iter("body") if body.get("name") == "flange")
+    branch = [here]
+    while here in above:
+        here = above[here]
+        branch.insert(0, here)
+    poses = np.tile(np.eye(4), (len(q), 1, 1))
+    for body in branch:
+        if body.get("pos") is not None:
+            w, x, y, z = _floats(body, "quat")
+            fixed = np.eye(4)
+            fixed[:3, :3], fixed[:3, 3] = Rotation.from_quat([x, y, z, w]).as_matrix(), _floats(body, "pos")
+            poses = poses @ fixed
+        for joint in body.findall("joint"):
+            if joint.get("name") in chain.joints:
+                position, axis = q[:, chain.joints.index(str(joint.get("name")))], np.array(_floats(joint, "axis"))
+                moved = np.tile(np.eye(4), (len(q), 1, 1))
+                if joint.get("type") == "slide":
+                    moved[:, :3, 3] = position[:, None] * axis
+                else:
+                    moved[:, :3, :3] = Rotation.from_rotvec(position[:, None] * axis).as_matrix()
+                poses = poses @ moved
+    return poses
+
+
+def _floats(element: ET.Element, key: str) -> list[float]:
+    return [float(text) for text in str(element.get(key)).split()]
 
 
 def _joint_stiffness(

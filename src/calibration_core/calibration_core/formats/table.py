@@ -24,7 +24,7 @@ POSTURES = 1000
 MOST_NODES = 200_000
 ITERATIONS = 12
 CLOSE = 1e-12  # rad, of the last step
-NEARLY_SINGULAR = 8e-2  # m/rad per reach: smallest singular value of the flange's Jacobian below which corrections
+NEARLY_SINGULAR = 8e-2  # per reach: smallest singular value of the flange's Jacobian, m/rad, below which corrections
 HELD_BACK = 2e-2  # are held back, at most by so much, the same unit
 CHUNK = 5000
 WRIST = math.radians(45.0)  # of the last joint but one: out of the wrist's singularity
@@ -91,7 +91,7 @@ def _checked(chain: Chain, grid: DeflectionGrid) -> tuple[Int1D, Float1D]:
     if grid.points < 2 or grid.points ** len(grid.joints) > MOST_NODES:
         raise InputError(place, "--points", str(grid.points), f"at least 2, and at most {MOST_NODES} nodes in all")
     held = chain.limits.mean(axis=1)
-    if chain.n >= 6:
+    if chain.n >= 6 and not chain.prismatic[-2]:
         held[-2] = np.clip(WRIST, *chain.limits[-2])
     if grid.q is not None:
         if len(grid.q) != chain.n or not all(math.isfinite(x) for x in grid.q):
@@ -122,9 +122,10 @@ def _ends(chain: Chain, index: Int1D, given: tuple[float, ...]) -> Float2D:
 def corrections(robot: ExportedRobot, q: Float2D) -> Float2D:
     """Return what to add to joint positions q, (m, n), so that the calibrated robot stands as the nominal would.
 
-    Gauss-Newton on the pose of the flange, bent by the robot's weight, with a penalty on the size of the corrections
-    where the robot is nearly singular: there they stay small instead of running away, and an error remains.
-    Source: damping by the smallest singular value, Nakamura and Hanafusa (1986).
+    Gauss-Newton on the pose of the flange, bent by the robot's weight.  Where more joints move it than it has degrees
+    of freedom, the corrections are the smallest ones; the turn of a joint counts by what it moves at the robot's reach.
+    A penalty on their size keeps them small where the robot is nearly singular, and an error remains there.
+    Source: minimum norm, Whitney (1969); damping by the smallest singular value, Nakamura and Hanafusa (1986).
 
     Raises:
         EquilibriumError: The robot cannot carry its own weight.
@@ -134,9 +135,10 @@ def corrections(robot: ExportedRobot, q: Float2D) -> Float2D:
 
 def _newton(robot: ExportedRobot, q: Float2D) -> Float2D:
     target = flange_poses(posture(robot.nominal, q))
-    scale = robot.chain.reach  # rad to m: a turn of the flange counts by what it moves at this distance
+    scale = robot.chain.reach  # rad to m: a turn counts by what it moves at this distance
+    sizes = np.where(robot.chain.prismatic, 1.0, scale)  # per joint, of one unit of its correction, m
     dq = np.zeros_like(q)
-    penalty: Float3D | None = None
+    penalty: Float2D | None = None
     for _ in range(ITERATIONS):
         rest = solve_equilibrium(robot.chain, q + dq, robot.parameters.compliance, None)
         here = flange_poses(rest.at)
@@ -147,12 +149,12 @@ def _newton(robot: ExportedRobot, q: Float2D) -> Float2D:
         angular = by_axis(rest.at.spins)
         jacobian = np.concatenate([linear, scale * angular])
         jacobian = np.einsum("anm,njm->maj", jacobian, rest.amplification)
-        transposed = np.swapaxes(jacobian, 1, 2)
+        left, values, right = np.linalg.svd(jacobian / sizes, full_matrices=False)
         if penalty is None:
-            smallest = np.linalg.svd(jacobian, compute_uv=False)[:, -1] / (NEARLY_SINGULAR * scale)
-            penalty = ((HELD_BACK * scale) ** 2 * np.clip(1 - smallest**2, 0.0, 1.0))[:, None, None]
-        normal = transposed @ jacobian + penalty * np.eye(robot.chain.n)
-        step = np.linalg.solve(normal, transposed @ error[:, :, None] - penalty * dq[:, :, None])[:, :, 0]
+            penalty = HELD_BACK**2 * np.clip(1 - (values[:, -1:] / NEARLY_SINGULAR) ** 2, 0.0, 1.0)
+        wanted = error + np.einsum("maj,mj->ma", jacobian, dq)
+        gain = values / (values**2 + penalty)  # the penalty is above zero wherever a singular value is zero
+        step = np.einsum("mki,mk->mi", right, gain * np.einsum("mak,ma->mk", left, wanted)) / sizes - dq
         dq = dq + step
         if np.abs(step).max(initial=0.0) < CLOSE:
             break

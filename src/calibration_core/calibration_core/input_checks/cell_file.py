@@ -20,6 +20,10 @@ STANDARD_GRAVITY = 9.80665
 FARTHEST_TRACKER = (40.0, 400.0)  # m; makers state 40 to 320 m for laser trackers
 LONGEST_REACH = (5.0, 30.0)  # m; the largest robots reach 4.7 m
 FARTHEST_TARGET = (1.5, 10.0)  # m from the flange
+LONGEST_RAIL = (100.0, 500.0)  # m from its zero; the longest linear units
+LONGEST_SLIDE = (10.0, 100.0)  # m; a joint that slides on an arm
+HEAVIEST_LINK = 2000.0  # kg; links of robots for 1,000 kg and more weigh up to 1,500 kg
+HEAVIEST_SHARE = 100.0  # times the rated load: whole robots for light loads with long arms weigh up to 70 times
 USUAL_STIFFNESS = (1e3, 1e8)  # N*m/rad; physics of joints from desktop arms to 1,000 kg robots
 WORST_TRACKER = (1e-3, 2e-2)  # m, one standard deviation
 SHARE_OF_LOAD = (0.02, 0.5)  # standard deviation of the force as a share of the rated load
@@ -62,6 +66,7 @@ def _robot(cell: Cell, chain: Chain) -> Iterator[Remark]:
                 continue
             found = f"{stiffness:.3g} N·m/rad for {robot.joints[i]}"
             yield Remark(f"robot.stiffness.{i}", found, "1e3 to 1e8 N·m/rad: not N·m per degree or a compliance", False)
+    yield from _travels(cell, chain)
     gravity = float(np.linalg.norm(robot.gravity))
     if abs(gravity - STANDARD_GRAVITY) > 0.1:
         found = f"an acceleration of {gravity:.4g} m/s²"
@@ -72,9 +77,30 @@ def _robot(cell: Cell, chain: Chain) -> Iterator[Remark]:
         if moving < 0.5 * robot.rated_load:
             found = f"links of {moving:.3g} kg in all, for a rated load of {robot.rated_load:g} kg"
             yield Remark("robot", found, "a robot several times as heavy as its load: are masses or load in kg?", False)
+        yield from _heavy(cell, whole)
         far = float(np.linalg.norm(whole.com, axis=1).max())
         if far > 2.0 * chain.reach:
             yield Remark("robot.inertials", f"a centre of gravity {far:.3g} m from its joint", "metres", True)
+
+
+def _travels(cell: Cell, chain: Chain) -> Iterator[Remark]:
+    for i, name in enumerate(chain.joints):
+        if chain.prismatic[i]:
+            place = "robot.urdf" if cell.robot.joint_limits is None else f"robot.joint_limits.{i}"
+            limits = LONGEST_RAIL if chain.stage(i) < chain.rails else LONGEST_SLIDE
+            expected = "a travel in metres: are the limits in millimetres?"
+            yield from _beyond(place, f"a travel of {name} up to", float(chain.travel[i]), limits, expected)
+
+
+def _heavy(cell: Cell, whole: Chain) -> Iterator[Remark]:
+    """Name links that are heavier than those of any robot, or on an arm than its rated load explains."""
+    rated = cell.robot.rated_load
+    for i, mass in enumerate(() if whole.mass is None else whole.mass.tolist()):
+        most = HEAVIEST_LINK if whole.prismatic[i] else min(HEAVIEST_LINK, HEAVIEST_SHARE * rated)
+        if mass > most:
+            place = "robot.urdf" if cell.robot.inertials is None else f"robot.inertials.{i}"
+            found = f"a link of {mass:,.4g} kg behind {whole.joints[i]}, for a rated load of {rated:g} kg"
+            yield Remark(place, found, f"kilograms, at most {most:,.4g} kg: are masses in grams?", False)
 
 
 def _frames(cell: Cell, chain: Chain) -> Iterator[Remark]:

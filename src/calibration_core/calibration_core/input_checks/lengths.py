@@ -9,6 +9,7 @@ from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.model.chain import Chain
 
 LONGEST_ARM = 100.0  # m, linear axes included
+LONGEST_TRAVEL = 500.0  # m, of a linear unit from its zero
 FARTHEST_TRACKER = 300.0  # m; laser trackers measure up to 160 m
 LARGEST_TOOL = 20.0  # m, from the flange to a measurement point, the wrench point or the sensor
 
@@ -16,6 +17,9 @@ LARGEST_TOOL = 20.0  # m, from the flange to a measurement point, the wrench poi
 def check_lengths(cell: Cell, chain: Chain) -> list[InputAnomaly]:
     """Return the lengths of a cell file that look like millimetres, as one anomaly; empty where they are plausible."""
     places: list[tuple[str, float, float]] = [("robot (its kinematics)", chain.reach, LONGEST_ARM)]
+    if any(chain.prismatic):
+        stated = "the URDF's limits" if cell.robot.joint_limits is None else "robot.joint_limits"
+        places.append((f"{stated} of sliding joints", float(chain.travel.max()), LONGEST_TRAVEL))
     frames = cell.frames
     if frames.tracker is not None:
         places.append(("frames.tracker.xyz", _size(frames.tracker.xyz), FARTHEST_TRACKER))

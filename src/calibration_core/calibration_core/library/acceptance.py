@@ -18,6 +18,7 @@ from calibration_core.cell import Cell
 from calibration_core.commands.acceptance import compare as comparing
 from calibration_core.commands.acceptance import verify as verifying
 from calibration_core.errors import InputError, RecordingError
+from calibration_core.library.arguments import checked
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.recordings import Recording
 from calibration_core.library.result import Columns, Picture, Result, columns_of
@@ -30,6 +31,7 @@ from calibration_core.outcomes.comparison import (
     source_of,
 )
 from calibration_core.outcomes.inputs import Inputs, look, naming_model
+from calibration_core.outcomes.own_recordings import refuse_own
 from calibration_core.outcomes.verification import places
 from calibration_core.report.writing.output import Content
 from calibration_core.timeseries import Float1D
@@ -156,6 +158,7 @@ class ComparisonResult(Result):
         return comparing.comparison_result(self.found)
 
 
+@checked
 def verify(
     recording: Recording, model: str | Path | HoldsModel, tolerance: float, *, fit_tracker: bool = False
 ) -> VerificationResult:
@@ -180,16 +183,18 @@ def verify(
     verifying.refuse_tolerance(tolerance)
     cell, readings = recording.cell, recording.readings
     given = given_model(model, cell)
-    if isinstance(model, str | Path):
-        verifying.refuse_own(readings, Path(model))
+    readings = refuse_own(readings, given, cell)
     blocking = [one for one in look(readings, None, cell) if one.blocks]
     if blocking:
         raise RecordingError(readings.provenance.path, blocking[0].kind, blocking[0].text, "a recording as it claims")
     with naming_model(Path(given.file)):
         found = judged_by(readings, cell, given.calibrated, tolerance, fit_tracker=fit_tracker)
-    return VerificationResult(cell, recording, given.parameters, found, given.digest)
+    return VerificationResult(
+        cell, dataclasses.replace(recording, readings=readings), given.parameters, found, given.digest
+    )
 
 
+@checked
 def compare(
     first: Recording | str | Path,
     second: Recording | str | Path,

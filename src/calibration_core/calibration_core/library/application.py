@@ -19,6 +19,7 @@ from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.compensation.tables import PLACE
 from calibration_core.compensation.task import Task, places, read_task
 from calibration_core.errors import InputError
+from calibration_core.library.arguments import Numbers, checked
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.result import Columns, Picture, Result
 from calibration_core.model.identified.given import GivenModel
@@ -35,7 +36,7 @@ Plane = Literal["xy", "xz", "yz"]
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class DeflectionResult(Result):
-    """How far a load moves and turns tool and points, against the robot under its own weight.
+    """How far a load moves and turns tool and points, against the robot under its own weight and that of its payload.
 
     Attributes:
         cell: The cell that it holds for.
@@ -169,11 +170,12 @@ class CompensationResult(Result):
         return compensating.compensation_result(self.applied, self.cell, self.inputs)
 
 
+@checked
 def deflect(
     cell: Cell,
     model: str | Path | HoldsModel,
-    task: str | Path | ArrayLike,
-    wrench: ArrayLike | None = None,
+    task: str | Path | Numbers,
+    wrench: Numbers | None = None,
     *,
     axes: Axes = "base",
     payload: Sequence[float] | None = None,
@@ -187,7 +189,8 @@ def deflect(
         task: Joint angles (m, n) or (n,), rad (m where a joint slides), or a file with places (contract, section 7).
         wrench: (6,) or (m, 6) N and N*m of the environment on the robot, at the wrench point; None: as the file says.
         axes: Axes of the wrench.
-        payload: Mass (kg) and centre of gravity (m, flange frame) of what the robot carries; None: nothing.
+        payload: Mass (kg) and centre of gravity (m, flange frame) of what hangs on the flange before the load pulls:
+            the answer is against the robot with it; None: nothing.
         plane: Plane of the drawing, through the first place.
 
     Returns:
@@ -206,15 +209,16 @@ def deflect(
     return DeflectionResult(cell, done, inputs)
 
 
+@checked
 def compensate(
     cell: Cell,
     model: str | Path | HoldsModel,
-    task: str | Path | ArrayLike,
-    wrench: ArrayLike | None = None,
+    task: str | Path | Numbers,
+    wrench: Numbers | None = None,
     *,
     axes: Axes = "base",
     payload: Sequence[float] | None = None,
-    seed_q: ArrayLike | None = None,
+    seed_q: Numbers | None = None,
     one_path: bool = False,
 ) -> CompensationResult:
     """Correct targets so that the tool of the calibrated, loaded robot reaches them.

@@ -10,11 +10,13 @@ from calibration_core.commands.evaluation.diagnose import Diagnosed, evaluate_al
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.library.arguments import checked
 from calibration_core.library.identification import ANOMALY
 from calibration_core.library.models import HoldsModel, given_model, in_memory
 from calibration_core.library.recordings import Recording, recordings_of
 from calibration_core.library.result import Columns, Judged, Picture, columns_of
 from calibration_core.model.identified.given import GivenModel
+from calibration_core.timeseries import Readings
 
 FINDING = ("effect", "family", "location", "magnitude", "held_out_gain", "log_bayes_factor", "explanation")
 
@@ -26,9 +28,11 @@ class DiagnosisResult(Judged):
     Attributes:
         cell: The cell that it holds for.
         answer: The diagnosis, or the refusal of input that is not what it claims to be (`usable` is `no`).
+        fitted: The recordings that the model was identified from, and those of the model that it started from.
     """
 
     answer: Diagnosed | Refusal
+    fitted: tuple[Readings, ...] = ()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -78,9 +82,12 @@ class DiagnosisResult(Judged):
     def _given(self) -> GivenModel:
         if isinstance(self.answer, Refusal):
             raise self.answer.error
-        return in_memory(self.answer.model, self.answer.model_text, self.answer.estimate, self.answer.covered)
+        return in_memory(
+            self.answer.model, self.answer.model_text, self.answer.estimate, self.answer.covered, self.fitted
+        )
 
 
+@checked
 def diagnose(
     recording: Recording | Sequence[Recording],
     *,
@@ -113,5 +120,6 @@ def diagnose(
     tested = None if test is None else test.readings
     simulated = () if simulation is None else recordings_of(simulation)[0]
     given = None if model is None else given_model(model, cell)
+    fitted = (*recordings, *(() if given is None else given.recordings))
     options = Options(robust=robust)
-    return DiagnosisResult(cell, evaluate_all(recordings, cells, options, tested, simulated, given))
+    return DiagnosisResult(cell, evaluate_all(recordings, cells, options, tested, simulated, given), fitted)

@@ -12,12 +12,16 @@ from calibration_core.cell import Cell
 from calibration_core.cli import parse
 from calibration_core.commands.application import export as exporting
 from calibration_core.formats.calibrated import Exported, ExportedRobot, calibrated_robot
+from calibration_core.library.arguments import checked, differing
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.result import Columns, Tables, columns_of
 from calibration_core.outcomes.inputs import Inputs, naming_model
 from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.report.writing.ownership import require_own
 
+OPTIONS = {
+    "template": "--template", "joints": "--joints", "points": "--points", "q": "--q", "ends": "--range"
+}  # fmt: skip
 Format = Literal["urdf", "dh", "ur", "mjcf", "table"]
 
 
@@ -85,6 +89,7 @@ class ExportResult(Tables):
         return self._html_table()
 
 
+@checked
 def export(
     cell: Cell,
     model: str | Path | HoldsModel,
@@ -119,7 +124,9 @@ def export(
     Source: the formats' own conventions, as the documentation of `calibration export` names them.
     """
     given = given_model(model, cell)
-    options = parse(["export", "--cell", str(cell.path), "--model", given.file, "--format", form])
+    options = parse(["export", f"--cell={cell.path}", f"--model={given.file}", f"--format={form}"])
+    asked = {"template": template, "joints": joints, "points": points, "q": q, "ends": ends}
+    exporting.refuse_idle(differing(asked, export, OPTIONS), form)
     vars(options).update(
         template=None if template is None else Path(template),
         joints=list(joints),

@@ -9,19 +9,22 @@ from typing import Any
 
 import numpy as np
 
+from calibration_core.commands.evaluation import identify as identifying
 from calibration_core.commands.evaluation.identify import Identified, evaluate_all
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.identification.result.estimate import Identification, JointStiffness
 from calibration_core.identification.stiffness.fit import Deflections
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.problem import Method, Weights
+from calibration_core.library.arguments import checked, differing
 from calibration_core.library.models import HoldsModel, given_model, in_memory
 from calibration_core.library.recordings import Recording, recordings_of
 from calibration_core.library.result import Columns, Judged, Picture, columns_of
 from calibration_core.model.identified.given import GivenModel
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float1D, Float2D, Readings
 
 STIFFNESS = ("joint", "value", "std", "low", "high", "compliance", "compliance_std", "identifiable", "reason", "unit")
+OPTIONS = {name: f"--{name}" for name in ("method", "weights", "deflections", "readmit")}
 ANOMALY = ("kind", "location", "magnitude", "unit", "text", "remedy")
 
 
@@ -32,9 +35,11 @@ class IdentificationResult(Judged):
     Attributes:
         cell: The cell that it holds for.
         answer: What was identified, or the refusal of input that is not what it claims to be (`usable` is `no`).
+        fitted: The recordings that the model was identified from, and those of the model that it started from.
     """
 
     answer: Identified | Refusal
+    fitted: tuple[Readings, ...] = ()
 
     @property
     def _joints(self) -> tuple[JointStiffness, ...]:
@@ -99,9 +104,10 @@ class IdentificationResult(Judged):
         if isinstance(self.answer, Refusal):
             raise self.answer.error
         found = self.answer.identification
-        return in_memory(found.model, self.answer.model_text, found.estimate, self.answer.covered)
+        return in_memory(found.model, self.answer.model_text, found.estimate, self.answer.covered, self.fitted)
 
 
+@checked
 def identify(
     recording: Recording | Sequence[Recording],
     *,
@@ -125,7 +131,8 @@ def identify(
         weights: `instrument`: by the instruments' uncertainties; `plain`: every coordinate alike.
         deflections: `points`: positions; `pose`: the full pose from three or more points.
         robust: Set gross errors aside, by name.
-        readmit: Readings to use all the same: (configuration, step, point).
+        readmit: Readings to use all the same: (configuration, step, point); of several recordings the point is named
+            `point@number`, as the report names it.
 
     Returns:
         Stiffness in N*m/rad with 95 % intervals, and what limits it. Where the input is not what it claims to be,
@@ -138,12 +145,18 @@ def identify(
     """
     recordings, cells = recordings_of(recording)
     cell = cells[0]
+    asked = {"method": method, "weights": weights, "deflections": deflections, "readmit": readmit}
+    identifying.refuse_idle(differing(asked, identify, OPTIONS), recordings, robust=robust)
     options = Options(
         method=method, weights=weights, deflections=deflections, robust=robust, readmit=frozenset(readmit)
     )
     given = None if model is None else given_model(model, cell)
+    fitted = (*recordings, *(() if given is None else given.recordings))
     tested = None if test is None else test.readings
-    return IdentificationResult(cell, evaluate_all(recordings, cells, options, tested, given))
+    answer = evaluate_all(recordings, cells, options, tested, given)
+    if isinstance(answer, Identified):
+        identifying.refuse_unknown(options.readmit, answer.readings)
+    return IdentificationResult(cell, answer, fitted)
 
 
 def residual_columns(found: Identification) -> Columns:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from calibration_core.cell import Cell
 from calibration_core.model.identified.calibrated import ValidRange
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.given import GivenModel, read_given
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Readings
 
 
+@runtime_checkable
 class HoldsModel(Protocol):
     """A result with an identified model."""
 
@@ -31,7 +33,20 @@ def given_model(model: str | Path | HoldsModel, cell: Cell) -> GivenModel:
 
 
 def in_memory(
-    parameters: ModelParameters, text: str, estimate: GaussianEstimate | None, covered: ValidRange
+    parameters: ModelParameters,
+    text: str,
+    estimate: GaussianEstimate | None,
+    covered: ValidRange,
+    recordings: tuple[Readings, ...],
 ) -> GivenModel:
-    """Return a model that no file holds; `text` is what its file would be, `covered` what its recording covered."""
-    return GivenModel(parameters, "identified model", hashlib.sha256(text.encode()).hexdigest(), estimate, covered)
+    """Return a model that no file holds.
+
+    Args:
+        parameters: The model.
+        text: What its file would be.
+        estimate: What is known of the uncertainty of its numbers; None: nothing.
+        covered: What its recordings covered.
+        recordings: What it was identified from, and what the model that it started from was.
+    """
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return GivenModel(parameters, "identified model", digest, estimate, covered, recordings)

@@ -12,6 +12,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.cli import parse
 from calibration_core.commands.planning.plan import Planned, make
+from calibration_core.library.arguments import Seed, checked, differing
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.result import Columns, Picture, Result
 from calibration_core.planning.plans.plan import Plan
@@ -71,12 +72,13 @@ class PlanResult(Result):
         return self.planned.content
 
 
+@checked
 def plan(
     cell: Cell,
     *,
     configurations: int = 18,
     spares: float = 0.5,
-    seed: int = 0,
+    seed: Seed = 0,
     criterion: Criterion = "D",
     phases: bool = False,
     load_levels: Sequence[float] | None = None,
@@ -112,8 +114,10 @@ def plan(
 
     Source: CWA 17384, 5.1 and 5.4; D-optimal exchange (Fedorov, 1972).
     """
-    options = parse(["plan", "--cell", str(cell.path)])
+    options = parse(["plan", f"--cell={cell.path}"])
+    asked = {"load_share": load_share, "largest_force": largest_force, "largest_torque": largest_torque}
     vars(options).update(
+        stated=differing(asked, plan, {name: f"--{name.replace('_', '-')}" for name in asked}),
         configurations=configurations,
         spares=spares,
         seed=seed,

@@ -11,6 +11,7 @@ import numpy as np
 
 from calibration_core.commands.evaluation.predict import PredictedRecording, evaluate
 from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.library.arguments import checked
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.recordings import Recording
 from calibration_core.library.result import Columns, Judged, Picture
@@ -74,6 +75,7 @@ class PredictionResult(Judged):
         return Picture(svg, "Predicted and measured positions")
 
 
+@checked
 def predict(recording: Recording, model: str | Path | HoldsModel) -> PredictionResult:
     """Predict every reading of a recording from its joint angles and wrenches alone; nothing is fitted.
 

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import InputError, RecordingError
+from calibration_core.errors import InputError
+from calibration_core.library.arguments import checked
 from calibration_core.library.result import Columns, Picture, Tables
 from calibration_core.observations.observe import observe
 from calibration_core.recording.tables.arrays import readings_of_columns
 from calibration_core.recording.tables.columns import POSITION, WRENCH, joint_columns
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
 
-if TYPE_CHECKING:
-    import pandas as pd
+
+@runtime_checkable
+class ColumnsByName(Protocol):
+    """A data frame, of pandas or another package: names of columns, and each column by its name."""
+
+    columns: Any
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a column."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -116,8 +124,9 @@ def recordings_of(recording: Recording | Sequence[Recording]) -> tuple[list[Read
     return [one.readings for one in recordings], [one.cell for one in recordings]
 
 
+@checked
 def load_recording(
-    source: str | Path | Mapping[str, Any] | pd.DataFrame, cell: Cell, name: str = "arrays"
+    source: str | Path | Mapping[str, Any] | ColumnsByName, cell: Cell, name: str = "arrays"
 ) -> Recording:
     """Read a recording from a file, or take it from arrays that are in memory.
 
@@ -137,9 +146,5 @@ def load_recording(
     """
     if isinstance(source, str | Path):
         return Recording(observe(Path(source), cell), cell)
-    columns = getattr(source, "columns", None)
-    if columns is None and not isinstance(source, Mapping):
-        expected = "a path, a mapping of arrays, or a data frame"
-        raise RecordingError(name, "", f"a value of type {type(source).__name__}", expected)
-    keys = source if columns is None else columns
+    keys: Iterable[Any] = source if isinstance(source, Mapping) else source.columns
     return Recording(readings_of_columns({str(key): source[key] for key in keys}, cell, name), cell)

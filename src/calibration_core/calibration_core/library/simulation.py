@@ -9,6 +9,7 @@ from typing import Any
 
 from calibration_core.cell import Cell
 from calibration_core.commands.evaluation.simulate import files_of, simulation_result, simulation_summary
+from calibration_core.library.arguments import Seed, checked
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.planning import PlanResult
 from calibration_core.library.recordings import Recording
@@ -60,12 +61,13 @@ class SimulationResult(Result):
         return simulation_result(self.simulated, self.cell)
 
 
+@checked
 def simulate(
     cell: Cell,
     *,
     plan: PlanResult | str | Path | None = None,
     model: str | Path | HoldsModel | None = None,
-    seed: int | None = None,
+    seed: Seed | None = None,
 ) -> SimulationResult:
     """Simulate the measurement of a plan: what the instruments of the cell would record.
 

@@ -40,6 +40,11 @@ class Deflected:
     outside: dict[str, list[int]]
     remarks: list[str]
 
+    @property
+    def reference(self) -> str:
+        """Against what the load moves the robot, in words."""
+        return _reference(self.robot)
+
 
 def deflected(robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axes: str, plane: str | None) -> Deflected:
     """Predict what the wrenches of a task do.
@@ -68,4 +73,11 @@ def deflected(robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axe
     found = deflect(robot, q, task.wrench, conditions, model.estimate, axes)
     chart = None if plane is None else plane_map(robot, q[0], task.wrench[0], plane, axes)
     sentences = [*task.remarks, *remarks(model, robot)]
+    if robot.payload:
+        sentences.append(f"What the load does is against {_reference(robot)}: what the payload does is not in it.")
     return Deflected(task, robot, q, found, chart, outside(task, q, robot, model), sentences)
+
+
+def _reference(robot: CalibratedRobot) -> str:
+    payload = f" and that of its payload of {robot.payload:g} kg" if robot.payload else ""
+    return f"the robot under its own weight{payload}"

@@ -48,20 +48,29 @@ def look(readings: Readings, test: Readings | None, cell: Cell) -> tuple[InputAn
 def refuse_fitted(test: Readings | None, recordings: Sequence[Readings]) -> None:
     """Refuse a test recording whose readings are, for the most part, those of a recording that is fitted.
 
-    Readings are compared, not files: a copy, another format or another order of the same readings is no test.
-
     Raises:
         RecordingError: They are.
     """
     if test is None or not len(test):
         return
-    own = reading_keys(test)
-    shared = {readings.provenance.path: own & reading_keys(readings) for readings in recordings}
-    same = len(set().union(*shared.values()))
-    if same > SAME * len(own):
-        paths = ", ".join(path for path, rows in shared.items() if rows)
-        found = f"{same} of {len(own)} readings that are those of {paths}, which is fitted"
+    shared = shared_with(test, recordings)
+    if shared is not None:
+        same, paths = shared
+        found = f"{same} of {len(test)} readings that are those of {paths}, which is fitted"
         raise RecordingError(test.provenance.path, "--test", found, "a recording that is not fitted")
+
+
+def shared_with(readings: Readings, recordings: Sequence[Readings]) -> tuple[int, str] | None:
+    """Return how many readings are those of some recordings, and of which; None where most of them are not.
+
+    Readings are compared, not files: a copy, another format or another order holds the same readings.
+    """
+    own = reading_keys(readings)
+    shared = {other.provenance.path: own & reading_keys(other) for other in recordings}
+    same = len(set().union(*shared.values()))
+    if same <= SAME * len(own):
+        return None
+    return same, ", ".join(path for path, rows in shared.items() if rows)
 
 
 def blocked(found: Sequence[InputAnomaly]) -> bool:

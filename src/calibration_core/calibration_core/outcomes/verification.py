@@ -9,6 +9,7 @@ import numpy as np
 from calibration_core.acceptance.decision import guard_factor
 from calibration_core.acceptance.verification import Verification
 from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS
+from calibration_core.outcomes.own_recordings import NOT_COMPARED
 from calibration_core.report.rounding import listed
 from calibration_core.timeseries import Float2D
 
@@ -61,4 +62,5 @@ def remarks(found: Verification) -> list[str]:
         numbers = np.unique(found.readings.configuration[found.outside])
         named = f"{'configuration' if len(numbers) == 1 else 'configurations'} {listed([*map(str, numbers)], 8)}"
         texts.append(f"Outside the range that the model was identified in: {named}.")
+    texts += [f"{note.text[:1].upper()}{note.text[1:]}." for note in found.readings.notes if note.kind == NOT_COMPARED]
     return texts

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -196,3 +197,87 @@ def test_what_to_type_next_is_said(simulated: Path, tmp_path: Path, capsys: pyte
     assert run("import", table, "--out", tmp_path / "in one") == 0
     said = capsys.readouterr().out.splitlines()[-1]
     assert said == f"next: calibration identify '{tmp_path / 'in one' / 'measurements.csv'}' --cell CELL.yaml"
+
+
+URDF = (
+    '<robot name="r"><link name="l0"/>{links}<link name="end"/>{joints}<joint name="on" type="fixed">'
+    '<parent link="l4"/><child link="end"/><origin xyz="0 0 0.2" rpy="{end}"/></joint></robot>'
+)
+TURNS = 'lower="-2" upper="2"'
+
+
+def described(
+    folder: Path, *, travel: str = 'lower="-1" upper="1"', mass: float = 20.0, rpy: str = "0 0 0", inner: str = "0 0 0",
+    end: str = "0 0 0", rated: float = 14.0, slides: int = 0,
+) -> Path:  # fmt: skip
+    """Write a cell of a robot with one sliding joint, the first or a later one."""
+    links = "".join(
+        f'<link name="l{i}"><inertial><origin xyz="0.1 0 0" rpy="{inner}"/><mass value="{mass if i == 2 else 20}"/>'
+        "</inertial></link>"
+        for i in range(1, 5)
+    )
+    joints = "".join(
+        f'<joint name="j{i}" type="{"prismatic" if i == slides else "revolute"}"><parent link="l{i}"/>'
+        f'<child link="l{i + 1}"/><origin xyz="0.3 0 0.3" rpy="{rpy if i == 1 else "0 0 0"}"/>'
+        f'<axis xyz="0 {i % 2} {(i + 1) % 2}"/><limit {travel if i == slides else TURNS}/></joint>'
+        for i in range(4)
+    )
+    (folder / "robot.urdf").write_text(URDF.format(links=links, joints=joints, end=end))
+    path = folder / "sliding.cell.yaml"
+    path.write_text(
+        "name: sliding\nrobot:\n  name: r\n  urdf: robot.urdf\n  base_link: l0\n  flange: end\n"
+        f"  joints: [j0, j1, j2, j3]\n  rated_load: {rated}\nframes:\n  measurement_points:\n"
+        "    mp1: [0.1, 0, 0.05]\n    mp2: [-0.05, 0.09, 0.05]\n    mp3: [-0.05, -0.09, 0.08]\n"
+        "instruments:\n  tracker: {sigma: 2.0e-5}\n"
+    )
+    return path
+
+
+@pytest.mark.parametrize("where", ["rpy", "inner", "end"])
+def test_angles_of_a_urdf_in_degrees_are_refused(
+    where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = described(tmp_path, **{where: "90 0 0"})  # type: ignore[arg-type]
+    words = "rpy: found '90 0 0', expected radians, at most one turn (6.28) either way: is it in degrees?"
+    for command in (("check", cell), ("plan", "--cell", cell), ("init", tmp_path / "robot.urdf")):
+        assert run(*command, "--out", tmp_path / "out") == 2
+        streams = capsys.readouterr()
+        assert words in streams.out + streams.err
+    assert run("check", described(tmp_path, **{where: "6.2831853 -3.1416 0"}), "--out", tmp_path / "out") == 0  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        ({"travel": 'lower="-1000" upper="1000"'}, 2, "a travel of j0 up to 1,000 m, expected a travel in metres"),
+        ({"travel": 'lower="0" upper="300"'}, 0, "a travel of j0 up to 300 m, expected a travel in metres"),
+        ({"travel": 'lower="0" upper="400"', "slides": 2}, 2, "a travel of j2 up to 400 m, expected a travel in"),
+        ({"travel": 'lower="0" upper="50"', "slides": 2}, 0, "a travel of j2 up to 50 m, expected a travel in"),
+        ({"mass": 8000}, 0, "a link of 8,000 kg behind j1, for a rated load of 14 kg, expected kilograms, at most"),
+        ({"mass": 2500, "rated": 1000.0}, 0, "a link of 2,500 kg behind j1"),
+        ({"mass": 700, "rated": 3.0}, 0, "a link of 700 kg behind j1, for a rated load of 3 kg"),
+        ({"travel": 'lower="0" upper="90"'}, 0, ""),
+        ({"travel": 'lower="0" upper="2.5"', "slides": 2}, 0, ""),
+        ({"mass": 1500, "rated": 1000.0}, 0, ""),
+        ({"mass": 300, "rated": 10.0}, 0, ""),
+    ],
+)
+def test_travels_in_millimetres_and_masses_in_grams_are_named(
+    changes: dict[str, Any], code: int, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = described(tmp_path, **changes)
+    assert run("check", cell, "--no-report", "--out", tmp_path / "out") == code
+    printed = capsys.readouterr().out
+    if words:
+        assert f"robot.urdf: found {words}" in printed
+    else:
+        assert "a travel of" not in printed
+        assert "grams" not in printed
+
+
+def test_a_travel_in_millimetres_is_planned_with_by_no_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = described(tmp_path, travel='lower="-1000" upper="1000"')
+    assert run("plan", "--cell", cell, "--out", tmp_path / "out") == 2
+    assert "the URDF's limits of sliding joints: 1,000 m, at most 500 m is plausible" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -165,6 +166,19 @@ def test_a_pipe_where_a_file_is_meant(
     (line,) = [text for text in (printed.out + printed.err).splitlines() if "found no regular file" in text]
     assert ", expected " in line
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("in_time")
+@pytest.mark.parametrize("command", ["check", "plan"])
+def test_a_pipe_as_the_urdf_of_a_cell(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe.urdf")
+    demo = (CELL.parent / "demo.cell.yaml").read_text(encoding="utf-8")
+    text = re.sub(r"urdf: \S+", "urdf: pipe.urdf", demo)
+    cell = stated(tmp_path / "cell.yaml", text)
+    words = ("check", cell) if command == "check" else ("plan", "--cell", cell, "--out", tmp_path / "out")
+    assert run(*words) == 2
+    printed = capsys.readouterr()
+    assert "pipe.urdf: found no regular file, expected a readable URDF" in printed.out + printed.err
 
 
 @pytest.mark.usefixtures("in_time")

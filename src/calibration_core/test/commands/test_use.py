@@ -134,3 +134,25 @@ def test_a_wrench_for_all_rows_beside_wrenches_in_the_file_is_said(
         assert run(command, *file, *options, "--wrench", wrench) == 0
         assert (remark in result_of(tmp_path / "out")["remarks"]) is said
         assert capsys.readouterr().out.count(remark) == said
+
+
+def test_a_deflection_is_against_the_robot_with_its_payload(
+    identified: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the payload does is no part of the answer; help, summary, result and report say so."""
+    arguments = ("--cell", CELL, "--model", identified / "model.yaml", "--q", ANGLES, "--wrench", "50 0 -30 0 0 0")
+    words = "What the load does is against the robot under its own weight and that of its payload of 3 kg"
+    moved = []
+    for name, more in (("bare", ()), ("loaded", ("--payload", "3 0 0 0.1"))):
+        assert run("deflect", *arguments, *more, "--out", tmp_path / name) == 0
+        assert (words in capsys.readouterr().out) == bool(more)
+        result = result_of(tmp_path / name)
+        assert any(words in remark for remark in result["remarks"]) == bool(more)
+        page = " ".join((tmp_path / name / "report.html").read_text("utf-8").replace("\u00a0", " ").split())
+        payload = " and that of its payload of 3 kg" if more else ""
+        assert f"against the robot under its own weight{payload}; intervals" in page
+        moved.append(np.array(result["deflections"][0]["moved"]))
+    assert np.linalg.norm(moved[1] - moved[0]) < 0.02 * np.linalg.norm(moved[0])  # 3 kg alone do far more
+    with pytest.raises(SystemExit):
+        run("deflect", "--help")
+    assert "no part of the answer" in " ".join(capsys.readouterr().out.split())

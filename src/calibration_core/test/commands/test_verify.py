@@ -109,7 +109,31 @@ def test_the_recording_of_the_model_itself_is_refused(
     alone.mkdir()
     shutil.copy(identified / "model.yaml", alone / "model.yaml")
     files = ("--cell", CELL, "--model", alone / "model.yaml", "--tolerance", 1e-4, "--out", tmp_path / "out")
+    capsys.readouterr()
     assert run("verify", simulated / "recording", *files, "--no-report") == 0
+    assert "was identified from this recording is not checked" in capsys.readouterr().out
+
+
+def test_the_readings_of_the_model_are_refused_in_another_format(
+    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, fitted = tmp_path / "table.csv", tmp_path / "fitted"
+    shutil.copy(simulated / "measurements.csv", table)
+    assert run("identify", table, "--cell", CELL, "--out", fitted, "--no-report") == 0
+    arguments = ("--cell", CELL, "--model", fitted / "model.yaml", "--tolerance", 1e-4, "--no-report", "--out")
+    capsys.readouterr()
+    assert run("verify", simulated / "recording", *arguments, tmp_path / "out") == 2
+    text = capsys.readouterr().err
+    assert f"that are those of {table}, which the model was identified from" in text
+    assert not (tmp_path / "out").exists()
+    changed = tmp_path / "changed.csv"
+    changed.write_bytes(table.read_bytes().replace(b"\r\n", b"\n").replace(b"\n", b"\n\n"))
+    assert run("verify", changed, *arguments, tmp_path / "out") == 2
+    assert "which the model was identified from" in capsys.readouterr().err
+    table.unlink()  # what is no longer there cannot be compared, and the result says so
+    assert run("verify", simulated / "recording", *arguments, tmp_path / "out") == 0
+    assert f"the readings of {table}, which the model was identified from, is not checked" in capsys.readouterr().out
+    assert any("is not checked" in note["text"] for note in result_of(tmp_path / "out")["notes"])
 
 
 @pytest.mark.parametrize("tolerance", ["0", "-1e-4", "nan", "inf"])

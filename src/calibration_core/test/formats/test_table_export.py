@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from export_cases import CELLS, case
+from export_cases import CELLS, UR_ROWS, Case, case, write_cell
 
 from calibration_core.formats.calibrated import flange_poses
 from calibration_core.formats.table import corrections
@@ -75,3 +75,64 @@ def test_a_grid_that_does_not_fit(
     assert arguments[0] in text
     assert len(text.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+SEVEN_ROWS = [(0.0, -np.pi / 2, 0.34), (0.0, np.pi / 2, 0.0), (0.0, np.pi / 2, 0.4), (0.0, -np.pi / 2, 0.0),
+              (0.0, -np.pi / 2, 0.4), (0.0, np.pi / 2, 0.0), (0.0, 0.0, 0.126)]  # fmt: skip  # LBR iiwa 7, published
+RAIL_ROW = (0.0, -np.pi / 2, 0.1)
+
+
+def robot_of(kind: str, folder: Path) -> Case:
+    if kind == "six":
+        return case(folder, write_cell(folder, "six", UR_ROWS), effects=False)
+    if kind == "seven":
+        return case(folder, write_cell(folder, "seven", SEVEN_ROWS), effects=False)
+    types = ["prismatic", *["revolute"] * (7 if kind == "rail of seven" else 6)]
+    rows = [RAIL_ROW, *(SEVEN_ROWS if kind == "rail of seven" else UR_ROWS)]
+    limits = [[-8.0, 8.0], *[[-3.0, 3.0]] * (len(rows) - 1)]
+    path = write_cell(folder, "rail", rows, joint_types=types, joint_limits=limits)
+    return case(folder, path, effects=False)
+
+
+@pytest.mark.parametrize("kind", ["six", "seven", "rail of six", "rail of seven"])
+def test_however_many_joints_there_are_the_flange_stands_where_the_nominal_would(kind: str, tmp_path: Path) -> None:
+    of = robot_of(kind, tmp_path)
+    robot = of.robot()
+    chain = robot.chain
+    q = np.random.default_rng(5).uniform(0.5, 1.4, (200, chain.n)) * np.where(np.arange(chain.n) % 2, 1, -1)
+    dq = corrections(robot, q)
+    target = flange_poses(posture(robot.nominal, q))
+    before, after = (
+        np.abs(flange_poses(solve_equilibrium(chain, one, robot.parameters.compliance, None).at) - target).max(
+            axis=(1, 2)
+        )
+        for one in (q, q + dq)
+    )
+    regular = after < 1e-9  # elsewhere the corrections are held back
+    assert np.count_nonzero(regular) > 0.6 * len(q)
+    assert after.max() < before.max()
+    assert np.abs(dq).max() < 0.05
+    # No other corrections do the same and are smaller, nor do they depend on where the iteration began.
+    sizes = np.where(chain.prismatic, 1.0, chain.reach)
+    at = posture(chain, q + dq)
+    scaled = np.concatenate([at.shifts.transpose(1, 0, 2), at.spins.transpose(1, 0, 2)]) / sizes[None, :, None]
+    for k in np.flatnonzero(regular):
+        null = np.linalg.svd(scaled[:, :, k])[2][6:]
+        assert np.abs(null @ (sizes * dq[k])).max(initial=0.0) < 1e-3 * np.linalg.norm(sizes * dq[k])
+
+
+@pytest.mark.parametrize("kind", ["seven", "rail of six", "rail of seven"])
+def test_a_redundant_robot_has_a_table(kind: str, tmp_path: Path) -> None:
+    of = robot_of(kind, tmp_path)
+    q = " ".join(["1"] * len(of.cell.robot.joints))
+    result = of.export(tmp_path / "out", "--format", "table", "--q", q, "--joints", "2", "--range", "0.5 1.5")
+    between, left, without = result["deviations"]
+    assert between["largest"] < without["largest"]
+    assert left["largest"] < without["largest"]
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3])
+def test_a_redundant_robot_near_a_singular_posture(angle: float, tmp_path: Path) -> None:
+    robot = robot_of("seven", tmp_path).robot()
+    q = np.array([[0.1, 0.0, 0.0, angle, 0.0, angle, 0.3], [0.1, 0.8, 0.3, angle, 0.2, angle, 0.6], [angle] * 7])
+    assert np.abs(corrections(robot, q)).max() < 0.2

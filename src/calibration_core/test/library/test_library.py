@@ -206,7 +206,7 @@ def test_arrays_that_are_wrong(recording: cal.Recording, cell: cal.Cell, change:
 
 
 def test_no_recording_at_all(cell: cal.Cell) -> None:
-    with pytest.raises(cal.InputError, match="found a value of type int, expected a path"):
+    with pytest.raises(cal.InputError, match="source: found 5, expected a path or a mapping of arrays or a data frame"):
         cal.load_recording(5, cell)  # type: ignore[arg-type]
 
 

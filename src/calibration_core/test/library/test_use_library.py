@@ -123,6 +123,29 @@ def test_verify(
         cal.verify(other, identified, -1.0)
 
 
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+@pytest.mark.parametrize("form", ["the same value", "table", "arrays"])
+def test_verify_refuses_readings_of_the_model(
+    command: str, form: str, cell: cal.Cell, other: cal.Recording, identified: cal.IdentificationResult, tmp_path: Path
+) -> None:
+    """A result knows what it was identified from, in whatever format that comes again."""
+    made = cal.simulate(cell, model=identified, seed=5)
+    made.save(tmp_path, report=False)
+    model = getattr(cal, command)(other)
+    again = {
+        "the same value": lambda: other,
+        "table": lambda: cal.load_recording(tmp_path / "measurements.csv", cell),
+        "arrays": lambda: cal.load_recording(other.tables["measurements"], cell),
+    }[form]()
+    with pytest.raises(cal.InputError, match=r"which the model was identified from, expected places that were not"):
+        cal.verify(again, model, 1e-3)
+    from_it = cal.identify(cal.load_recording(BAG, cell), model=model)
+    with pytest.raises(cal.InputError, match="which the model was identified from"):
+        cal.verify(again, from_it, 1e-3)
+    further = cal.simulate(cell, model=identified, seed=6).recording
+    assert cal.verify(further, model, 5e-3).decision == "conforming"
+
+
 def test_compare(cell: cal.Cell, recording: cal.Recording, folder: Path, other: cal.Recording, tmp_path: Path) -> None:
     same(cal.compare(recording, folder, cells=cell), tmp_path, "compare", BAG, folder)
     found = cal.compare(recording, other, other, dates=[dt.datetime(2026, k, 1, tzinfo=dt.UTC) for k in (1, 5, 9)])

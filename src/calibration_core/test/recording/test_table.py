@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import RecordingError
+from calibration_core.recording.tables.arrays import readings_of_columns
 from calibration_core.recording.tables.table import read_table, write_table
 from calibration_core.timeseries import Provenance, Readings
 
@@ -174,3 +177,78 @@ def timed(path: Path, cell: Cell) -> float:
     begin = time.process_time()
     assert len(read_table(path, cell)) == 12_000
     return time.process_time() - begin
+
+
+def sliding_cell(tmp_path: Path, limits: list[float]) -> Cell:
+    """The small cell's robot with a linear unit as its first joint."""
+    content = yaml.safe_load((Path(__file__).parents[4] / "config" / "cells" / "small.cell.yaml").read_text())
+    robot = content["robot"]
+    robot["joint_types"] = ["prismatic", *["revolute"] * (len(robot["joints"]) - 1)]
+    robot["joint_limits"][0] = limits
+    path = tmp_path / "sliding.cell.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return load_cell(path)
+
+
+def sliding_urdf_cell(tmp_path: Path, limits: list[float]) -> Cell:
+    """A cell whose URDF states the travel."""
+    links = "".join(f'<link name="l{i}"/>' for i in range(4))
+    joints = "".join(
+        f'<joint name="j{i}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="0.3 0 0.2"/>'
+        f'<axis xyz="0 {i % 2} {(i + 1) % 2}"/><limit lower="{low}" upper="{high}"/></joint>'
+        for i, (kind, low, high) in enumerate([("prismatic", *limits), ("revolute", -2, 2), ("revolute", -2, 2)])
+    )
+    (tmp_path / "robot.urdf").write_text(f'<robot name="r">{links}{joints}</robot>')
+    content = {
+        "name": "sliding", "frames": {"measurement_points": {"mp1": [0.1, 0.0, 0.0]}},
+        "instruments": {"tracker": {"sigma": 1e-5}},
+        "robot": {"name": "r", "urdf": "robot.urdf", "base_link": "l0", "flange": "l3", "rated_load": 5.0,
+                  "joints": ["j0", "j1", "j2"]},
+    }  # fmt: skip
+    path = tmp_path / "sliding.cell.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return load_cell(path)
+
+
+def columns_at(cell: Cell, q1: float) -> dict[str, list[float] | list[str]]:
+    n = len(cell.robot.joints)
+    numbers: dict[str, float] = {"configuration": 1, "step": 0, "q1": q1, **{f"q{i}": 0.1 for i in range(2, n + 1)}}
+    numbers |= dict.fromkeys("xyz", 1.0)
+    return {"point": [cell.points[0]], **{name: [value] for name, value in numbers.items()}}
+
+
+def of_a_file(tmp_path: Path, cell: Cell, q1: float) -> Readings:
+    columns = columns_at(cell, q1)
+    row = ",".join(str(values[0]) for values in columns.values())
+    return read(tmp_path, cell, f"{','.join(columns)}\n{row}\n")
+
+
+def of_arrays(tmp_path: Path, cell: Cell, q1: float) -> Readings:
+    return readings_of_columns(columns_at(cell, q1), cell)
+
+
+@pytest.mark.parametrize("reader", [of_a_file, of_arrays])
+@pytest.mark.parametrize("made", [sliding_cell, sliding_urdf_cell])
+class TestSlidingJoints:
+    """A travel is a length: it is judged by the limits of its joint, in m, and not as an angle."""
+
+    Make = Callable[[Path, list[float]], Cell]
+    Reader = Callable[[Path, Cell, float], Readings]
+
+    def test_a_long_linear_unit_is_read(self, tmp_path: Path, made: Make, reader: Reader) -> None:
+        cell = made(tmp_path, [0.0, 30.0])
+        assert reader(tmp_path, cell, 13.976).q[0, 0] == 13.976
+        assert reader(tmp_path, cell, 30.5).q[0, 0] == 30.5
+
+    @pytest.mark.parametrize(("limits", "value"), [([0.0, 30.0], 13976.0), ([-0.4, 0.8], 650.0), ([0.0, 0.05], 40.0)])
+    def test_millimetres_are_refused(
+        self, tmp_path: Path, made: Make, reader: Reader, limits: list[float], value: float
+    ) -> None:
+        with pytest.raises(RecordingError, match=r"column q1: found a size of .*, expected a distance in m, at most"):
+            reader(tmp_path, made(tmp_path, limits), value)
+
+
+def test_a_joint_that_turns_beside_one_that_slides_is_in_radians(tmp_path: Path) -> None:
+    cell = sliding_cell(tmp_path, [0.0, 30.0])
+    with pytest.raises(RecordingError, match=r"column q3: found a size of 14, expected an angle in rad, at most 4 pi"):
+        readings_of_columns({**columns_at(cell, 20.0), "q3": [14.0]}, cell)

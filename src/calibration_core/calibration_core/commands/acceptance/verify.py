@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,22 +12,21 @@ from calibration_core.acceptance.verification import Verification, verify
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.commands.shared.inputs import Refusal
-from calibration_core.errors import InputError, RecordingError
-from calibration_core.files.regular import read_regular
+from calibration_core.errors import InputError
 from calibration_core.identification.checks.space import operating_space
 from calibration_core.model.identified.given import read_given
-from calibration_core.model.identified.model_file import read_calibrated
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import Inputs, blocked, digest_of, look, naming_model
+from calibration_core.outcomes.own_recordings import refuse_own
 from calibration_core.outcomes.verification import error_sizes, places, remarks
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import recording_record, result_json
 from calibration_core.report.rounding import counted
-from calibration_core.report.writing.output import MAX_RESULT, RESULT, Content, write_files
+from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.timeseries import Readings
 
 CERTIFICATE = "certificate.pdf"
@@ -48,10 +45,10 @@ def run(arguments: argparse.Namespace) -> str:
     cell = load_cell(arguments.cell)
     readings = observe(arguments.recording, cell)
     found = look(readings, None, cell)
-    model = read_calibrated(arguments.model, cell)
-    refuse_own(readings, arguments.model)
+    given = read_given(arguments.model, cell)
+    readings, model = refuse_own(readings, given, cell), given.calibrated
     if blocked(found):
-        refusal = Refusal.of("verify", cell, readings, found, read_given(arguments.model, cell))
+        refusal = Refusal.of("verify", cell, readings, found, given)
         write_files(arguments.out, refusal.files(report=arguments.report))
         return f"{refusal.summary}\n{report_line(arguments)}"
     with naming_model(arguments.model):
@@ -106,24 +103,6 @@ def refuse_tolerance(tolerance: float) -> None:
     if not 0 < tolerance <= LARGEST_TOLERANCE:
         expected = f"a length in m above zero and at most {LARGEST_TOLERANCE:g}"
         raise InputError("verify", "--tolerance", f"{tolerance:g} m", expected)
-
-
-def refuse_own(readings: Readings, model: Path) -> None:
-    """Refuse a recording that the model was identified from, as the result.json beside the model says.
-
-    Raises:
-        RecordingError: It is one of them.
-    """
-    beside = model.parent / RESULT
-    try:
-        content = json.loads(read_regular(beside, MAX_RESULT, "result"))
-        rows = content["input"]["sha256"]
-        used = {row["sha256"] for row in rows if row["role"].startswith("recording")}
-    except (InputError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return  # a model that stands alone says nothing of its recordings
-    if used & set(readings.provenance.sha256.values()):
-        found = f"the recording that {model} was identified from"
-        raise RecordingError(readings.provenance.path, "", found, "places that were not used for the model")
 
 
 def _space(readings: Readings, cell: Cell, parameters: ModelParameters) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+from collections.abc import Collection
 from typing import Any
 
 from calibration_core.cell import Cell, load_cell
@@ -31,7 +32,7 @@ WITHOUT_FORMAT = (
 )
 OF_FORMAT = {"ur": ("--template",), "table": ("--joints", "--points", "--q", "--range")}
 """Format -> the options that have an effect on it alone."""
-MOST = {"urdf": 1e-9, "dh": 1e-6, "ur": 1e-6}  # m: what is written may not differ from the model by more
+MOST = {"urdf": 1e-9, "dh": 1e-6, "ur": 1e-6, "mjcf": 1e-9}  # m: what is written may not differ from the model by more
 
 
 def run(arguments: argparse.Namespace) -> str:
@@ -41,10 +42,7 @@ def run(arguments: argparse.Namespace) -> str:
         InputError: Cell, model or template cannot be used, the format cannot hold the robot, or nothing can be written.
         EquilibriumError: The robot cannot carry its own weight.
     """
-    for form, options in OF_FORMAT.items():
-        if arguments.format != form:
-            where = f"on the format {arguments.format}"
-            refuse_without_effect(arguments.stated, "export", options, where, f"--format {form}")
+    refuse_idle(arguments.stated, arguments.format)
     cell = load_cell(arguments.cell)
     refuse_inputs(arguments.out, "export", () if cell.urdf_path is None else (cell.urdf_path,))
     with naming_model(arguments.model):
@@ -54,6 +52,21 @@ def run(arguments: argparse.Namespace) -> str:
     write_files(arguments.out, files_of(robot, exported, arguments.format, given.digest))
     where = f"{', '.join(sorted(exported.files))} in {arguments.out}"
     return f"{robot.cell.robot.name} as {arguments.format}: {where}\n{export_summary(robot, exported)}"
+
+
+def refuse_idle(stated: Collection[str], form: str) -> None:
+    """Refuse stated options that have no effect on a format.
+
+    Args:
+        stated: The options that are stated.
+        form: The format.
+
+    Raises:
+        InputError: There is one.
+    """
+    for other, options in OF_FORMAT.items():
+        if other != form:
+            refuse_without_effect(stated, "export", options, f"on the format {form}", f"--format {other}")
 
 
 def exported_as(robot: ExportedRobot, arguments: argparse.Namespace) -> Exported:

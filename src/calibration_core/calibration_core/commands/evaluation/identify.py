@@ -95,7 +95,7 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 0.0, "reading the recording")
     cells, recordings = read_recordings(arguments)
     cell = cells[0]
-    _refuse_idle(arguments, recordings)
+    refuse_idle(arguments.stated, recordings, robust=not arguments.no_robust)
     test = None if arguments.test is None else observe(arguments.test, cell)
     given = None if arguments.model is None else read_given(arguments.model, cell)
     options = Options(
@@ -108,24 +108,41 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 1 / 3, "identifying, and looking for missing physics")
     answer = evaluate_all(recordings, cells, options, test, given)
     if isinstance(answer, Identified):
-        _refuse_unknown(options.readmit, answer.readings)
+        refuse_unknown(options.readmit, answer.readings)
     report_progress(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, answer.files(report=arguments.report))
     return f"{answer.summary}\n{report_line(arguments)}"
 
 
-def _refuse_idle(arguments: argparse.Namespace, recordings: Sequence[Readings]) -> None:
-    """Refuse stated options that have no effect on these recordings."""
-    if arguments.no_robust:
+def refuse_idle(stated: Collection[str], recordings: Sequence[Readings], *, robust: bool) -> None:
+    """Refuse stated options that have no effect on these recordings.
+
+    Args:
+        stated: The options that are stated.
+        recordings: What is evaluated.
+        robust: Whether gross errors are set aside.
+
+    Raises:
+        InputError: There is one.
+    """
+    if not robust:
         where = "with --no-robust, which uses every reading"
-        refuse_without_effect(arguments.stated, "identify", ("--readmit",), where, "no --no-robust")
+        refuse_without_effect(stated, "identify", ("--readmit",), where, "no --no-robust")
     if not any(map(is_loaded, recordings)):
         options = ("--method", "--weights", "--deflections")
-        refuse_without_effect(arguments.stated, "identify", options, "on a recording at rest", "a loaded recording")
+        refuse_without_effect(stated, "identify", options, "on a recording at rest", "a loaded recording")
 
 
-def _refuse_unknown(keys: Collection[Key], readings: Readings) -> None:
-    """Refuse to use a reading after all that the recordings do not hold."""
+def refuse_unknown(keys: Collection[Key], readings: Readings) -> None:
+    """Refuse to use a reading after all that the recordings do not hold.
+
+    Args:
+        keys: The readings: configuration, step, point.
+        readings: All recordings as one.
+
+    Raises:
+        InputError: There is one.
+    """
     known = set(keys_of(readings))
     for configuration, step, point in sorted(keys):
         if (configuration, step, point) not in known:

@@ -171,7 +171,7 @@ def _deflect(result: Content) -> Iterable[str]:
     tool = [one for one in records(result, "deflections") if one.get("point") == "tool"]
     if known(largest):
         rows = counted(len(tool), "row")
-        yield f"Against the robot under its own weight, the load moves the tool by {mm(largest)} at most, in {rows}."
+        yield f"Against where the robot stands without it, the load moves the tool by {mm(largest)} at most, in {rows}."
     if tool:
         yield _moved(tool[0])
     stiff = next(iter(records(result, "stiffness_ellipsoid")), {})

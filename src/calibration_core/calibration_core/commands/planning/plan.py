@@ -242,7 +242,7 @@ def rules_of(arguments: argparse.Namespace) -> PlanningRules:
     asked = named.get(arguments.protocol or "", arguments.load_levels)
     levels = NINE_STEPS if asked is None else tuple(asked)
     inside = all(math.isfinite(level) and -1.0 <= level <= 1.0 for level in levels)
-    if not inside or levels[0] != 0.0 or max(levels) != 1.0 or len(levels) > 100:
+    if not inside or not levels or levels[0] != 0.0 or max(levels) != 1.0 or len(levels) > 100:
         expected = (
             "shares from -1 (pulled the other way) to 1 of the full pull, the first 0 and the largest 1, "
             "for example 0 0.5 1 0.5 0"
@@ -290,8 +290,8 @@ def space_of(
 def _box(ends: list[float] | None) -> tuple[tuple[float, float], ...] | None:
     if ends is None:
         return None
-    box = tuple(zip(ends[::2], ends[1::2], strict=True))
-    if not all(math.isfinite(low) and math.isfinite(high) and low < high for low, high in box):
+    box = tuple(zip(ends[::2], ends[1::2], strict=False))
+    if len(ends) != 6 or not all(math.isfinite(low) and math.isfinite(high) and low < high for low, high in box):
         raise InputError("--box", "", quoted(ends), "XMIN XMAX YMIN YMAX ZMIN ZMAX in m, each lower < upper")
     return box
 

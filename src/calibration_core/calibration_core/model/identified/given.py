@@ -12,7 +12,7 @@ from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.model_file import read_calibrated
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.recording.source import sha256_of
-from calibration_core.timeseries import NO_INTERVALS, Note
+from calibration_core.timeseries import NO_INTERVALS, Note, Readings
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -25,6 +25,7 @@ class GivenModel:
         sha256: Digest of the file.
         estimate: What it says of its numbers' uncertainty; None: nothing.
         valid_range: What its recording covered; None where it does not say.
+        recordings: What it was identified from; empty where a file holds the model.
     """
 
     parameters: ModelParameters
@@ -32,6 +33,7 @@ class GivenModel:
     sha256: str
     estimate: GaussianEstimate | None = None
     valid_range: ValidRange | None = None
+    recordings: tuple[Readings, ...] = ()
 
     @property
     def calibrated(self) -> CalibratedModel:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.cell.travel import farthest
 from calibration_core.errors import RecordingError
 from calibration_core.recording.foreign.join import import_files
 from calibration_core.timeseries import Note, Readings
@@ -18,7 +19,7 @@ def read_foreign(path: Path, cell: Cell) -> Readings:
 
     Args:
         path: The table, with everything in it.
-        cell: Number of joints and names of points.
+        cell: Number of joints, which of them slide, and names of points.
 
     Returns:
         Readings with the cell's points; a note says how the table was understood.
@@ -28,7 +29,8 @@ def read_foreign(path: Path, cell: Cell) -> Readings:
     """
     command = f"or convert it: calibration import {path.name} --map map.yaml"
     try:
-        imported = import_files([path])
+        travels = {f"q{i + 1}": float(most) for i, most in enumerate(farthest(cell)) if not np.isnan(most)}
+        imported = import_files([path], travels=travels)
     except RecordingError as error:
         raise RecordingError(error.file, error.place, error.found, f"{error.expected}; {command}") from None
     readings = imported.readings

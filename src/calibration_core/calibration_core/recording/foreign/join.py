@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from calibration_core.recording.source import file_names, sha256_of
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Provenance, Readings
 
 SAME_POSTURE = 1e-3  # rad: joint angles that differ less belong to one configuration
+SHOWN = 8  # columns that a message names
 ONLY_POINT = "mp1"
 ANGLES, WRENCHES = "joint angles", "wrenches"
 
@@ -49,31 +50,34 @@ class _Rows:
     block: Int1D
 
 
-def import_files(paths: Sequence[Path], how: ImportMap | None = None) -> Imported:
+def import_files(
+    paths: Sequence[Path], how: ImportMap | None = None, travels: Mapping[str, float] | None = None
+) -> Imported:
     """Read foreign files and join them.
 
     Args:
         paths: One file with everything, or files with positions, joint angles and wrenches; several files of positions
             are taken one after another.
         how: What is stated; None: everything is recognised.
+        travels: Which joints slide, as for `read_source`; None: not known.
 
     Raises:
         RecordingError: Something is missing or can be read in more than one way; names the file and what to state.
     """
     how = how or ImportMap()
     account: list[str] = []
-    sources = tuple(read_source(Path(path), how.of(Path(path))) for path in paths)
+    sources = tuple(read_source(Path(path), how.of(Path(path)), travels) for path in paths)
     positions = [source for source in sources if source.has_points]
     for source in positions:
         _refuse_repeated(source)
     if not positions:
-        raise RecordingError(paths[0], "", "no file with positions x y z", "the points that the tracker measured")
+        raise _lacking(sources, "no file with positions x y z", "the points that the tracker measured", "x")
     whole = positions[0] if len(positions) == 1 else _stacked(positions, account)
     rows = _keyed(whole, how, account)
     others = [source for source in sources if not source.has_points]
     joints = whole if whole.joints else _only(others, lambda source: bool(source.joints), ANGLES, paths[0])
     if joints is None:
-        raise RecordingError(paths[0], "", "no joint angles in any file", "columns q1 ... qn, or a robot program")
+        raise _lacking(sources, "no joint angles in any file", "columns q1 ... qn, or a robot program", "q1")
     rows = _with_postures(rows, joints, how.tolerance, account)
     wrench = whole if whole.has_wrench else _only(others, lambda source: source.has_wrench, WRENCHES, paths[0])
     q_rows = _matched(rows, joints, how, account, ANGLES)
@@ -87,6 +91,16 @@ def import_files(paths: Sequence[Path], how: ImportMap | None = None) -> Importe
             account.append(f"{wrench.path.name} has no torques: they are taken as zero.")
         force = np.column_stack([*(wrench.numbers[name][w_rows] for name in FORCES), *torque])
     return Imported(_readings(rows, q, force, paths, account), sources, tuple(account))
+
+
+def _lacking(sources: Sequence[Source], found: str, expected: str, meaning: str) -> RecordingError:
+    """Return the error where no file has what is needed; it names the columns that were not understood."""
+    unknown = [(source, name) for source in sources for name in source.ignored]
+    if unknown:
+        listed = ", ".join(f"{quoted(name)} of {source.path.name}" for source, name in unknown[:SHOWN])
+        found += f"; columns that were not understood: {listed}{', ...' if len(unknown) > SHOWN else ''}"
+        expected += f"; or a map that states what they are, such as columns: {{{quoted(unknown[0][1])}: {meaning}}}"
+    return RecordingError(sources[0].path, "", found, expected)
 
 
 def _refuse_repeated(source: Source) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.foreign.clock import FORMS, dated, of_day, over_midnight
 from calibration_core.recording.foreign.grid import BLANKS, Grid, number_of, read_grid
+from calibration_core.recording.foreign.inference import Inference, angle, force, length, refuse_two_ways, travel
 from calibration_core.recording.foreign.mapping import FileMap
 from calibration_core.recording.foreign.meaning import (
     AXES,
@@ -28,12 +28,8 @@ from calibration_core.recording.foreign.meaning import (
 from calibration_core.recording.foreign.poses import Poses, read_poses
 from calibration_core.recording.foreign.text import Text, read_text
 from calibration_core.recording.foreign.units import SI, UNITS, Dimension, ForeignUnit, split_unit, unit_of
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float1D
 
-LARGEST_TURN = 7.0  # rad: no joint of a calibrated robot stands farther than a turn from its zero
-NEAREST_POINT = 0.08  # m from the tracker
-FARTHEST_POINT = 80.0  # m, range of a laser tracker
-LEAST_FORCE = 25.0  # no robot carries as many kN, so that a larger number is a force in N
 _STATED = re.compile(r"(?:units?|einheit(?:en)?)\b\s*[:=]?\s*(.+)", re.IGNORECASE)
 _SEPARATOR_NAMES = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", BLANKS: "blanks"}
 
@@ -107,12 +103,14 @@ class Source:
         return self.files[row] if self.files else self.path
 
 
-def read_source(path: Path, how: FileMap) -> Source:
+def read_source(path: Path, how: FileMap, travels: Mapping[str, float] | None = None) -> Source:
     """Read one file.
 
     Args:
         path: A table or a robot program.
         how: What is stated of it; everything else is recognised.
+        travels: Meaning -> how far a sliding joint stands from its zero at most, m; none of the others slides.  None:
+            it is not known which joints slide.
 
     Raises:
         RecordingError: It is no table, or a column or unit can be read in more than one way.
@@ -136,7 +134,7 @@ def read_source(path: Path, how: FileMap) -> Source:
             texts[meaning] = tuple(row[i] for row in grid.rows)
             taken.append(Taken(names[i], meaning, "", "stated"))
             continue
-        dimension = dimension_of(meaning)
+        dimension = _dimension(meaning, travels)
         how_read = ""
         if dimension == "time":
             raw, how_read = _times(grid, i)
@@ -154,7 +152,7 @@ def read_source(path: Path, how: FileMap) -> Source:
                 how_read or ("stated" if unit is not None else ""),
             )
         )
-    taken = _converted(grid.path, numbers, taken)
+    taken = _converted(grid.path, numbers, taken, travels)
     form = f"{_SEPARATOR_NAMES[grid.separator]}-separated, decimal mark {quoted(grid.decimal)}, {text.encoding}"
     return Source(path, form, numbers, texts, grid.lines, tuple(taken), ignored)
 
@@ -259,23 +257,34 @@ def _remarked(remarks: Sequence[str]) -> dict[Dimension, ForeignUnit]:
     return found
 
 
-def _converted(path: Path, numbers: dict[str, Float1D], taken: list[Taken]) -> list[Taken]:
+def _dimension(meaning: str, travels: Mapping[str, float] | None) -> Dimension:
+    return "length" if travels is not None and meaning in travels else dimension_of(meaning)
+
+
+def _converted(
+    path: Path, numbers: dict[str, Float1D], taken: list[Taken], travels: Mapping[str, float] | None
+) -> list[Taken]:
     """Convert all columns to SI units in place; infer units that are not stated for a family of columns at once."""
     result = {one.meaning: one for one in taken}
     joints = tuple(name for name in numbers if JOINT.fullmatch(name))
     inferred = {
-        **_family(path, AXES, numbers, result, _length),
-        **_family(path, joints, numbers, result, _angle),
-        **_family(path, FORCES, numbers, result, _force),
+        **_family(path, AXES, numbers, result, length),
+        **_family(path, [name for name in joints if not _slides(result[name], travels)], numbers, result, angle),
+        **_family(path, FORCES, numbers, result, force),
         **_family(path, TORQUES, numbers, result, lambda *_: (UNITS["n*m"], "the usual unit")),
     }
+    for name, farthest in (travels or {}).items():
+        inferred |= _family(path, [name], numbers, result, travel(farthest))
+    if travels is None:
+        refuse_two_ways(path, joints, numbers, {name: result[name].column for name in joints}, inferred)
     for meaning, one in result.items():
         if meaning not in numbers or meaning in COUNTS:
             continue
-        dimension = dimension_of(meaning)
+        dimension = _dimension(meaning, travels)
         usual = next(unit for unit in UNITS.values() if unit.dimension == dimension and unit.name == SI[dimension])
         unit, how = inferred.get(meaning) or (unit_of(one.unit) or usual, one.how or "the usual unit")
-        if unit.dimension != dimension and not (JOINT.fullmatch(meaning) and unit.dimension == "length"):
+        may_slide = travels is None and JOINT.fullmatch(meaning) and unit.dimension == "length"
+        if unit.dimension != dimension and not may_slide:
             raise RecordingError(
                 path, f"column {one.column}", f"{unit.name}, a unit of {unit.dimension}", f"a unit of {dimension}"
             )
@@ -284,12 +293,20 @@ def _converted(path: Path, numbers: dict[str, Float1D], taken: list[Taken]) -> l
     return list(result.values())
 
 
+def _slides(one: Taken, travels: Mapping[str, float] | None) -> bool:
+    """Say whether a joint slides: as the cell file says, else by its stated unit."""
+    if travels is not None:
+        return one.meaning in travels
+    unit = unit_of(one.unit)
+    return unit is not None and unit.dimension == "length"
+
+
 def _family(
     path: Path,
     family: Sequence[str],
     numbers: Mapping[str, Float1D],
     taken: Mapping[str, Taken],
-    infer: Callable[[Path, Float2D, str], tuple[ForeignUnit, str]],
+    infer: Inference,
 ) -> dict[str, tuple[ForeignUnit, str]]:
     """Return meaning -> (unit, how) for the columns of a family whose unit is not stated."""
     unstated = [name for name in family if name in numbers and not taken[name].unit]
@@ -300,41 +317,3 @@ def _family(
         return dict.fromkeys(unstated, (UNITS[known.pop().lower()], "the unit of the columns beside it"))
     choice = infer(path, np.column_stack([numbers[name] for name in unstated]), taken[unstated[0]].column)
     return dict.fromkeys(unstated, choice)
-
-
-def _length(path: Path, values: Float2D, column: str) -> tuple[ForeignUnit, str]:
-    distance = np.linalg.norm(values, axis=1)
-    fitting = [
-        unit
-        for unit in (UNITS["m"], UNITS["mm"])
-        if distance.min(initial=math.inf) * unit.factor >= NEAREST_POINT
-        and distance.max(initial=0.0) * unit.factor <= FARTHEST_POINT
-    ]
-    if len(fitting) != 1:
-        found = f"{distance.min():g} to {distance.max():g} from the origin, without a unit"
-        raise RecordingError(
-            path, f"column {column}", found, "a unit: state it in the header or in a map (units: {xyz: mm})"
-        )
-    limits = f"no target is nearer than {NEAREST_POINT:g} m or farther than {FARTHEST_POINT:g} m"
-    return fitting[0], limits
-
-
-def _angle(path: Path, values: Float2D, column: str) -> tuple[ForeignUnit, str]:
-    largest = float(np.abs(values).max(initial=0.0))
-    spread = float(np.ptp(values, axis=0).max(initial=0.0))
-    if largest > LARGEST_TURN:
-        return UNITS["deg"], f"the largest is {largest:g}, more than a turn in rad"
-    if spread > 0.5:
-        return UNITS["rad"], f"the largest is {largest:g}: in degrees the robot would hardly move"
-    found = f"angles up to {largest:g} without a unit"
-    raise RecordingError(
-        path, f"column {column}", found, "a unit: state it in the header or in a map (units: {q: deg})"
-    )
-
-
-def _force(path: Path, values: Float2D, column: str) -> tuple[ForeignUnit, str]:
-    largest = float(np.abs(values).max(initial=0.0))
-    if largest >= LEAST_FORCE or largest == 0.0:
-        return UNITS["n"], f"the largest is {largest:g}: in kN no robot carries it"
-    found = f"forces up to {largest:g} without a unit"
-    raise RecordingError(path, f"column {column}", found, "a unit: state it in the header or in a map (units: {f: kN})")

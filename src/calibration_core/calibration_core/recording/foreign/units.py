@@ -70,7 +70,7 @@ UNITS = MappingProxyType(
     }
 )  # `grad` is German for degrees; the gon, a hundredth of a right angle, is not used by robots
 _BRACKETS = re.compile(r"^\s*[\[(<{]\s*(.*?)\s*[\])>}]\s*$")
-_TRAILING = re.compile(r"^(.*?)(?:\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]|\s*/\s*(\S+)|[\s_]+(\S+))\s*$")
+_TRAILING = re.compile(r"^(.*?)(?:\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]|\s*/\s*(\S+)|[\s_]+([^\s_]+))\s*$")
 
 
 def unit_of(text: str) -> ForeignUnit | None:

@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.cell.travel import farthest
 from calibration_core.errors import RecordingError, rounded_down
 from calibration_core.timeseries import Bool1D, Int1D, Note, Readings
 
 MAX_DISTANCE = 80.0  # m; trackers measure up to 80 m
 MAX_DISPLACEMENT = 0.2  # m; a robot does not bend further
 MAX_ANGLE = 4 * math.pi  # rad; the widest joints turn twice either way
+BEYOND_TRAVEL = 10.0  # times what a sliding joint's limits allow: beyond, the unit is wrong
+SHORTEST_TRAVEL = 1.0  # m; limits of less are not judged by
+LONGEST_TRAVEL = 1000.0  # m; no linear unit is longer
 TEMPERATURES = (-40.0, 100.0)  # degrees Celsius
 OVERLOAD = 20.0  # times the rated load: beyond, the unit is wrong
 MAX_ARM = 3.0  # m, for the torque of such a load
@@ -31,12 +35,7 @@ def check_plausible(path: Path, readings: Readings, cell: Cell, lines: Int1D, wo
     distance = np.linalg.norm(readings.position, axis=1)
     what = "a displacement" if displacement else "a position"
     _refuse(path, word, lines, "x y z", distance > limit, distance, f"{what} in m, at most {limit:g} m")
-    angle = np.abs(readings.q)
-    worst = np.argmax(angle, axis=1)
-    _refuse(
-        path, word, lines, [f"q{i + 1}" for i in worst], angle.max(axis=1) > MAX_ANGLE, angle.max(axis=1),
-        "an angle in rad, at most 4 pi",
-    )  # fmt: skip
+    _check_joints(path, readings, cell, lines, word)
     cold, hot = TEMPERATURES
     celsius = readings.temperature
     _refuse(path, word, lines, "temperature", (celsius < cold) | (celsius > hot), celsius, f"{cold:g} to {hot:g} °C")
@@ -50,13 +49,29 @@ def check_plausible(path: Path, readings: Readings, cell: Cell, lines: Int1D, wo
         _refuse(path, word, lines, "tx ty tz", torque > most * MAX_ARM, torque, expected)
 
 
-def _refuse(
-    path: Path, word: str, lines: Int1D, column: str | list[str], wrong: Bool1D, values: np.ndarray, expected: str
-) -> None:
+def _check_joints(path: Path, readings: Readings, cell: Cell, lines: Int1D, word: str) -> None:
+    """Refuse angles in degrees and travels in millimetres, the first row of them."""
+    slides = np.array(cell.prismatic)
+    size = np.abs(readings.q)
+    limits = np.full(size.shape[1], MAX_ANGLE)
+    if slides.any():
+        travel = BEYOND_TRAVEL * np.maximum(farthest(cell)[slides], SHORTEST_TRAVEL / BEYOND_TRAVEL)
+        limits[slides] = np.minimum(travel, LONGEST_TRAVEL)
+    worst = np.argmax(size / limits, axis=1)
+    values, most = size[np.arange(len(size)), worst], limits[worst]
+    wrong = values > most
+    if wrong.any():
+        joint = int(worst[np.argmax(wrong)])
+        expected = "an angle in rad, at most 4 pi"
+        if slides[joint]:
+            expected = f"a distance in m, at most {rounded_down(limits[joint]):g} m by the limits of this joint"
+        _refuse(path, word, lines, f"q{joint + 1}", wrong, values, expected)
+
+
+def _refuse(path: Path, word: str, lines: Int1D, column: str, wrong: Bool1D, values: np.ndarray, expected: str) -> None:
     if wrong.any():
         first = int(np.argmax(wrong))
-        name = column if isinstance(column, str) else column[first]
-        place = f"{word} {lines[first]}, column {name}"
+        place = f"{word} {lines[first]}, column {column}"
         raise RecordingError(path, place, f"a size of {values[first]:.6g}", expected)
 
 

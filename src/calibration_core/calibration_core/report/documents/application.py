@@ -110,7 +110,7 @@ def deflection_document(done: Deflected, cell: Cell, inputs: Inputs, result: byt
     moved = tuple(
         Column(name) for name in ("x [mm]", "y [mm]", "z [mm]", "about x [mrad]", "about y [mrad]", "about z [mrad]")
     )
-    note = "Base axes, against the robot under its own weight; intervals of 95 %."
+    note = f"Base axes, against {done.reference}; intervals of 95 %."
     if len(size) > MOST_ROWS:
         note += f" The first {MOST_ROWS} of {len(size):,} rows; all stand in deflections.csv."
     front: tuple[Block, ...] = (
