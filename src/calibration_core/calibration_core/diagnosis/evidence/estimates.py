@@ -13,6 +13,7 @@ from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
 from calibration_core.estimation.likelihood.small_effects import MOST, shared_power
 from calibration_core.timeseries import Float1D, Float2D
 
+FAR = 2.0  # times the width of the prior: effects beyond it are none of the usual size
 WIDENED = 3  # times, a prior is compared with the size that was found
 RANK = 1e-10  # of the largest eigenvalue: directions below it are rounding errors
 
@@ -20,7 +21,7 @@ RANK = 1e-10  # of the largest eigenvalue: directions below it are rounding erro
 def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | float = 0.0) -> tuple[Float1D, Float2D]:
     """Return values and covariance of null corrections and accepted parameters, in their units.
 
-    Accepted parameters keep their (wide) priors; where an effect is larger than these, its prior is as wide as it.
+    Accepted parameters keep their (wide) priors; where an effect is far larger than these, its prior is as wide as it.
 
     Args:
         design: The whitened model.
@@ -50,9 +51,9 @@ def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | float 
     for _ in range(WIDENED):
         ends = n + np.cumsum(counts)
         sizes = [np.sqrt(np.mean(value[end - k : end] ** 2)) for k, end in zip(counts, ends, strict=True)]
-        if all(size <= one for size, one in zip(sizes, width, strict=True)):
+        if all(size <= max(one, FAR) for size, one in zip(sizes, width, strict=True)):
             break
-        width = np.maximum(width, sizes)
+        width = np.maximum(width, [size if size > FAR else 1.0 for size in sizes])
         value, inverse = _solved(metric, columns, np.repeat(width, counts))
     return value * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
 

@@ -135,6 +135,7 @@ class Effect:
         sentence: What a report says of it, `{place}` standing for where; empty: its name and place.
         traits: What it has besides that which all of its family have (`traits.OF_A_FAMILY`).
         stated: Value of the cell file, as in `frames.tracker`, whose error it looks like; empty: none.
+        stated_otherwise: Another value of the cell file, and when it is that one instead; empty: never.
     """
 
     name: str
@@ -150,6 +151,7 @@ class Effect:
     sentence: str = ""
     traits: frozenset[Trait] = frozenset()
     stated: str = ""
+    stated_otherwise: str = ""
 
     def has(self, trait: Trait) -> bool:
         """Say whether it has a property, of its own or by its family."""

@@ -136,9 +136,12 @@ def _missing(content: Mapping[str, Any]) -> tuple[str, str]:
     rest = ", and a part of the residual stays unexplained" if content["verdict"] == "partly_explained" else ""
     step = "use the extended model that diagnose writes (model.yaml)"
     several = {one["effect"] for finding in findings for one in _alike(finding)}
-    stated = [effect.stated for effect in catalogue() if effect.stated and effect.name in several]
-    fields = [one for one in stated if not any(other != one and other.startswith(one) for other in stated)]
-    if fields:
+    stated: dict[str, str] = {}  # field -> which one it is otherwise
+    for effect in catalogue():
+        if effect.stated and effect.name in several:
+            stated[effect.stated] = stated.get(effect.stated) or effect.stated_otherwise
+    if stated:
+        fields = [f"{field} ({other})" if other else field for field, other in stated.items()]
         step = f"hold {' and '.join(fields)} of the cell file against what is mounted, and correct it; else {step}"
     return f"the standard's model leaves something out ({names}){rest}", step
 

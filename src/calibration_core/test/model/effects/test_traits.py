@@ -213,7 +213,11 @@ def listed(code: str) -> set[str]:
 def test_what_an_effect_looks_like_an_error_of_is_a_value_of_the_cell_file() -> None:
     stated = {effect.stated for effect in catalogue()} - {""}
     assert stated
-    assert stated <= {f"frames.{name}" for name in Frames.model_fields}
+    fields = {f"frames.{name}" for name in Frames.model_fields}
+    assert stated <= fields
+    otherwise = {effect.stated_otherwise.split()[0] for effect in catalogue() if effect.stated_otherwise}
+    assert otherwise
+    assert otherwise <= fields
 
 
 def test_no_list_of_effects_stands_anywhere() -> None:

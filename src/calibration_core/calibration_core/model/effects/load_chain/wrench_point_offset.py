@@ -39,5 +39,6 @@ EFFECT = Effect(
     candidates=_candidates,
     absolute=False,
     sentence="the load pulls at another point than stated",
-    stated="frames.force_torque (frames.wrench_point where wrench_at is wrench_point)",
+    stated="frames.force_torque",
+    stated_otherwise="frames.wrench_point where wrench_at is wrench_point",
 )
