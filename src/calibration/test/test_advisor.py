@@ -118,7 +118,7 @@ def test_while_nothing_can_be_told_nobody_complains(tmp_path: Path) -> None:
 
 
 def test_a_defect_is_told_in_full() -> None:
-    answer = worked_out({"session": "", "cell": None, "wanted": 0.0})
+    answer = worked_out({"session": None, "cell": str(CELL), "wanted": 0.0})
     assert answer["kind"] == "defect"
     assert "Traceback" in answer["trace"]
 
