@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from calibration_core.cell import Cell
 from calibration_core.errors import InputError, RecordingError
@@ -76,14 +75,10 @@ def _stated(model: Path) -> tuple[list[str], set[str]] | None:
         content = json.loads(read_regular(model.parent / RESULT, MAX_RESULT, "result"))
         rows = content["input"]["sha256"]
         used = {str(row["sha256"]) for row in rows if row["role"].startswith("recording")}
-        files = [_file(one) for one in content.get("recordings") or [content["recording"]]]
+        files = [str(one["file"]) for one in content.get("recordings") or [content["recording"]]]
     except (InputError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None  # what stands there is no result of a model
     return (files, used) if used else None
-
-
-def _file(record: Any) -> str:
-    return str(record["file"])
 
 
 def _again(file: str, used: set[str], cell: Cell) -> Readings | str:

@@ -203,7 +203,7 @@ def _loose_target(prepared: PreparedLoaded, state: State, shape: Shape) -> tuple
     freedom = 3 * sum(len(c) for c in contrasts)
     worst = int(np.argmax(variances))
     others = float(np.median(np.delete(np.clip(variances, 0.0, None), worst)))
-    floor = float(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3) * 0.25
+    floor = _claimed(prepared) * 0.25
     ratio = float(variances[worst]) / max(others, floor)
     if ratio < LOOSE or f_tail(ratio / 2, freedom, freedom) > CERTAIN:
         return None
@@ -231,8 +231,7 @@ def _unsettled(
         return None
     common = [np.median(rest, axis=1) for rest in groups.values()]  # one wild reading of three points does not count
     power = np.array([float((rest**2).mean()) for rest in common])
-    claimed = float(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3)
-    quiet = max(float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)])), UNSEEN**2 * claimed)
+    quiet = max(float(np.median(np.sort(power)[: max(len(power) // 2 + 1, 2)])), UNSEEN**2 * _claimed(prepared))
     freedom = np.array([rest.size for rest in common])
     restless = _beyond(power, freedom, quiet)
     if restless.any():
@@ -251,6 +250,11 @@ def _unsettled(
     )
     span = (int(numbers[0]), int(numbers[-1]))
     return Anomaly("unsettled", {"robot": "robot"}, span, size, "m", text), numbers
+
+
+def _claimed(prepared: PreparedLoaded) -> float:
+    """Return the claimed variance of one coordinate, m^2, the mean of all readings."""
+    return float(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3)
 
 
 def _beyond(power: Float1D, freedom: Float1D, quiet: float) -> Bool1D:
