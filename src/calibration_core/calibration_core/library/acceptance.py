@@ -21,7 +21,7 @@ from calibration_core.errors import InputError, RecordingError
 from calibration_core.library.arguments import checked
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.recordings import Recording
-from calibration_core.library.result import Columns, Picture, Result, columns_of
+from calibration_core.library.result import Columns, Picture, ResultWithLight, columns_of
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.outcomes.comparison import (
     Compared,
@@ -38,7 +38,7 @@ from calibration_core.timeseries import Float1D
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class VerificationResult(Result):
+class VerificationResult(ResultWithLight):
     """A model judged by places that it was not identified from.
 
     Attributes:
@@ -102,7 +102,7 @@ class VerificationResult(Result):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class ComparisonResult(Result):
+class ComparisonResult(ResultWithLight):
     """What has changed between measurements of one robot, or between twins.
 
     Attributes:

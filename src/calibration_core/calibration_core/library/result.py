@@ -168,8 +168,34 @@ class Result(Tables):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Judged(Result):
-    """The answer of a command that evaluates a recording: it says whether it can be used.
+class ResultWithLight(Result):
+    """The answer of a command that says whether it can be used."""
+
+    @property
+    def usable(self) -> str:
+        """`yes`, `with_reservations` or `no`: the traffic light of the report."""
+        return str(self._contents["usable"])
+
+    @property
+    def reason(self) -> str:
+        """Why it is `usable` or not, in one sentence."""
+        return str(self._contents["reason"])
+
+    @property
+    def next_step(self) -> str:
+        """What to do next; empty if there is nothing to do."""
+        return str(self._contents["next_step"])
+
+    def _repr_html_(self) -> str:
+        light = {"yes": "usable", "no": "not usable"}.get(self.usable, "usable with reservations")
+        headline = f"<p><b>{light}</b>: {html.escape(self.reason)}</p>"
+        step = f"<p>Next: {html.escape(self.next_step)}</p>" if self.next_step else ""
+        return f"{headline}{step}{super()._repr_html_()}"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Judged(ResultWithLight):
+    """The answer of a command that evaluates a recording: it says whether it can be used, and what the model leaves.
 
     Attributes:
         answer: What the command returns, in SI units.
@@ -190,30 +216,9 @@ class Judged(Result):
         return self.answer.content
 
     @property
-    def usable(self) -> str:
-        """`yes`, `with_reservations` or `no`: the traffic light of the report."""
-        return str(self._contents["usable"])
-
-    @property
-    def reason(self) -> str:
-        """Why it is `usable` or not, in one sentence."""
-        return str(self._contents["reason"])
-
-    @property
-    def next_step(self) -> str:
-        """What to do next; empty if there is nothing to do."""
-        return str(self._contents["next_step"])
-
-    @property
     def verdict(self) -> str:
         """`consistent`, `missing_physics`, `partly_explained` or `unexplained` (contract, section 5)."""
         return str(self._contents["verdict"])
-
-    def _repr_html_(self) -> str:
-        light = {"yes": "usable", "no": "not usable"}.get(self.usable, "usable with reservations")
-        headline = f"<p><b>{light}</b>: {html.escape(self.reason)}</p>"
-        step = f"<p>Next: {html.escape(self.next_step)}</p>" if self.next_step else ""
-        return f"{headline}{step}{super()._repr_html_()}"
 
 
 def columns_of(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Columns:

@@ -11,7 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration_core.acceptance.comparison import COMPLIANCE, Measurement, QuantityChange, Trend, compare, trends
+from calibration_core.acceptance.comparison import (
+    COMPLIANCE,
+    OF_JOINTS,
+    Measurement,
+    QuantityChange,
+    Trend,
+    compare,
+    trends,
+)
 from calibration_core.acceptance.joint_laws import joint_laws, reference_torques
 from calibration_core.cell import Cell
 from calibration_core.errors import InputError, ModelFileError, RecordingError, quoted
@@ -28,12 +36,13 @@ from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import digest_of, look
 from calibration_core.recording.source import digests_of_several
 from calibration_core.report.results.provenance import further_cells
-from calibration_core.report.rounding import readable_unit, significant
+from calibration_core.report.rounding import listed, readable_unit, significant
 from calibration_core.report.writing.output import MAX_RESULT, RESULT
 from calibration_core.timeseries import Readings
 
 MODEL = "model.yaml"
 WORDS = {"changed": "changed", "not_changed": "not changed", "cannot_tell": "cannot tell"}
+SHOWN = 8  # quantities that a sentence names
 NOTHING = GaussianEstimate.nothing()
 
 
@@ -250,6 +259,29 @@ def _with_laws(given: Sequence[ComparedSource], cells: Sequence[Cell]) -> tuple[
 
 def _never() -> tuple[Readings, Identification]:
     raise AssertionError
+
+
+def reservations(found: Compared) -> list[tuple[str, str]]:
+    """Return what speaks against taking the later measurements for the first one, in words with what to do about it."""
+    rows = [one for of in found.differences for one in of]
+    changed = [one for one in rows if one.verdict == "changed"]
+    open_ = [one for one in rows if one.verdict == "cannot_tell" and one.quantity in OF_JOINTS]
+    speaking = []
+    if changed:
+        step = "find out what was done to the robot, and identify it anew before the earlier model is used"
+        speaking.append((f"changed: {_named(changed)}", step))
+    if open_:
+        needed = max((one.configurations or 0 for one in open_), default=0)
+        again = "measure again what is not known in one of two measurements"
+        step = f"measure {needed} configurations each time" if needed else again
+        speaking.append((f"whether it has changed cannot be told: {_named(open_)}", step))
+    if not all(found.differences):
+        speaking.append(("some measurements have nothing in common with the first", "compare recordings under loads"))
+    return speaking
+
+
+def _named(rows: Sequence[QuantityChange]) -> str:
+    return listed([*dict.fromkeys(f"{one.quantity} of {one.location}" for one in rows)], SHOWN)
 
 
 def described(one: QuantityChange) -> str:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from calibration_core.acceptance.decision import guard_factor
+from calibration_core.acceptance.decision import Decision, guard_factor
 from calibration_core.acceptance.verification import Verification
 from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS
 from calibration_core.outcomes.own_recordings import NOT_COMPARED
 from calibration_core.report.rounding import listed
 from calibration_core.timeseries import Float2D
 
+SHOWN = 8  # configurations that a sentence names
 ELSEWHERE = 3.0  # so much smaller would the error be: tracker or robot stand elsewhere than in the model
 
 
@@ -47,20 +49,69 @@ def places(found: Verification) -> list[dict[str, Any]]:
     return rows
 
 
+def not_conforming(found: Verification) -> tuple[int, ...]:
+    """Return the configurations with a reading that does not conform to the tolerance."""
+    return _decided(found, "not_conforming")
+
+
+def _decided(found: Verification, decision: Decision) -> tuple[int, ...]:
+    chosen = [one == decision for one in found.decisions]
+    return tuple(int(number) for number in np.unique(found.readings.configuration[chosen]))
+
+
+def reservations(found: Verification) -> tuple[tuple[str, str], list[tuple[str, str]]]:
+    """Return what speaks against the model's use at this tolerance, each in words with what to do about it.
+
+    Returns:
+        Places that do not conform; and everything else: undecided places, and what limits the decision itself.
+    """
+    tolerance = f"the tolerance of {1e3 * found.tolerance:g} mm"
+    beyond, open_ = not_conforming(found), _decided(found, "undecided")
+    elsewhere = _smaller_elsewhere(found)
+    step = (
+        "if the tracker was set up anew, run verify again with --fit-tracker; else calibrate the robot anew"
+        if elsewhere
+        else "run diagnose with this recording and the model, to see what has changed, or calibrate the robot anew"
+    )
+    residual = (f"not conforming to {tolerance}: {_where(beyond)}", step)
+    further = []
+    if open_:
+        text = f"undecided because of measurement uncertainty: {_where(open_)}"
+        further.append((text, "" if beyond else "measure with less uncertainty, or state a larger tolerance"))
+    further += [(f"{text[0].lower()}{text[1:]}".rstrip("."), "") for text in _shortcomings(found)]
+    return residual, further
+
+
+def _where(configurations: Sequence[int]) -> str:
+    word = "configuration" if len(configurations) == 1 else "configurations"
+    return f"{word} {listed([*map(str, configurations)], SHOWN)}"
+
+
+def _smaller_elsewhere(found: Verification) -> bool:
+    """Say whether the error would be far smaller with the tracker's pose fitted to the recording."""
+    rms = float(np.sqrt(np.mean(found.error**2)))
+    return found.elsewhere is not None and rms > ELSEWHERE * found.elsewhere
+
+
 def remarks(found: Verification) -> list[str]:
     """Return what a reader must know besides, a sentence each."""
+    texts = _shortcomings(found)
+    if found.outside.any():
+        numbers = np.unique(found.readings.configuration[found.outside])
+        texts.append(f"Outside the range that the model was identified in: {_where([*map(int, numbers)])}.")
+    return texts
+
+
+def _shortcomings(found: Verification) -> list[str]:
+    """Return what limits the decision itself, a sentence each."""
     texts = []
     if not found.with_intervals:
         texts += [WITHOUT_INTERVALS, "The uncertainty is that of the instruments alone."]
-    rms = float(np.sqrt(np.mean(found.error**2)))
-    if found.elsewhere is not None and rms > ELSEWHERE * found.elsewhere:
+    if found.elsewhere is not None and _smaller_elsewhere(found):
+        rms = float(np.sqrt(np.mean(found.error**2)))
         texts.append(
             f"With the tracker's pose fitted to this recording the error would be {1e3 * found.elsewhere:.3f} mm rms "
             f"instead of {1e3 * rms:.3f} mm: if the tracker was set up anew, give --fit-tracker."
         )
-    if found.outside.any():
-        numbers = np.unique(found.readings.configuration[found.outside])
-        named = f"{'configuration' if len(numbers) == 1 else 'configurations'} {listed([*map(str, numbers)], 8)}"
-        texts.append(f"Outside the range that the model was identified in: {named}.")
     texts += [f"{note.text[:1].upper()}{note.text[1:]}." for note in found.readings.notes if note.kind == NOT_COMPARED]
     return texts

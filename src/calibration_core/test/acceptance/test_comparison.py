@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import datetime as dt
+from typing import Any
 
 import numpy as np
 import pytest
 from acceptance_cases import identified, measured, shares_of_one, small, softened
 
-from calibration_core.acceptance.comparison import Measurement, changes, compare, trends
+from calibration_core.acceptance.comparison import Measurement, QuantityChange, changes, compare, trends
 from calibration_core.acceptance.joint_laws import joint_laws, reference_torques
 from calibration_core.identification.identify import identify
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect
+from calibration_core.outcomes.comparison import Compared, reservations
 
 NONE = GaussianEstimate.nothing()
 LAW = 1e-4
@@ -111,6 +113,27 @@ def test_what_cannot_be_told_says_what_would_tell() -> None:
         narrow = wide.covariance * 18 / one.configurations
         noncentrality = 0.05 * estimate.value[k] / np.sqrt(2 * narrow[k, k])
         assert noncentrality > 3.29 + 1.28 - 0.05
+
+
+@pytest.mark.parametrize(("changes", "said"), [
+    ({"verdict": "changed"}, ("changed: stiffness of joint_2", "find out what was done to the robot")),
+    ({"verdict": "cannot_tell", "configurations": 40},
+     ("whether it has changed cannot be told: stiffness of joint_2", "measure 40 configurations each time")),
+    ({"verdict": "cannot_tell", "configurations": None},
+     ("whether it has changed cannot be told: stiffness of joint_2", "measure again what is not known")),
+    ({"verdict": "not_changed"}, None),
+    ({"verdict": "cannot_tell", "quantity": "backlash", "configurations": None}, None),  # a reducer is judged beside
+])  # fmt: skip
+def test_what_has_changed_speaks_against_the_earlier_model(
+    changes: dict[str, Any], said: tuple[str, str] | None
+) -> None:
+    row = QuantityChange("stiffness", "joint_2", 1e6, 8e5, "N*m/rad", -0.2, -0.25, -0.15, "changed", None, 0.05)
+    rows = ((dataclasses.replace(row, **changes),),)
+    found = reservations(Compared((), rows, (), (), {}, (), None, loaded=True))
+    assert len(found) == (said is not None)
+    if said is not None:
+        assert found[0][0] == said[0]
+        assert found[0][1].startswith(said[1])
 
 
 def test_unknown_in_one_is_not_compared() -> None:

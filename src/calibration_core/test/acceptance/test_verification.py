@@ -14,6 +14,7 @@ from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.nominal import nominal_parameters
+from calibration_core.outcomes.verification import reservations
 
 
 def test_the_uncertainty_is_that_of_the_errors() -> None:
@@ -62,6 +63,7 @@ def test_a_tracker_that_was_set_up_anew_is_fitted() -> None:
     assert as_it_is.decision == "not_conforming"
     assert as_it_is.elsewhere is not None
     assert as_it_is.elsewhere < 0.01 * np.sqrt(np.mean(as_it_is.error**2))
+    assert "run verify again with --fit-tracker" in reservations(as_it_is)[0][1]
     fitted = verify(readings, small(), model, 1e-4, fit_tracker=True)
     assert fitted.decision == "conforming"
     assert fitted.fitted

@@ -41,6 +41,10 @@ def test_two_recordings(simulated: Path, later: Path, tmp_path: Path, capsys: py
     assert changed == [("stiffness", "joint_2")]
     assert rows["stiffness", "joint_2"]["change"] == pytest.approx(-0.15, abs=0.04)
     assert {quantity for quantity, _ in rows} == {"stiffness", "backlash", "hysteresis"}
+    result = result_of(tmp_path / "out")
+    assert result["usable"] == "with_reservations"
+    assert "changed: stiffness of joint_2" in result["reason"]
+    assert result["next_step"]
     text = capsys.readouterr().out
     assert "joint_2" in text
     assert "changed" in text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import shutil
@@ -57,6 +58,7 @@ def test_a_decision_with_a_certificate(identified: Path, other: Path, tmp_path: 
     assert result["uncertainty"]["expanded"] == pytest.approx(2 * result["uncertainty"]["standard"])
     assert set(result["uncertainty"]["contributions"]) == {"tracker", "wrench", "geometry", "model", "repeatability"}
     assert result["error"]["before"]["mean"] > 0
+    assert (result["verdict"], result["usable"], result["next_step"]) == ("consistent", "yes", "")
     page = (out / "report.html").read_text(encoding="utf-8")
     numbers = re.findall(r"Table (\d+)</strong>", page.replace("\u00a0", " "))
     assert len(numbers) == len(set(numbers)) > 5
@@ -69,6 +71,37 @@ def test_a_decision_with_a_certificate(identified: Path, other: Path, tmp_path: 
     assert run("verify", other, *arguments, "--tolerance", 5e-6) == 0  # exit code 0, whatever it decides
     assert result_of(tight)["decision"] in {"undecided", "not_conforming"}
     assert {path.name for path in tight.iterdir()} == {"result.json"}
+
+
+def test_the_light_is_that_of_the_decision(
+    identified: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A model that does not conform is never `consistent` and usable."""
+    arguments = ("--cell", CELL, "--model", identified / "model.yaml", "--out", tmp_path / "out", "--no-report")
+    assert run("verify", other, *arguments, "--tolerance", 3e-5) == 0
+    open_ = result_of(tmp_path / "out")
+    assert (open_["decision"], open_["verdict"], open_["usable"]) == ("undecided", "consistent", "with_reservations")
+    assert "undecided because of measurement uncertainty: configuration" in open_["reason"]
+    assert f"next: {open_['next_step']}" in capsys.readouterr().out.splitlines()
+    moved = tmp_path / "moved.csv"
+    with other.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    with moved.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(
+            {**row, "x": repr(float(row["x"]) + (1e-3 if row["configuration"] == "3" else 0.0))} for row in rows
+        )
+    assert run("verify", moved, *arguments, "--tolerance", 1e-4) == 0
+    wrong = result_of(tmp_path / "out")
+    assert (wrong["decision"], wrong["verdict"], wrong["usable"]) == (
+        "not_conforming", "unexplained", "with_reservations",
+    )  # fmt: skip
+    assert wrong["unexplained"]["significant"]
+    assert wrong["unexplained"]["where"] == {"configurations": [3]}
+    assert "not conforming to the tolerance of 0.1 mm: configuration 3" in wrong["reason"]
+    assert wrong["next_step"].startswith("run diagnose")
+    assert f"next: {wrong['next_step']}" in capsys.readouterr().out.splitlines()
 
 
 def test_the_certificate_says_what_iso_iec_17025_asks_for(identified: Path, other: Path, tmp_path: Path) -> None:

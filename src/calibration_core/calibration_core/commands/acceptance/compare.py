@@ -20,11 +20,15 @@ from calibration_core.outcomes.comparison import (
     described,
     described_trend,
     refuse_other_robots,
+    reservations,
     source_of,
 )
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import result_json
+from calibration_core.report.results.traffic_light import light_of, with_light
 from calibration_core.report.writing.output import RESULT, Content, write_files
+
+UNCHANGED = "no stiffness, no law of a joint and no effect has changed"
 
 
 def run(arguments: argparse.Namespace) -> str:
@@ -48,12 +52,13 @@ def files_of(found: Compared, *, report: bool) -> dict[str, Content]:
         found: What was compared.
         report: Whether the report is among it.
     """
-    result = result_json(comparison_result(found))
+    content = comparison_result(found)
+    result = result_json(content)
     files: dict[str, Content] = {RESULT: result}
     if report:
         from calibration_core.report.documents.comparison import comparison_files
 
-        files |= comparison_files(found, result)
+        files |= comparison_files(found, result, light_of(content))
     return files
 
 
@@ -101,7 +106,7 @@ def comparison_result(found: Compared) -> dict[str, Any]:
         "points": list(found.cells[0].points),
         "loaded": found.loaded,
     }
-    return command_result(
+    content = command_result(
         "compare",
         found.cells[0],
         recording,
@@ -122,6 +127,7 @@ def comparison_result(found: Compared) -> dict[str, Any]:
         remarks=list(found.remarks),
         input=input_record(found.cells[0], None, found.inputs),
     )
+    return with_light(content, UNCHANGED, further=reservations(found))
 
 
 def comparison_summary(found: Compared) -> str:

@@ -22,9 +22,10 @@ from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import Inputs, blocked, digest_of, look, naming_model
 from calibration_core.outcomes.own_recordings import refuse_own
-from calibration_core.outcomes.verification import error_sizes, places, remarks
+from calibration_core.outcomes.verification import error_sizes, not_conforming, places, remarks, reservations
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import recording_record, result_json
+from calibration_core.report.results.traffic_light import light_of, with_light
 from calibration_core.report.rounding import counted
 from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.timeseries import Readings
@@ -80,7 +81,8 @@ def files_of(
         inputs: Role -> file -> SHA-256 of input files besides the cell's and the recording's.
         report: Whether report and certificate are among them.
     """
-    result = result_json(verification_result(judged, cell, readings, inputs))
+    content = verification_result(judged, cell, readings, inputs)
+    result = result_json(content)
     files: dict[str, Content] = {RESULT: result}
     if report:
         from calibration_core.report.documents.verification import certificate_document, verification_document
@@ -89,7 +91,8 @@ def files_of(
         from calibration_core.report.writing.rendering import rendered
 
         space = _space(readings, cell, parameters)
-        files |= rendered(verification_document(judged, cell, result, space, inputs), space_view(space, cell))
+        document = verification_document(judged, cell, result, space, inputs, light_of(content))
+        files |= rendered(document, space_view(space, cell))
         files[CERTIFICATE] = render_pdf(certificate_document(judged, cell, result, inputs))
     return files
 
@@ -111,15 +114,22 @@ def _space(readings: Readings, cell: Cell, parameters: ModelParameters) -> Any:
 
 
 def verification_result(found: Verification, cell: Cell, readings: Readings, inputs: Inputs) -> dict[str, Any]:
-    """Return the content of result.json."""
+    """Return the content of result.json; the verdict is `unexplained` where the model does not conform."""
     after, before = error_sizes(found.error), None if found.before is None else error_sizes(found.before)
     worst = found.least_certain
     fit = {"rms_after": after["rms"], "noise": float(np.sqrt(np.mean(found.shares["tracker"] ** 2)))}
-    return command_result(
+    beyond = not_conforming(found)
+    content = command_result(
         "verify",
         cell,
         recording_record(readings, loaded=is_loaded(readings)),
         fit if before is None else {**fit, "rms_before": before["rms"]},
+        verdict="unexplained" if beyond else "consistent",
+        unexplained={
+            "rms": float(np.sqrt(max(after["rms"] ** 2 - fit["noise"] ** 2, 0.0))) if beyond else 0.0,
+            "significant": bool(beyond),
+            "where": {"configurations": list(beyond)} if beyond else {},
+        },
         tolerance=found.tolerance,
         decision=found.decision,
         decision_rule={
@@ -145,6 +155,9 @@ def verification_result(found: Verification, cell: Cell, readings: Readings, inp
         notes=[vars(note) for note in readings.notes],
         input=input_record(cell, readings.provenance, inputs),
     )
+    good = f"every reading conforms to the tolerance of {1e3 * found.tolerance:g} mm"
+    residual, further = reservations(found)
+    return with_light(content, good, residual, further)
 
 
 def verification_summary(found: Verification) -> str:
@@ -158,4 +171,7 @@ def verification_summary(found: Verification) -> str:
         text += f" (cell file: {1e3 * error_sizes(found.before)['mean']:.3f} mm)"
     lines.append(f"{text}, U at most {1e3 * COVERAGE * float(found.uncertainty.max()):.3f} mm (k = {COVERAGE:g})")
     lines += remarks(found)
+    (_, step), further = reservations(found)
+    steps = [step] if not_conforming(found) else [one for _, one in further if one]
+    lines += [f"next: {one}" for one in steps]
     return "\n".join(lines)

@@ -17,6 +17,7 @@ from calibration_core.commands.files.result_parts import (
     records,
     texts,
 )
+from calibration_core.outcomes.verification import ELSEWHERE
 from calibration_core.report.rounding import counted, fixed, listed, phrase, significant
 
 CONFORMING, NOT_CONFORMING = "conforming", "not_conforming"
@@ -54,17 +55,10 @@ def _verify(result: Content) -> Iterable[str]:
     if result.get("intervals_of_the_model") is False:
         yield "The model states no covariance: the uncertainty is that of the instruments alone."
     rms, fitted = number(after, "rms"), number(result, "rms_with_tracker_fitted")
-    elsewhere = known(rms, fitted) and rms > 2 * fitted
-    if elsewhere:
+    if known(rms, fitted) and rms > ELSEWHERE * fitted:
         yield f"With the tracker's pose fitted to this recording, the error would be {mm(fitted)} rms, not {mm(rms)}."
     if decision == CONFORMING:
         yield "Next step: use the model within this tolerance; calibration plan --for verify plans the next re-check."
-    elif elsewhere:
-        yield "Next step: if the tracker was set up anew, run verify again with --fit-tracker."
-    elif decision == NOT_CONFORMING:
-        yield "Next step: run diagnose with this recording and the model, or calibrate the robot anew."
-    else:
-        yield "Next step: measure with less uncertainty, or state a larger tolerance."
 
 
 def _places(places: Sequence[Content]) -> str:
@@ -90,15 +84,8 @@ def _compare(result: Content) -> Iterable[str]:
             what = f"The {one.get('quantity')} of {one.get('location')} changes by"
             yield f"{what} {_change(one, *ends)} each year."
     yield from texts(result, "remarks")
-    wanted = max((x for row in rows if known(x := number(row, "configurations"))), default=0.0)
-    if any(row.get("verdict") == "changed" for row in rows):
-        yield "Next step: find out what was done to the robot, and identify it anew before the earlier model is used."
-    elif wanted:
-        yield f"Next step: measure {fixed(wanted, 0)} configurations each time to decide on every quantity."
-    elif rows and all(row.get("verdict") == "not_changed" for row in rows):
+    if rows and all(row.get("verdict") == "not_changed" for row in rows):
         yield "Next step: none is needed; the earlier model still holds."
-    elif rows:
-        yield "Next step: measure again what is not known in one of two measurements; until then the change stays open."
 
 
 def _differences(rows: Sequence[Content]) -> Iterable[str]:

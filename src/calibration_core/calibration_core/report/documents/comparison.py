@@ -25,6 +25,7 @@ from calibration_core.report.document import (
     cleaned,
     numbered,
 )
+from calibration_core.report.results.traffic_light import Light
 from calibration_core.report.rounding import DASH, counted, fixed, listed, padded, readable_unit, shortened, significant
 from calibration_core.report.sections.records import traceability_section
 from calibration_core.report.view3d.space import space_view
@@ -37,21 +38,22 @@ STATEMENT = (
 )
 
 
-def comparison_files(found: Compared, result: bytes) -> dict[str, Content]:
+def comparison_files(found: Compared, result: bytes, light: Light) -> dict[str, Content]:
     """Return `report.html` and `report.pdf`."""
     cell = found.cells[0]
     middle = chain_of(cell).limits.mean(axis=1)[None]
     schedule = Schedule(np.array([1]), np.array([0]), middle, np.zeros((1, 6)))
     space = scheduled_space(schedule, cell, nominal_parameters(cell))
-    return rendered(comparison_document(found, result), space_view(space, cell))
+    return rendered(comparison_document(found, result, light), space_view(space, cell))
 
 
-def comparison_document(found: Compared, result: bytes, day: dt.date | None = None) -> Document:
+def comparison_document(found: Compared, result: bytes, light: Light, day: dt.date | None = None) -> Document:
     """Build the report.
 
     Args:
         found: What came out.
         result: The bytes of result.json, for the report's number.
+        light: Its traffic light.
         day: Date of evaluation; today (UTC) if not given.
     """
     day = day or dt.datetime.now(dt.UTC).date()
@@ -77,7 +79,7 @@ def comparison_document(found: Compared, result: bytes, day: dt.date | None = No
                 title="Comparison of calibrations",
                 subtitle="Elastostatic compliance calibration according to CWA 17384",
                 facts=Facts(tuple(facts)),
-                verdict=_verdict(found),
+                verdict=_verdict(found, light),
                 front=(),
                 sections=tuple(sections),
                 signatures=("Evaluated by", "Approved by"),
@@ -93,16 +95,16 @@ def _measured(found: Compared, k: int) -> str:
     return f"{one.label}, {date}, {counted(one.configurations, 'configuration')}"
 
 
-def _verdict(found: Compared) -> Verdict:
+def _verdict(found: Compared, light: Light) -> Verdict:
     changed = [one for rows in found.differences for one in rows if one.verdict == "changed"]
     open_ = [one for rows in found.differences for one in rows if one.verdict == "cannot_tell"]
     headline = f"{counted(len(changed), 'change')} found" if changed else "No change found"
     if not any(found.differences):
         headline = "Nothing to compare"
-    lines = [("Changed", described(one)) for one in changed[:5]]
+    lines = [*light.rows, *(("Changed", described(one)) for one in changed[:5])]
     if open_:
         lines.append(("Cannot tell", listed([f"{one.quantity} of {one.location}" for one in open_])))
-    return Verdict(headline, tuple(lines))
+    return Verdict(headline, tuple(lines), light.usable)
 
 
 def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:

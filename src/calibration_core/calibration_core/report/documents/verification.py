@@ -27,6 +27,7 @@ from calibration_core.report.document import (
     cleaned,
     numbered,
 )
+from calibration_core.report.results.traffic_light import Light
 from calibration_core.report.rounding import DASH, Unit, counted, fixed, length_unit, padded, spread
 from calibration_core.report.sections.procedure import (
     MOST_ROWS,
@@ -107,6 +108,7 @@ def verification_document(
     result: bytes,
     space: OperatingSpace,
     inputs: Mapping[str, Mapping[str, str]],
+    light: Light,
     day: dt.date | None = None,
 ) -> Document:
     """Build the report: the certificate's content with operating space, configurations, input files and software."""
@@ -116,8 +118,12 @@ def verification_document(
         Section("Encoder angles", "8 d)", configurations(space.configuration, space.q, cell.prismatic)),
         Section("Input and software", "", traceability_section(cell, found.readings.provenance, inputs)),
     )
+    verdict = Verdict(certificate.verdict.headline, (*light.rows, *certificate.verdict.lines), light.usable)
     report = dataclasses.replace(
-        certificate, title="Verification of a calibration", sections=(*certificate.sections, *further)
+        certificate,
+        title="Verification of a calibration",
+        verdict=verdict,
+        sections=(*certificate.sections, *further),
     )
     return numbered(cleaned(report))
 

@@ -129,7 +129,7 @@ class ResultFile(_Open):
     unexplained: UnexplainedEntry
     next_measurements: list[MeasurementEntry]
     usable: Literal["yes", "with_reservations", "no"] | None = Field(
-        default=None, description="The traffic light; of commands that evaluate a recording."
+        default=None, description="The traffic light; of commands that evaluate or judge a recording."
     )
     reason: str | None = Field(default=None, description="Why it is usable or not.")
     next_step: str | None = Field(default=None, description="What to do next; empty: nothing.")
