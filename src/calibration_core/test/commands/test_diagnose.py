@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -30,6 +31,29 @@ def diagnosed(simulated: Path, clean: Path, cell_path: Path, tmp_path_factory: p
 
 def test_the_set_is_complete(diagnosed: Path) -> None:
     assert names(diagnosed) >= {"result.json", "report.html", "report.pdf", "model.yaml", "table2.csv"}
+
+
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+def test_a_report_names_options_that_its_command_takes(
+    simulated: Path, cell_path: Path, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is said of a reading that was not used can be done."""
+    with (simulated / "measurements.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    rows[40]["x"] = repr(float(rows[40]["x"]) + 3e-3)
+    with (tmp_path / "other.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    assert run(command, tmp_path / "other.csv", "--cell", cell_path, "--out", tmp_path / "out") == 0
+    _, _, section = (tmp_path / "out" / "report.html").read_text(encoding="utf-8").partition("Readings not used</")
+    named = set(re.findall(r"--[a-z][a-z-]+", section.partition("</section>")[0]))
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        run(command, "--help")
+    taken = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
+    assert "--no-robust" in named
+    assert named <= taken, named - taken
 
 
 def test_a_recording_like_its_simulation_differs_by_noise(diagnosed: Path, clean: Path) -> None:

@@ -83,7 +83,7 @@ def diagnosis_document(
         Section("What to measure next", "", next_blocks(found, cell.prismatic)),
         Section("Joint stiffness in the extended model", "", stiffness_blocks(found)),
         *([Section("What this kind of recording cannot show", "", (Items(found.aliases),))] if found.aliases else []),
-        Section("Readings not used", "", exclusion_section(null, by)),
+        Section("Readings not used", "", exclusion_section(null, by, readmits=False)),
         Section("Input and software", "", sources),
     ]
     document = Document(

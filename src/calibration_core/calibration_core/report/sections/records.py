@@ -14,12 +14,13 @@ from calibration_core.report.sections.procedure import MOST_ROWS, SHOWN_ROWS
 from calibration_core.timeseries import Note, Provenance
 
 
-def exclusion_section(result: Identification, by: str = "") -> tuple[Block, ...]:
+def exclusion_section(result: Identification, by: str = "", *, readmits: bool = True) -> tuple[Block, ...]:
     """Return every reading that was not used, why, and how to use it after all.
 
     Args:
         result: What was identified.
         by: Which fit did not use it, for a report of more than one: ` by the fit of ...`.
+        readmits: Whether the command can be asked to use a single one after all.
     """
     exclusions = result.exclusions
     if not exclusions:
@@ -55,7 +56,7 @@ def exclusion_section(result: Identification, by: str = "") -> tuple[Block, ...]
         Paragraph(
             f"{counted(len(exclusions), 'reading was', 'readings were')} not used{by}. Nothing was deleted: each "
             "stays in the recording and, "
-            "marked, in residuals.csv. " + (READMIT if result.kind == "loaded" else "") + USE_ALL
+            "marked, in residuals.csv. " + (READMIT if readmits and result.kind == "loaded" else "") + USE_ALL
         ),
         Table("Readings not used", columns, padded(rows), note),
     )
