@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from calibration_core.cell import Cell, load_cell
+from calibration_core.cell import Cell, Pose, load_cell
 from calibration_core.cli import main
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.identify import identify
 from calibration_core.input_checks.check import check_inputs, unit_note
-from calibration_core.input_checks.loaded import quarter_turns
+from calibration_core.input_checks.tracker_axes import quarter_turns
 from calibration_core.input_checks.units import unit_anomaly
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.kinematics import posture
@@ -191,6 +192,69 @@ def test_a_real_recording_of_displacements(change: Change, kind: str) -> None:
     cell = load_cell(REAL / "fanuc.cell.yaml")
     found = check_inputs(*change(observe(REAL / "fanuc.csv", cell), cell))
     assert [one.kind for one in found] == [kind]
+
+
+def deflections(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
+    """The same recording as displacements since the first step of every configuration and point."""
+    keys = np.column_stack([readings.configuration, readings.point])
+    _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    moved = readings.position - readings.position[first][group.reshape(-1)]
+    how = cell.measurements.model_copy(update={"points": "displacement"})
+    return dataclasses.replace(readings, position=moved), cell.model_copy(update={"measurements": how})
+
+
+def in_other_axes(readings: Readings, cell: Cell, turn: np.ndarray, *, stated: bool) -> tuple[Readings, Cell]:
+    if not stated:
+        cell = cell.model_copy(update={"frames": cell.frames.model_copy(update={"tracker": None})})
+    return dataclasses.replace(readings, position=readings.position @ turn.T), cell
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_displacements_in_other_axes_are_named(good: tuple[Readings, Cell], stated: bool, seed: int) -> None:
+    """Another robot or a joint's zero is not accused; the stated axes heal it."""
+    readings, cell = deflections(*good)
+    turn = Rotation.random(random_state=seed).as_matrix()
+    turned, cell = in_other_axes(readings, cell, turn, stated=stated)
+    (found,) = check_inputs(turned, cell)
+    assert (found.kind, found.location) == ("no_relation", {"tracker": "tracker"})
+    assert "frames.tracker" in found.remedy
+    rpy = tuple(map(float, found.axes.removeprefix("rpy [").removesuffix("]").split(",")))
+    pose = (cell.frames.tracker or Pose(xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0))).model_copy(update={"rpy": rpy})
+    frames = cell.frames.model_copy(update={"tracker": pose})
+    assert check_inputs(turned, cell.model_copy(update={"frames": frames})) == ()
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_mirrored_displacements_are_named(good: tuple[Readings, Cell], axis: int) -> None:
+    readings, cell = left_handed(axis)(*deflections(*good))
+    (found,) = check_inputs(readings, cell)
+    assert (found.kind, found.axes) == ("point_order", f"-{'xyz'[axis]}")
+    assert f"turn the sign of {'xyz'[axis]} of all displacements" in found.remedy
+
+
+def test_mirrored_displacements_in_axes_that_nobody_states(good: tuple[Readings, Cell]) -> None:
+    """Which coordinate it is, is not known then; and mirrored displacements may be a wrench of the wrong sign."""
+    for axis, kind in ((0, "point_order"), (1, "point_order"), (2, "wrench_sign")):
+        (found,) = check_inputs(*left_handed(axis, stated=False)(*deflections(*good)))
+        assert (found.kind, found.axes) == (kind, "")
+
+
+def test_displacements_in_slightly_other_axes_are_left_to_the_diagnosis(good: tuple[Readings, Cell]) -> None:
+    readings, cell = deflections(*good)
+    turn = Rotation.from_rotvec([0.05, 0.1, -0.08]).as_matrix()
+    assert check_inputs(*in_other_axes(readings, cell, turn, stated=True)) == ()
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real recordings are not beside the project")
+def test_real_displacements_in_other_axes_are_named() -> None:
+    cell = load_cell(REAL / "fanuc.cell.yaml")
+    readings = observe(REAL / "fanuc.csv", cell)
+    for seed in range(3):
+        turn = Rotation.random(random_state=seed).as_matrix()
+        for mirror, kind in ((np.eye(3), "no_relation"), (np.diag([1.0, -1.0, 1.0]), "point_order")):
+            found = check_inputs(*in_other_axes(readings, cell, mirror @ turn, stated=True))
+            assert [one.kind for one in found] == [kind]
 
 
 def test_readings_that_repeat_each_other_are_told(good: tuple[Readings, Cell]) -> None:

@@ -35,9 +35,8 @@ def check_inputs(readings: Readings, cell: Cell) -> tuple[InputAnomaly, ...]:
     if not found and cell.measurements.points == "absolute":
         first = _first_of_groups(some)
         loaded = some.wrench is not None and len(first) < len(some)
-        stated = cell.frames.tracker
-        turn = None if stated is None else pose_matrix(np.array(stated.xyz), np.array(stated.rpy))[:3, :3]
         names = tuple(readings.points)
+        turn = _stated_axes(cell)
         seen = PositionRecording(chain, first.q, first.position, first.point, points, names, loaded, turn)
         found += check_positions(seen)
     if not found and some.wrench is not None:
@@ -74,7 +73,14 @@ def _words(axes: str, at: str) -> str:
 
 def _facts(readings: Readings, cell: Cell) -> CellSizes:
     robot, claimed = cell.robot, any(note.kind == CLAIMS_BASE_AXES for note in readings.notes)
-    return CellSizes(robot.rated_load, robot.stiffness, robot.joints, cell.measurements.points == "absolute", claimed)
+    positions = cell.measurements.points == "absolute"
+    return CellSizes(robot.rated_load, robot.stiffness, robot.joints, positions, claimed, _stated_axes(cell))
+
+
+def _stated_axes(cell: Cell) -> Float2D | None:
+    """Return the (3, 3) axes of the tracker in the base frame; None where the cell file states none."""
+    stated = cell.frames.tracker
+    return None if stated is None else pose_matrix(np.array(stated.xyz), np.array(stated.rpy))[:3, :3]
 
 
 def some_of(readings: Readings) -> Readings:
@@ -145,8 +151,8 @@ def _tracker(readings: Readings, cell: Cell, rigid: Float2D) -> Float2D:
         u, values, vt = np.linalg.svd(a.T @ b)
         if values[1] > 1e-3 * values[0]:
             return np.asarray((u * np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])) @ vt)
-    stated = cell.frames.tracker
-    return np.eye(3) if stated is None else pose_matrix(np.array(stated.xyz), np.array(stated.rpy))[:3, :3]
+    stated = _stated_axes(cell)
+    return np.eye(3) if stated is None else stated
 
 
 def _sigma(cell: Cell, readings: Readings) -> float:

@@ -124,17 +124,22 @@ def fit(motion: Motion, columns: Float2D, limit: float = math.inf) -> Explanatio
         columns: (3 m, n) m per rad/(N*m).
         limit: m^2; where springs of any sign leave no less, rigid joints are returned: nothing better is there.
     """
-    scale = np.linalg.norm(columns, axis=0)
-    used = np.flatnonzero(scale > 1e-12 * max(float(scale.max(initial=0.0)), 1e-300))
+    scale, used = seen_columns(columns)
     target = motion.moved.reshape(-1)
     if not len(used):
         return Explanation((0.0,) * columns.shape[1], motion.total, motion.moved)
     upper = np.asarray(np.linalg.qr(np.column_stack([columns[:, used] / scale[used], target]), mode="r"))
-    solution = _nonnegative(upper[:, :-1], upper[:, -1], limit)
+    solution = nonnegative(upper[:, :-1], upper[:, -1], limit)
     rest = float(np.sum((upper[:, :-1] @ solution - upper[:, -1]) ** 2))
     compliance = np.zeros(columns.shape[1])
     compliance[used] = solution / scale[used]
     return Explanation(tuple(compliance.tolist()), rest, motion.moved - (columns @ compliance).reshape(-1, 3))
+
+
+def seen_columns(columns: Float2D) -> tuple[Float1D, Int1D]:
+    """Return the length of every column, and the indices of those that are not zero."""
+    scale = np.linalg.norm(columns, axis=0)
+    return scale, np.flatnonzero(scale > 1e-12 * max(float(scale.max(initial=0.0)), 1e-300))
 
 
 def without_wild(motion: Motion, best: Explanation) -> Motion:
@@ -159,7 +164,7 @@ def without_wild(motion: Motion, best: Explanation) -> Motion:
     )
 
 
-def _nonnegative(matrix: Float2D, target: Float1D, limit: float) -> Float1D:
+def nonnegative(matrix: Float2D, target: Float1D, limit: float) -> Float1D:
     """Solve least squares with no negative entry; zeros where entries of any sign leave no less than `limit`."""
     solved, _, rank, _ = np.linalg.lstsq(matrix, target, rcond=1e-9)
     if rank == matrix.shape[1] and (solved >= 0).all():

@@ -21,6 +21,7 @@ from calibration_core.input_checks.explained import (
 )
 from calibration_core.input_checks.physics import fit_with_physics
 from calibration_core.input_checks.point_orders import other_points
+from calibration_core.input_checks.tracker_axes import LEAST_TURN, quarter_turns, turned_axes
 from calibration_core.input_checks.units import (
     SEEN_BY_PRIOR,
     VISIBLE,
@@ -40,6 +41,7 @@ WELL = 0.7  # share of the motion explained
 OTHER_ROBOT = 0.8  # share of what is no noise that springs, friction and bearings explain of the robot in the file
 LEAST_EVIDENCE = 30.0  # nats
 ZERO_FAR, ZERO_LEAST = 0.8, 0.025  # the same for the zero of a joint, and rad: less is no more than physics may mimic
+TURNED_FAR = 0.1  # the same for other axes of displacements that are explained well as they stand
 UNRELATED = 0.2  # share explained: motion far above the noise and less than this explained has no cause in the wrench
 MANY = 60  # independent coordinates
 BENT = 20.0  # times the claimed noise: loads of which no robot moves less
@@ -84,9 +86,8 @@ def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], f
     for one in claimed if facts.base_claimed else []:
         if not _evident(motion, one.fit.rest, stands.rest, STATED):
             return [_with_figures(motion, stands, one)]
-    zero = [] if facts.positions else _zero_off(motion, stands, given)
-    if zero:
-        return zero
+    if not facts.positions and (found := _of_displacements(motion, stands, given, facts)):
+        return found
     if 1.0 - stands.rest / motion.total < UNRELATED:
         return [_no_relation(motion, stands)]
     if _share(motion, stands) < OTHER_ROBOT:
@@ -203,6 +204,24 @@ def _alternatives(
             yield Meant(anomaly, fit(other, columns_of(other, at, force, torque, given), limit))
 
 
+def _of_displacements(motion: Motion, stands: Explanation, given: Reading, facts: CellSizes) -> list[InputAnomaly]:
+    """Name the zero of a joint, or the axes of the displacements; these first where the cell file states none."""
+    if facts.tracker is None:
+        return _tracker_axes(motion, stands, given, facts) or _zero_off(motion, stands, given)
+    return _zero_off(motion, stands, given) or _tracker_axes(motion, stands, given, facts)
+
+
+def _tracker_axes(motion: Motion, stands: Explanation, given: Reading, facts: CellSizes) -> list[InputAnomaly]:
+    """Name the axes of the displacements, where little is explained as they stand, and by far more in others."""
+    if not _evident(motion, stands.rest, 0.0, FAR, motion.independent):
+        return []  # no reading of it can be clearly better
+    turned = turned_axes(motion, given, facts.tracker)
+    meant = Meant(turned.anomaly, turned.fit)
+    little = _share(motion, stands) < OTHER_ROBOT or turned.fit.rest < TURNED_FAR * stands.rest
+    clear = little and turned.angle >= LEAST_TURN and _by_far(motion, stands, meant)
+    return [_with_figures(motion, stands, meant)] if clear else []
+
+
 def _zero_off(motion: Motion, stands: Explanation, given: Reading) -> list[InputAnomaly]:
     """Name the joint whose zero is off, where that alone explains by far the most of what is left of deflections."""
 
@@ -229,18 +248,6 @@ def _independent_squares(motion: Motion, rest: float) -> float:
     Other physics than a zero repeats itself in all readings of a pull, as the zero does; their noise averages out.
     """
     return max(rest - motion.noise, 0.0) + motion.noise * motion.independent / motion.freedom
-
-
-def quarter_turns() -> list[Float2D]:
-    """Return the 23 rotations that take axes to axes, identity left out."""
-    found = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            turn = np.zeros((3, 3))
-            turn[range(3), order] = signs
-            if np.linalg.det(turn) > 0 and not np.array_equal(turn, np.eye(3)):
-                found.append(turn)
-    return found
 
 
 def _axes(turn: Float2D) -> str:

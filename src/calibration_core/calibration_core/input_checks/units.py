@@ -28,7 +28,7 @@ FORCE_UNITS = {1e-3: "mN", 1e3: "kN", 9.80665: "kgf (daN: by 10)", POUND: "lbf"}
 OF_ITS_LOAD = "robots of its rated load do"
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class CellSizes:
     """What a cell file tells about sizes.
 
@@ -38,6 +38,7 @@ class CellSizes:
         joints: Names.
         positions: Whether the recording holds positions, which say more of points and zeros than deflections do.
         base_claimed: Whether the messages say that the wrench is in base axes, against the cell file.
+        tracker: (3, 3) axes of the tracker in the base frame, where the cell file states them.
     """
 
     rated_load: float
@@ -45,6 +46,7 @@ class CellSizes:
     joints: tuple[str, ...]
     positions: bool = True
     base_claimed: bool = False
+    tracker: Float2D | None = None
 
 
 def expected_motion(motion: Motion, given: Reading, facts: CellSizes) -> Float1D:
