@@ -178,6 +178,52 @@ def test_every_turn_of_the_axes_is_named(good: tuple[Readings, Cell]) -> None:
         np.testing.assert_allclose(back @ turn, np.eye(3))  # it takes the recorded axes back
 
 
+def columns(order: tuple[int, ...], signs: tuple[float, ...] = (1.0,) * 6) -> Change:
+    def change(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
+        assert readings.wrench is not None
+        return dataclasses.replace(readings, wrench=np.array(signs) * readings.wrench[:, list(order)]), cell
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (columns((2, 1, 0, 3, 4, 5)), "the axes of the forces are z, y, x of"),
+        (columns((0, 2, 1, 3, 4, 5)), "the axes of the forces are x, z, y of"),
+        (columns((1, 2, 0, 3, 4, 5)), "the axes of the forces are z, x, y of"),
+        (columns((1, 0, 2, 4, 3, 5)), "the axes of the wrench are y, x, z of"),
+        (columns((0, 1, 2, 3, 4, 5), (-1, 1, 1, 1, 1, 1)), "the axes of the forces are -x, y, z of"),
+        (columns((0, 1, 2, 3, 4, 5), (1, -1, 1, 1, -1, 1)), "the axes of the wrench are x, -y, z of"),
+        (columns((0, 1, 2, 3, 4, 5), (1, -1, 1, -1, 1, -1)), "the axes of the wrench are x, -y, z of"),
+    ],
+)
+def test_columns_of_the_wrench_that_are_exchanged_or_turned_are_named(
+    good: tuple[Readings, Cell], change: Change, words: str
+) -> None:
+    """They had been called another unit, another robot, or nothing at all."""
+    (found,) = check_inputs(*change(*good))
+    assert found.kind == "wrench_frame"
+    assert words in found.text
+
+
+def test_axes_of_the_torques_alone_are_named(tmp_path: Path) -> None:
+    noise = Noise(1.0, False, 0.0, spherical_claim=False)
+    played = generate(Scenario(0, "nothing", "light", "L", 780, (), 0.0, noise))
+    (tmp_path / "cell.yaml").write_text(yaml_text(played.cell), encoding="utf-8")
+    recorded = played.readings, load_cell(tmp_path / "cell.yaml")
+    assert check_inputs(*recorded) == ()
+    for order, signs, axes in (
+        ((0, 1, 2, 5, 4, 3), (1,) * 6, "z, y, x"),
+        ((0, 1, 2, 4, 3, 5), (1,) * 6, "y, x, z"),
+        ((0, 1, 2, 3, 4, 5), (1, 1, 1, 1, -1, 1), "x, -y, z"),
+        ((0, 1, 2, 3, 4, 5), (1, 1, 1, -1, -1, -1), "-x, -y, -z"),
+    ):
+        (found,) = check_inputs(*columns(order, signs)(*recorded))
+        assert (found.kind, found.axes) == ("wrench_frame", axes)
+        assert f"the axes of the torques are {axes} of the recorded ones" in found.text
+
+
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real recordings are not beside the project")
 @pytest.mark.parametrize(
     ("change", "kind"),

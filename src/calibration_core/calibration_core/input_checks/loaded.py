@@ -21,7 +21,7 @@ from calibration_core.input_checks.explained import (
 )
 from calibration_core.input_checks.physics import fit_with_physics
 from calibration_core.input_checks.point_orders import other_points
-from calibration_core.input_checks.tracker_axes import LEAST_TURN, quarter_turns, turned_axes
+from calibration_core.input_checks.tracker_axes import LEAST_TURN, turned_axes
 from calibration_core.input_checks.units import (
     SEEN_BY_PRIOR,
     VISIBLE,
@@ -31,8 +31,9 @@ from calibration_core.input_checks.units import (
     torques_apart,
     unit_anomaly,
 )
+from calibration_core.input_checks.wrench_axes import other_axes
 from calibration_core.input_checks.zeros import best_zero
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import Float1D
 
 FAR = 0.5  # what is meant leaves less than this share of the rest that stands
 STATED = 0.95  # the same between the ways of reading a wrench that a cell file can state
@@ -174,12 +175,8 @@ def _alternatives(
         anomaly = InputAnomaly("wrench_frame", text, remedy, 0.0, axes=name)
         columns = columns_of(motion, at, force, torque, reading)
         yield Meant(anomaly, fit(motion, columns, math.inf if facts.base_claimed else limit), stated=True)
-    for turn in quarter_turns():
-        axes = _axes(turn)
-        remedy = f"turn frames.force_torque, or record the wrench in axes that are {axes} of the recorded ones"
-        anomaly = InputAnomaly("wrench_frame", f"the axes of the wrench are {axes} of the recorded ones", remedy, 0.0,
-                               axes=axes)  # fmt: skip
-        yield Meant(anomaly, fit(motion, columns_of(motion, at, force @ turn.T, torque @ turn.T, given), limit))
+    for anomaly, forces, torques in other_axes(motion, at, given, limit):
+        yield Meant(anomaly, fit(motion, columns_of(motion, at, forces, torques, given), limit))
     if np.any(torque):
         for factor in apart():
             anomaly = torques_apart(motion, given, facts, factor)
@@ -248,15 +245,6 @@ def _independent_squares(motion: Motion, rest: float) -> float:
     Other physics than a zero repeats itself in all readings of a pull, as the zero does; their noise averages out.
     """
     return max(rest - motion.noise, 0.0) + motion.noise * motion.independent / motion.freedom
-
-
-def _axes(turn: Float2D) -> str:
-    """Return what the recorded x, y, z should have been, e.g. `y, -x, z`."""
-    words = []
-    for row in turn:
-        k = int(np.argmax(np.abs(row)))
-        words.append(("-" if row[k] < 0 else "") + "xyz"[k])
-    return ", ".join(words)
 
 
 def _with_figures(motion: Motion, stands: Explanation, meant: Meant) -> InputAnomaly:
