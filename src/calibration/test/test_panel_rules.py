@@ -289,15 +289,15 @@ def test_only_listed_files_of_a_session_are_handed_out(tmp_path: Path) -> None:
     assert Folder(tmp_path / "none").free() is None
 
 
-def test_hidden_files_and_folders_are_not_offered(tmp_path: Path) -> None:
-    for name in ("plan.yaml", ".pre-commit-config.yaml", ".cache/plan.yaml", ".old/diagnose/next.yaml",
-                 "one/plan.yaml", "one/diagnose/next.yaml", "one/diagnose/model.yaml", ".old/identify/model.yaml",
-                 "one/session.db", ".old/session.db"):  # fmt: skip
+def test_hidden_files_and_what_is_no_plan_are_not_offered(tmp_path: Path) -> None:
+    for name in ("plan.yaml", "my.cell.yaml", "other.yaml", ".pre-commit-config.yaml", ".cache/plan.yaml",
+                 ".old/diagnose/next.yaml", "one/plan.yaml", "one/diagnose/next.yaml", "one/diagnose/model.yaml",
+                 ".old/identify/model.yaml", "one/session.db", ".old/session.db"):  # fmt: skip
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("x", "utf-8")
+        (tmp_path / name).write_text("robot: x\nconfigurations:\n" if name == "other.yaml" else "robot: x\n", "utf-8")
     for root in (tmp_path, tmp_path / ".old" / ".."):
         folder = Folder(root)
-        assert sorted(folder.plans()) == ["one/diagnose/next.yaml", "one/plan.yaml", "plan.yaml"]
+        assert sorted(folder.plans()) == ["one/diagnose/next.yaml", "one/plan.yaml", "other.yaml", "plan.yaml"]
         assert list(folder.models()) == ["one/diagnose/model.yaml"]
         assert [one["name"] for one in folder.sessions()] == ["one"]
 

@@ -15,6 +15,7 @@ from calibration_core.measurement.session import DATABASE
 
 PLAN = "plan.yaml"
 PROPOSED = "diagnose/next.yaml"  # the plan of what a diagnosis would measure next
+LOOKED_AT = 1 << 16  # bytes: what stands before a plan's configurations is short
 BAG = "bag"
 VERIFIED = "verify"
 MODELS = ("identify/model.yaml", "diagnose/model.yaml")
@@ -43,8 +44,12 @@ class Folder:
         return self.root / name
 
     def plans(self) -> dict[str, Path]:
-        """Return the plans there are, by the name under which the page shows them, the newest first."""
-        return self._newest(f"*/{PLAN}", "*.yaml", f"*/{PROPOSED}")
+        """Return the plans there are, by the name under which the page shows them, the newest first.
+
+        Beside the folders, other files end in .yaml, too: cell files and parameters are no plans.
+        """
+        found = self._newest(f"*/{PLAN}", "*.yaml", f"*/{PROPOSED}")
+        return {name: path for name, path in found.items() if "/" in name or name == PLAN or _is_plan(path)}
 
     def models(self) -> dict[str, Path]:
         """Return the models that were identified or extended, by session and file, the newest first."""
@@ -80,6 +85,15 @@ class Folder:
     def free(self) -> float | None:
         """Return the bytes that are free where the folder is; None: it is not there yet."""
         return float(shutil.disk_usage(self.root).free) if self.root.is_dir() else None
+
+
+def _is_plan(path: Path) -> bool:
+    """Whether a file has the first level of a plan; one that cannot be read is none."""
+    try:
+        with path.open("rb") as stream:
+            return any(line.startswith(b"configurations:") for line in stream.read(LOOKED_AT).splitlines())
+    except OSError:
+        return False
 
 
 def _hidden(name: Path) -> bool:
