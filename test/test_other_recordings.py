@@ -11,7 +11,7 @@ import functools
 import json
 import math
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -95,25 +95,33 @@ def _parts(test: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def diagnosed(tables: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Mapping[tuple[str, str], Path]:
-    """The nine combinations: (kind of the recording, kind of the test recording) -> output folder."""
+def diagnosed(tables: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
+    """Diagnose, once: kind of the recording, kind of the test recording -> output folder."""
     folder = tmp_path_factory.mktemp("diagnosed")
-    found = {}
-    for fitted in KINDS:
-        for other in KINDS:
-            out = folder / f"{fitted}_{other}"
-            arguments = (tables[f"fitted_{fitted}"], "--test", tables[f"other_{other}"])
-            assert _run("diagnose", out, *arguments) == 0
-            found[fitted, other] = out
+
+    @functools.cache
+    def found(fitted: str, other: str) -> Path:
+        out = folder / f"{fitted}_{other}"
+        assert _run("diagnose", out, tables[f"fitted_{fitted}"], "--test", tables[f"other_{other}"]) == 0
+        return out
+
     return found
 
 
-@pytest.mark.parametrize("other", KINDS)
-@pytest.mark.parametrize("fitted", KINDS)
+SELDOM = {("loaded", "loaded"), ("loaded", "mixed"), ("at_rest", "loaded"), ("mixed", "mixed")}
+PAIRS = [
+    pytest.param(fitted, other, marks=[pytest.mark.slow] if (fitted, other) in SELDOM else [])
+    for fitted in KINDS
+    for other in KINDS
+]
+"""Every kind is fitted, and every kind is the other one, in `make test`; all nine pairs in `make prove`."""
+
+
+@pytest.mark.parametrize(("fitted", "other"), PAIRS)
 def test_what_was_hidden_improves_every_part_of_every_other_recording(
-    diagnosed: Mapping[tuple[str, str], Path], tables: Mapping[str, Path], fitted: str, other: str
+    diagnosed: Callable[[str, str], Path], tables: Mapping[str, Path], fitted: str, other: str
 ) -> None:
-    result = _result(diagnosed[fitted, other])
+    result = _result(diagnosed(fitted, other))
     assert [(f["effect"], f["location"]) for f in result["findings"]] == [("link_bending", {"link": "link_2"})]
     test = result["test"]
     assert [part["kind"] for part in test["parts"]] == PARTS[other]
@@ -155,10 +163,10 @@ def _with_own_set_up(readings: Readings, cell: Cell, seen: Float2D, turned: Floa
 
 
 def test_the_figures_are_those_of_an_independent_computation(
-    diagnosed: Mapping[tuple[str, str], Path], tables: Mapping[str, Path]
+    diagnosed: Callable[[str, str], Path], tables: Mapping[str, Path]
 ) -> None:
     cell = load_cell(CELL)
-    out = diagnosed["at_rest", "mixed"]
+    out = diagnosed("at_rest", "mixed")
     test, model = _result(out)["test"], read_model(out / "model.yaml", cell)
     readings = read_table(tables["other_mixed"], cell)
     error = readings.position - predict_readings(readings, cell, model)
@@ -189,7 +197,7 @@ def _flange_seen(readings: Readings, cell: Cell, model: Any) -> Float2D:
 
 
 def test_a_tracker_that_was_set_up_anew_spoils_no_posture_at_rest(
-    diagnosed: Mapping[tuple[str, str], Path], tables: Mapping[str, Path], tmp_path: Path
+    diagnosed: Callable[[str, str], Path], tables: Mapping[str, Path], tmp_path: Path
 ) -> None:
     cell = load_cell(CELL)
     readings = read_table(tables["other_at_rest"], cell)
@@ -199,7 +207,7 @@ def test_a_tracker_that_was_set_up_anew_spoils_no_posture_at_rest(
     for fitted in KINDS:
         out = tmp_path / fitted
         assert _run("diagnose", out, tables[f"fitted_{fitted}"], "--test", tmp_path / "moved.csv") == 0
-        part, here = (_parts(_result(one)["test"])["at_rest"] for one in (out, diagnosed[fitted, "at_rest"]))
+        part, here = (_parts(_result(one)["test"])["at_rest"] for one in (out, diagnosed(fitted, "at_rest")))
         for key in ("rms", "mean", "rms_before", "mean_before"):
             assert part[key] == pytest.approx(here[key], rel=2e-3)
     test = _result(tmp_path / "mixed")["test"]
@@ -356,15 +364,15 @@ def test_a_bag_is_no_test_of_its_own_table(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_model_file_of_schema_1_is_said_to_have_no_intervals(
-    diagnosed: Mapping[tuple[str, str], Path], tables: Mapping[str, Path], tmp_path: Path,
+    diagnosed: Callable[[str, str], Path], tables: Mapping[str, Path], tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    content: dict[str, Any] = yaml.safe_load((diagnosed["mixed", "mixed"] / "model.yaml").read_text())
+    content: dict[str, Any] = yaml.safe_load((diagnosed("mixed", "at_rest") / "model.yaml").read_text())
     for key in ("covariance", "valid_range", "robot_sha256", "parameters"):
         content.pop(key, None)
     old = tmp_path / "old.yaml"
     old.write_text(yaml_text({**content, "schema": 1}))
-    new = diagnosed["mixed", "mixed"] / "model.yaml"
+    new = diagnosed("mixed", "at_rest") / "model.yaml"
     said = "the model file is of schema 1: it has no covariance, and nothing that is taken from it has an interval"
     for command in ("predict", "identify", "diagnose"):
         for model in (old, new):
