@@ -134,3 +134,37 @@ def test_the_chain_of_a_foreign_urdf(tmp_path: Path) -> None:
         serial_chain(tmp_path / "robot.urdf", flange="link_2")
     with pytest.raises(CellError, match="a link of the URDF: base_link"):
         serial_chain(tmp_path / "robot.urdf", base_link="nowhere")
+
+
+def finger(name: str, parent: str, more: str = "") -> str:
+    """Return a link that slides beside another, as a finger does."""
+    return f"""<link name="{name}"/><joint name="j_{name}" type="prismatic"><parent link="{parent}"/>
+      <child link="{name}"/><axis xyz="0 1 0"/><limit lower="0" upper="0.04" effort="1" velocity="1"/>{more}</joint>"""
+
+
+@pytest.mark.parametrize("renamed", [True, False])
+@pytest.mark.parametrize("fingers", [
+    finger("left", "hand") + finger("right", "hand"),
+    finger("left", "hand") + finger("right", "hand", '<mimic joint="j_left"/>'),
+    finger("left", "hand") + finger("tip", "left") + finger("right", "hand"),
+])  # fmt: skip
+def test_fingers_are_no_joints_of_the_arm(tmp_path: Path, fingers: str, renamed: bool) -> None:
+    """With a link that is called a flange, and with none."""
+    text = ROBOTS["abb_irb1600_6_12"].urdf.read_text()
+    hand = """<link name="hand"/><joint name="h" type="fixed"><parent link="flange"/><child link="hand"/></joint>"""
+    text = text.replace("</robot>", f"{hand}{fingers}</robot>")
+    if renamed:
+        text = text.replace('"flange"', '"last"').replace('"tool0"', '"further"')
+    (tmp_path / "robot.urdf").write_text(text)
+    found = serial_chain(tmp_path / "robot.urdf")
+    assert found.joints == serial_chain(ROBOTS["abb_irb1600_6_12"].urdf).joints
+    assert found.flange == ("link_6" if renamed else "flange")
+    assert len(serial_chain(tmp_path / "robot.urdf", flange="left").joints) == 7  # what is asked for is taken
+
+
+def test_one_finger_behind_a_named_flange_is_no_joint_of_the_arm(tmp_path: Path) -> None:
+    text = ROBOTS["abb_irb1600_6_12"].urdf.read_text().replace("</robot>", f"{finger('jaw', 'flange')}</robot>")
+    text = text.replace('"flange"', '"left_flange"')
+    (tmp_path / "robot.urdf").write_text(text)
+    found = serial_chain(tmp_path / "robot.urdf")
+    assert (found.flange, len(found.joints)) == ("left_flange", 6)

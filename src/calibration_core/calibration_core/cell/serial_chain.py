@@ -11,6 +11,8 @@ from calibration_core.errors import CellError, quoted
 
 MOVING = ("revolute", "continuous", "prismatic")
 BASES = ("base_link", "base", "link_0", "link0")
+FEWEST = 3  # joints of an arm
+FINGER = 2  # joints in series at the most
 FLANGES = ("flange", "tool0", "link_ee", "ee_link", "tool_link")
 
 
@@ -34,7 +36,9 @@ class SerialChain:
 
 
 def serial_chain(path: Path, base_link: str | None = None, flange: str | None = None) -> SerialChain:
-    """Return the chain with the most joints of its own drive.
+    """Return the chain to the link that is called a flange, else the one with the most joints of its own drive.
+
+    Fingers that hang at one link are a gripper, and no joints of the arm.
 
     Args:
         path: The URDF.
@@ -58,17 +62,48 @@ def serial_chain(path: Path, base_link: str | None = None, flange: str | None = 
         for base in ([base_link] if base_link else _bases(links, above))
         if (moving := _between(above, base, end)) is not None
     ]
-    if not chains or max(len(moving) for moving, _, _ in chains) < 3:
+    if not chains or max(len(moving) for moving, _, _ in chains) < FEWEST:
         most = max((len(moving) for moving, _, _ in chains), default=0)
         place = f"from {base_link or 'its base'} to {flange or 'any link'}"
-        raise CellError(path, place, f"{most} moving joints", "a chain of at least 3, each with its own drive")
-    length = max(len(moving) for moving, _, _ in chains)
+        raise CellError(path, place, f"{most} moving joints", f"a chain of at least {FEWEST}, each with its own drive")
+    named = [one for one in chains if _rank(one[2]) < len(FLANGES) and len(one[0]) >= FEWEST]
+    among = named or chains
+    length = max(len(moving) for moving, _, _ in among)
+    if not named and flange is None:
+        longest = next(moving for moving, _, _ in chains if len(moving) == length)
+        length = _without_fingers(above, longest)
     moving, base, end = min(
-        (one for one in chains if len(one[0]) == length),
-        key=lambda one: (FLANGES.index(one[2]) if one[2] in FLANGES else len(FLANGES), links.index(one[2])),
+        (one for one in among if len(one[0]) == length), key=lambda one: (_rank(one[2]), links.index(one[2]))
     )
     masses = sum(float(mass.get("value", 0.0)) for mass in root.findall("link/inertial/mass"))
     return SerialChain(str(root.get("name")), base, end, tuple(moving), masses)
+
+
+def _rank(link: str) -> int:
+    """Return how a link is called, the most telling name first; a name may have a prefix, as in `left_tool0`."""
+    return next((k for k, name in enumerate(FLANGES) if link == name or link.endswith(f"_{name}")), len(FLANGES))
+
+
+def _without_fingers(above: dict[str, ET.Element], moving: list[str]) -> int:
+    """Return how many of a chain's joints are the arm's: its last ones are fingers where others hang beside them."""
+    joints = {str(joint.get("name")): joint for joint in above.values()}
+    others = [_link(one, "child") for name, one in joints.items() if one.get("type") in MOVING and name not in moving]
+    for count in range(max(FEWEST, len(moving) - FINGER), len(moving)):
+        joint = joints[moving[count]]
+        at, child = _link(joint, "parent"), _link(joint, "child")
+        if any(_hangs(above, link, at) and link != child and not _hangs(above, link, child) for link in others):
+            return count
+    return len(moving)
+
+
+def _hangs(above: dict[str, ET.Element], link: str, at: str) -> bool:
+    """Say whether one link hangs below another."""
+    passed = 0
+    while link in above and passed <= len(above):
+        link, passed = _link(above[link], "parent"), passed + 1
+        if link == at:
+            return True
+    return False
 
 
 def _bases(links: list[str], above: dict[str, ET.Element]) -> list[str]:
