@@ -123,26 +123,41 @@ def test_verify(
         cal.verify(other, identified, -1.0)
 
 
-@pytest.mark.parametrize("command", ["identify", "diagnose"])
+@pytest.fixture(scope="module", params=["identify", "diagnose"])
+def models(request: pytest.FixtureRequest, cell: cal.Cell, other: cal.Recording) -> tuple[Any, Any]:
+    """What a command makes of a recording, and what is identified from another one with it."""
+    model = getattr(cal, request.param)(other)
+    return model, cal.identify(cal.load_recording(BAG, cell), model=model)
+
+
+@pytest.fixture(scope="module")
+def written(cell: cal.Cell, identified: cal.IdentificationResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The readings of `other` as a table."""
+    folder = tmp_path_factory.mktemp("written")
+    cal.simulate(cell, model=identified, seed=5).save(folder, report=False)
+    return folder / "measurements.csv"
+
+
+@pytest.fixture(scope="module")
+def further(cell: cal.Cell, identified: cal.IdentificationResult) -> cal.Recording:
+    return cal.simulate(cell, model=identified, seed=6).recording
+
+
 @pytest.mark.parametrize("form", ["the same value", "table", "arrays"])
 def test_verify_refuses_readings_of_the_model(
-    command: str, form: str, cell: cal.Cell, other: cal.Recording, identified: cal.IdentificationResult, tmp_path: Path
+    form: str, cell: cal.Cell, other: cal.Recording, further: cal.Recording, written: Path, models: tuple[Any, Any]
 ) -> None:
     """A result knows what it was identified from, in whatever format that comes again."""
-    made = cal.simulate(cell, model=identified, seed=5)
-    made.save(tmp_path, report=False)
-    model = getattr(cal, command)(other)
+    model, from_it = models
     again = {
         "the same value": lambda: other,
-        "table": lambda: cal.load_recording(tmp_path / "measurements.csv", cell),
+        "table": lambda: cal.load_recording(written, cell),
         "arrays": lambda: cal.load_recording(other.tables["measurements"], cell),
     }[form]()
     with pytest.raises(cal.InputError, match=r"which the model was identified from, expected places that were not"):
         cal.verify(again, model, 1e-3)
-    from_it = cal.identify(cal.load_recording(BAG, cell), model=model)
     with pytest.raises(cal.InputError, match="which the model was identified from"):
         cal.verify(again, from_it, 1e-3)
-    further = cal.simulate(cell, model=identified, seed=6).recording
     assert cal.verify(further, model, 5e-3).decision == "conforming"
 
 
