@@ -1,6 +1,7 @@
 """Concealed causes that were once named wrongly, or beside others that are none.
 
-Each is one scenario of the second grid, diagnosed as a user would; what it guards stands with it.
+Each is one scenario of the second grid, diagnosed as a user would; what it guards stands with it.  Of those that guard
+one thing in several recordings, `make test` takes one or two, and `make prove` all.
 """
 
 from __future__ import annotations
@@ -48,10 +49,16 @@ def answered(number: int, folder: Path, seed: int = SEED) -> Answered:
     [
         pytest.param(91, "off_axis_compliance", {"joint": "joint_4"}, id="a bearing of a robot in modified rows"),
         pytest.param(
-            206, "gravity_compensator", {"joint": "joint_2"}, id="a spring, most of whose forms are impossible"
+            206,
+            "gravity_compensator",
+            {"joint": "joint_2"},
+            id="a spring, most of whose forms are impossible",
+            marks=pytest.mark.slow,
         ),
         pytest.param(140, "hysteresis", {"joint": "joint_6"}, id="a joint that lags on its way to a posture, too"),
-        pytest.param(153, "backlash", {"joint": "joint_5"}, id="one joint, and no other a little"),
+        pytest.param(
+            153, "backlash", {"joint": "joint_5"}, id="one joint, and no other a little", marks=pytest.mark.slow
+        ),
         pytest.param(130, "link_bending", {"link": "link_4"}, id="a link whose motors rest on its joint"),
     ],
 )
@@ -65,7 +72,7 @@ def test_the_cause_is_named_alone(number: int, effect: str, place: dict[str, str
     ("number", "effect", "place"),
     [
         pytest.param(22, "link_bending", {"link": "link_2"}, id="at rest"),
-        pytest.param(117, "gravity_compensator", {"joint": "joint_2"}, id="beside loads"),
+        pytest.param(117, "gravity_compensator", {"joint": "joint_2"}, id="beside loads", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_missing_does_not_hide_the_geometry(
@@ -100,7 +107,11 @@ def test_what_is_missing_does_not_hide_the_geometry(
             marks=pytest.mark.slow,
         ),
         pytest.param(
-            9001, 259, {("hysteresis", "joint_6"), ("transmission_error", "joint_5")}, id="friction, hardly loaded"
+            9001,
+            259,
+            {("hysteresis", "joint_6"), ("transmission_error", "joint_5")},
+            id="friction, hardly loaded",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             8086, 213, {("backlash", "joint_3"), ("transmission_error", "joint_3")}, id="clearance of a wide transition"
@@ -123,6 +134,7 @@ def test_two_causes_under_load_and_at_rest_have_no_third(
     assert len(found.findings) == 2
 
 
+@pytest.mark.slow
 def test_a_joint_whose_law_is_open_has_a_stiffness_as_uncertain_as_the_law_is_large(tmp_path: Path) -> None:
     """Friction of another law, under loads and at rest: its compliance was 11 standard deviations from the truth."""
     answer = answered(218, tmp_path, PUBLISHED)
@@ -167,9 +179,9 @@ def test_friction_that_scatters_is_not_taken_for_noise(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "number",
     [
-        pytest.param(552, id="a drift of the tracker"),
+        pytest.param(552, id="a drift of the tracker", marks=pytest.mark.slow),
         pytest.param(554, id="a drift of the sensor"),
-        pytest.param(586, id="a gear's order"),
+        pytest.param(586, id="a gear's order", marks=pytest.mark.slow),
     ],
 )
 def test_noise_that_lasts_is_no_cause(number: int, tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ def test_a_law_outside_the_catalogue_is_not_called_by_a_name_in_it(
     assert found.model.effects == ()
 
 
-@pytest.mark.parametrize("seed", [6, 7, 8])
+@pytest.mark.parametrize("seed", [7, *(pytest.param(k, marks=pytest.mark.slow) for k in (6, 8))])
 def test_a_softer_flank_is_not_called_friction(cell: Cell, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint 2 gives way more under loads of one sign, and less under those of the other.
 
@@ -90,7 +90,10 @@ def test_a_softer_flank_is_not_called_friction(cell: Cell, seed: int, monkeypatc
 
 
 @pytest.mark.parametrize("width", [1.2e-5, 6e-5])  # rad
-@pytest.mark.parametrize(("law", "seed"), [("Dahl", 6), ("Dahl", 7), ("teeth", 6), ("teeth", 7)])
+@pytest.mark.parametrize(
+    ("law", "seed"),
+    [("Dahl", 7), ("teeth", 7), *(pytest.param(law, 6, marks=pytest.mark.slow) for law in ("Dahl", "teeth"))],
+)
 def test_friction_of_another_law_that_begins_anywhere_is_friction(
     cell: Cell, law: str, seed: int, width: float
 ) -> None:
