@@ -63,21 +63,22 @@ def reservations(found: Verification) -> tuple[tuple[str, str], list[tuple[str, 
     """Return what speaks against the model's use at this tolerance, each in words with what to do about it.
 
     Returns:
-        Places that do not conform; and everything else: undecided places, and what limits the decision itself.
+        What does not conform, and with it what stays undecided; and everything else: what stays undecided where nothing
+        fails to conform, and what limits the decision itself.
     """
     tolerance = f"the tolerance of {1e3 * found.tolerance:g} mm"
-    beyond, open_ = not_conforming(found), _decided(found, "undecided")
-    elsewhere = _smaller_elsewhere(found)
+    beyond = not_conforming(found)
+    open_ = [number for number in _decided(found, "undecided") if number not in beyond]
+    undecided = f"undecided because of measurement uncertainty: {_where(open_)}"
     step = (
         "if the tracker was set up anew, run verify again with --fit-tracker; else calibrate the robot anew"
-        if elsewhere
+        if _smaller_elsewhere(found)
         else "run diagnose with this recording and the model, to see what has changed, or calibrate the robot anew"
     )
-    residual = (f"not conforming to {tolerance}: {_where(beyond)}", step)
+    residual = (f"not conforming to {tolerance}: {_where(beyond)}" + (f"; {undecided}" if open_ else ""), step)
     further = []
-    if open_:
-        text = f"undecided because of measurement uncertainty: {_where(open_)}"
-        further.append((text, "" if beyond else "measure with less uncertainty, or state a larger tolerance"))
+    if open_ and not beyond:
+        further.append((undecided, "measure with less uncertainty, or state a larger tolerance"))
     further += [(f"{text[0].lower()}{text[1:]}".rstrip("."), "") for text in _shortcomings(found)]
     return residual, further
 

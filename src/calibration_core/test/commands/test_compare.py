@@ -48,6 +48,7 @@ def test_two_recordings(simulated: Path, later: Path, tmp_path: Path, capsys: py
     text = capsys.readouterr().out
     assert "joint_2" in text
     assert "changed" in text
+    assert f"next: {result['next_step']}" in text.splitlines()
 
 
 def test_a_folder_beside_a_recording_and_three_dates(

@@ -141,4 +141,5 @@ def comparison_summary(found: Compared) -> str:
             fine = sum(one.verdict == "not_changed" for one in others)
             lines.append(f"  backlash, hysteresis and effects: {fine} not changed, {len(others) - fine} cannot tell")
     lines += [described_trend(one) for one in found.trends if one.verdict == "changed"]
-    return "\n".join([*lines, *found.remarks])
+    steps = [step for _, step in reservations(found)[:1]]
+    return "\n".join([*lines, *found.remarks, *(f"next: {step}" for step in steps)])
