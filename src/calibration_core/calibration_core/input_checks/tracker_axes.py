@@ -30,7 +30,6 @@ LEAST_TURN = 0.2  # rad: less is no other way of setting up a tracker, and leave
 NEAR_TURN = 0.5  # rad: so near to the stated axes, the mirrored coordinate is the one whose sign is wrong
 STEPS = 30
 MIRROR = np.diag([-1.0, 1.0, 1.0])
-STANDS = "tracker"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -129,7 +128,7 @@ def _other_axes(motion: Motion, stated: Float2D, turn: Float2D, *, known: bool) 
     text = f"the displacements are in axes that are turned by {np.degrees(angle):.0f} degrees from {against}"
     other = f", or master {motion.chain.joints[0]} again" if _about_first(motion, turn) else ""
     remedy = f"state the axes of the displacements in frames.tracker (rpy near [{rpy}]){other}"
-    return InputAnomaly("no_relation", text, remedy, 0.0, axes=f"rpy [{rpy}]", place=STANDS)
+    return InputAnomaly("no_relation", text, remedy, 0.0, axes=f"rpy [{rpy}]", place="tracker")
 
 
 def _about_first(motion: Motion, turn: Float2D) -> bool:

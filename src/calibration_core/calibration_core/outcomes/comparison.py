@@ -266,18 +266,18 @@ def reservations(found: Compared) -> list[tuple[str, str]]:
     rows = [one for of in found.differences for one in of]
     changed = [one for one in rows if one.verdict == "changed"]
     open_ = [one for one in rows if one.verdict == "cannot_tell" and one.quantity in OF_JOINTS]
-    speaking = []
+    reasons = []
     if changed:
         step = "find out what was done to the robot, and identify it anew before the earlier model is used"
-        speaking.append((f"changed: {_named(changed)}", step))
+        reasons.append((f"changed: {_named(changed)}", step))
     if open_:
         needed = max((one.configurations or 0 for one in open_), default=0)
         again = "measure again what is not known in one of two measurements"
         step = f"measure {needed} configurations each time" if needed else again
-        speaking.append((f"whether it has changed cannot be told: {_named(open_)}", step))
+        reasons.append((f"whether it has changed stays open: {_named(open_)}", step))
     if not all(found.differences):
-        speaking.append(("some measurements have nothing in common with the first", "compare recordings under loads"))
-    return speaking
+        reasons.append(("some measurements have nothing in common with the first", "compare recordings under loads"))
+    return reasons
 
 
 def _named(rows: Sequence[QuantityChange]) -> str:

@@ -118,9 +118,9 @@ def test_what_cannot_be_told_says_what_would_tell() -> None:
 @pytest.mark.parametrize(("changes", "said"), [
     ({"verdict": "changed"}, ("changed: stiffness of joint_2", "find out what was done to the robot")),
     ({"verdict": "cannot_tell", "configurations": 40},
-     ("whether it has changed cannot be told: stiffness of joint_2", "measure 40 configurations each time")),
+     ("whether it has changed stays open: stiffness of joint_2", "measure 40 configurations each time")),
     ({"verdict": "cannot_tell", "configurations": None},
-     ("whether it has changed cannot be told: stiffness of joint_2", "measure again what is not known")),
+     ("whether it has changed stays open: stiffness of joint_2", "measure again what is not known")),
     ({"verdict": "not_changed"}, None),
     ({"verdict": "cannot_tell", "quantity": "backlash", "configurations": None}, None),  # a reducer is judged beside
 ])  # fmt: skip
