@@ -5,7 +5,8 @@ A second robot, of which only unloaded postures are known, hides another fault a
 
 Starts the installed executables, has a plan measured, asks the identification service, identifies the recorded bag
 once more without ROS, compares the two to the bit, and lets the diagnosis look for what was concealed, of which it
-is told nothing.  No process is left behind, however it ends.
+is told nothing.  At its end stands how the cell file's simulation of the
+plan becomes the recording, step by step.  No process is left behind, however it ends.
 """
 
 from __future__ import annotations
@@ -231,6 +232,12 @@ def named(found: dict[str, Any], effect: str, joint: str) -> bool:
     return (first["effect"], first["location"]) == (effect, {"joint": joint})
 
 
+def closes(found: dict[str, Any]) -> bool:
+    """Whether the improved simulation leaves what the last step promises, to a tenth."""
+    compared = found["comparison"]
+    return bool(compared["improved"]["rms"] <= 1.1 * compared["steps"][-1]["rms"])
+
+
 def show(told: str) -> None:
     """Print what a diagnosis says, less the place of its report."""
     print("".join(f"  {line}\n" for line in told.splitlines() if not line.startswith("report:")), end="")
@@ -270,18 +277,21 @@ def demonstrate(out: Path, processes: Processes) -> bool:
     with stage("identifying, by the service"):
         answer = cell.identify(out / "identify")
     for joint, value, std in zip(answer.joints, answer.stiffness, answer.std, strict=True):
-        print(f"  {joint:10s} {value / 1e6:8.3f} ± {std / 1e6:.3f} 10⁶ N·m/rad")
+        print(f"  {joint:10s} {value / 1e6:8.3f} ± {1.96 * std / 1e6:.3f} 10⁶ N·m/rad (95 %)")
     with stage("identifying the recorded bag, without ROS"):
         _, replayed = program(processes, out / "replay", "identify", cell.bag, "--no-report")
     live = json.loads(answer.result_json)
     same = all(live[key] == replayed[key] for key in live if key != "recording")
     print(f"live and replayed results are {'the same to the bit' if same else 'DIFFERENT'}")
-    with stage("diagnosing the recorded bag, blind"):
-        told, found = program(processes, out / "diagnose", "diagnose", cell.bag)
-    show(told)
+    with stage("simulating the same plan, by the cell file's model"):
+        program(processes, out / "simulate", "simulate", "--plan", out / "plan" / "plan.yaml", "--no-report")
+    simulation = out / "simulate" / "measurements.csv"
+    with stage("diagnosing the recorded bag beside this simulation, blind"):
+        told, found = program(processes, out / "diagnose", "diagnose", cell.bag, "--simulation", simulation)
     print(f"what was concealed: a bearing of {JOINT} that tilts ({EFFECT}, {COMPLIANCE:g} rad/(N·m))")
     right = named(found, EFFECT, JOINT)
     print(f"the diagnosis {'names it' if right else 'does NOT name it'}")
+    closed = closes(found)
     second = unloaded(out / "second", processes)
     report = Path(answer.report_path)
     end = time.monotonic() + PATIENCE
@@ -289,10 +299,13 @@ def demonstrate(out: Path, processes: Processes) -> bool:
         if time.monotonic() > end:
             raise DemonstrationError(f"{report} is not drawn; see {out / 'identification.log'}")
         time.sleep(0.1)
-    diagnoses = (("diagnosis", out / "diagnose"), ("second diagnosis", out / "second" / "diagnose"))
-    for what, path in (("plan", out / "plan"), ("stiffness", report.parent), *diagnoses):
+    reports = (("plan", out / "plan"), ("stiffness", report.parent), ("second robot", out / "second" / "diagnose"))
+    for what, path in reports:
         print(f"report, {what}: {path / 'report.html'}")
-    return same and right and second
+    print("the first robot, from its simulation to the noise:")
+    show(told)
+    print(f"open {out / 'diagnose' / 'report.html'}")
+    return same and right and second and closed
 
 
 def leave(number: int, _frame: object) -> None:

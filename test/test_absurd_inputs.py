@@ -17,9 +17,8 @@ from absurd_cases import absurd_inputs, displaced, made, refused, written
 
 from calibration_core.input_checks.check import check_inputs
 from calibration_sim.scenarios.generate import generate
-from calibration_sim.scenarios.grid import Planned, Scenario, grid
+from calibration_sim.scenarios.grid import Planned, Scenario, grid, second_grid
 from calibration_sim.scenarios.measure import Noise
-from calibration_sim.scenarios.second_grid import second_grid
 
 ROBOTS = ("heavy", "light", "tiny", "middle", "giant")
 SEEDS, GOOD = 30, int(os.environ.get("PROVE_GOOD", "2000"))

@@ -13,7 +13,7 @@ from calibration_core.acceptance.joint_laws import joint_laws, reference_torques
 from calibration_core.cell import Cell, load_cell
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import typical
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.timeseries import Readings
 from calibration_sim.cell.configurations import random_protocol

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import subprocess
-from collections import Counter
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -18,8 +18,7 @@ SOURCES = {
     for name in ("calibration_core", "calibration_sim", "calibration")
     if (ROOT / "src" / name / name).is_dir()
 }
-MAX_LINES = 400
-MAX_MODULES = 15  # Python files of a folder
+MAX_LINES = 700
 TOP_LEVEL = {"src", "config", "test", "bags", "README.md", "colcon.meta", "Makefile", "LICENSE"}
 
 CHAIN = (
@@ -42,7 +41,7 @@ FAMILIES = {
     ),
     "diagnosis": (
         "location", "comparison", "result", "data_checks", "evidence", "empirical", "findings", "proposals",
-        "model_estimate", "bias", "loaded", "positions", "simulated", "diagnose",
+        "model_estimate", "bias", "loaded", "positions", "simulated", "waterfall", "diagnose",
     ),
 }  # fmt: skip
 FOR_ALL = {"errors", "files", "cell", "loading"}
@@ -60,6 +59,7 @@ DOCUMENTS = "report.documents"
 ENTRY = {"cli", "start", "commands", "library", "fleet", "__main__"}
 FOR_SIM = {"errors", "files", "cell", "loading", "timeseries", "recording", "engine"}
 SIM_NODE = {f"calibration_sim.living_cell.{name}" for name in ("process", "node", "messages")}
+parse = functools.cache(ast.parse)  # each file once
 MESSAGES = re.compile(r"(.*_(msgs|interfaces)|rclpy|rosidl_.*|launch|launch_ros|ament_.*)(\..*)?")
 
 
@@ -77,7 +77,7 @@ def imports(code: str, module: str, is_package: bool) -> Iterator[tuple[int, str
 
     `from a.b import c` yields a.b.c, because c may be a module; names are compared by prefix.
     """
-    for node in ast.walk(ast.parse(code)):
+    for node in ast.walk(parse(code)):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -169,11 +169,12 @@ def test_families_are_those_that_exist(layer: str) -> None:
 
 def without_types(code: str) -> str:
     """Code without what only a type checker reads."""
-    tree = ast.parse(code)
-    tree.body = [
-        node for node in tree.body if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
+    body = [
+        node
+        for node in parse(code).body
+        if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))
     ]
-    return ast.unparse(tree)
+    return ast.unparse(ast.Module(body, []))
 
 
 def test_no_module_needs_itself() -> None:
@@ -302,7 +303,7 @@ def test_the_arrows_themselves(module: str, line: str, allowed: bool) -> None:
 def test_public_names_of_the_core_are_described() -> None:
     silent = []
     for path in sorted(SOURCES["calibration_core"].rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = parse(path.read_text(encoding="utf-8"))
         place = path.relative_to(ROOT)
         if not ast.get_docstring(tree):
             silent.append(f"{place}: module")
@@ -324,7 +325,54 @@ def undescribed(tree: ast.Module | ast.ClassDef) -> Iterator[tuple[int, str]]:
 
 def test_undescribed_finds_what_is_silent() -> None:
     code = 'def a():\n  "x"\ndef b(): ...\ndef _c(): ...\nclass D:\n  "x"\n  def e(self): ...\n  def __f__(self): ...'
-    assert [name for _, name in undescribed(ast.parse(code))] == ["b", "e"]
+    assert [name for _, name in undescribed(parse(code))] == ["b", "e"]
+
+
+def uncomparable(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Yields (line, name) of dataclasses that are compared by value although a field can hold an array or NaN.
+
+    Comparing arrays raises; NaN differs from itself, so that two equal values differ (since Python 3.13 always).
+    """
+    for node in ast.walk(tree):
+        marks = [ast.unparse(mark) for mark in node.decorator_list] if isinstance(node, ast.ClassDef) else []
+        if not any("dataclass" in mark and "eq=False" not in mark for mark in marks):
+            continue
+        fields = [one for one in node.body if isinstance(one, ast.AnnAssign) and "ClassVar" not in ast.unparse(one)]
+        kinds = [ast.unparse(one.annotation).partition("Callable")[0] for one in fields]
+        defaults = [ast.unparse(one.value) for one in fields if one.value is not None]
+        if (
+            any(re.search(r"\b((Float|Int|Bool)[1-4N]D?|NDArray|ndarray)\b", kind) for kind in kinds)
+            or any(re.search(r"\bnan\b", default, re.IGNORECASE) for default in defaults)
+            or "NaN" in (ast.get_docstring(node) or "")
+        ):
+            yield node.lineno, node.name
+
+
+def test_values_that_are_compared_hold_neither_arrays_nor_nan() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {name} (eq=False, or None for what is unknown)"
+        for _, path in python_files()
+        for line, name in uncomparable(parse(path.read_text(encoding="utf-8")))
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    ("mark", "field", "found"),
+    [
+        ("frozen=True", "q: Float1D", True),
+        ("frozen=True", "q: dict[str, Float2D]", True),
+        ("", "q: NDArray[np.bool_] | None = None", True),
+        ("frozen=True", "age: float = math.nan", True),
+        ("frozen=True", "age: float = float('nan')", True),
+        ("frozen=True", "'age: s; NaN where nothing is known.'", True),
+        ("frozen=True, eq=False", "q: Float1D", False),
+        ("frozen=True", "age: float | None = None", False),
+        ("frozen=True", "score: Callable[[Float1D], float]", False),
+    ],
+)
+def test_uncomparable_values_are_found(mark: str, field: str, found: bool) -> None:
+    assert bool(list(uncomparable(parse(f"@dataclasses.dataclass({mark})\nclass A:\n    {field}")))) is found
 
 
 # --- the rules on tracked files -------------------------------------------------------------------------------------
@@ -346,15 +394,9 @@ def test_top_level_holds_the_agreed_names_only(tracked: list[Path]) -> None:
     assert names >= {"src", "config", "test", "README.md", "colcon.meta", "Makefile", "LICENSE"}
 
 
-def test_files_hold_one_idea(tracked: list[Path]) -> None:
+def test_files_have_one_subject(tracked: list[Path]) -> None:
     lengths = {path: len((ROOT / path).read_text(encoding="utf-8").splitlines()) for path in tracked if is_python(path)}
     assert {str(path): lines for path, lines in lengths.items() if lines > MAX_LINES} == {}
-
-
-def test_folders_are_read_in_a_minute() -> None:
-    modules = Counter(path.parent.relative_to(SOURCES[name].parent).as_posix() for name, path in python_files())
-    assert len(modules) > 40
-    assert {folder for folder, number in modules.items() if number > MAX_MODULES} == set()
 
 
 def test_words_of_a_variant_are_read_in_files_alone() -> None:
@@ -362,7 +404,7 @@ def test_words_of_a_variant_are_read_in_files_alone() -> None:
     taken_apart = re.compile(
         r"variant(\.\w+with|\.remove\w+|\.r?split|\.r?partition|\[)|\bin \w*\.?variant\b|match\(\w*\.?variant"
     )
-    readers = {"absolute/transmission_error.py", "structure/gravity_compensator.py"}
+    readers = {"absolute/transmission_error.py", "point_chain/tracker_drift.py", "structure/gravity_compensator.py"}
     found = {
         f"{path.parent.name}/{path.name}"
         for name, path in python_files()

@@ -25,8 +25,7 @@ from calibration_core.report.document import Paragraph
 from calibration_core.report.results.diagnosis import diagnosis_dict
 from calibration_core.timeseries import Readings
 from calibration_sim.scenarios.generate import generate
-from calibration_sim.scenarios.grid import Scenario, grid
-from calibration_sim.scenarios.second_grid import second_grid
+from calibration_sim.scenarios.grid import Scenario, grid, second_grid
 
 FEW = ("off_axis_compliance", "link_bending", "base_compliance", "hysteresis")
 SEED, MANY = 20262, int(os.environ.get("PROVE_COVERAGE", "200"))

@@ -24,10 +24,9 @@ from calibration_core.model.robot import chain_of
 from calibration_core.observations.kinds import single_steps
 from calibration_core.timeseries import Float2D, Provenance, Readings
 from calibration_sim.cell.truth import nominal_truth
-from calibration_sim.effect_models.effect import Effect
-from calibration_sim.generators import CATALOGUE
-from calibration_sim.generators.draw import Draw
-from calibration_sim.generators.robots import MAGNITUDES, robot_cell
+from calibration_sim.effects import CATALOGUE
+from calibration_sim.effects.draw import MAGNITUDES, Draw, robot_cell
+from calibration_sim.effects.effect import Effect
 from calibration_sim.scenarios.protocols import make_protocol
 from calibration_sim.scenarios.world import World, play
 

@@ -47,7 +47,7 @@ def identified(recorded: Path) -> dict[str, Path]:
         out = recorded / "identified" / source
         done = run("calibration", "identify", recorded / source, "--cell", CELL, "--out", out)
         assert done.returncode == 0, done.stderr
-        assert done.stderr == ""
+        assert all(line.endswith("% done)") for line in done.stderr.splitlines())  # progress, where it takes long
         assert str(out / "report.html") in done.stdout
         outputs[source] = out
     return outputs

@@ -24,8 +24,9 @@ import pytest
 pytest.importorskip("distributed")
 pytest.importorskip("pyarrow")
 
+from plant import HEALTHY, TRUTH, plant, write_plant
+
 from calibration_core.fleet.recordings.store import read_dataset
-from calibration_sim.plant import HEALTHY, TRUTH, plant, write_plant
 
 pytestmark = pytest.mark.slow
 
@@ -79,7 +80,7 @@ def test_damaged_robots_are_found(made: Path, evaluated: tuple[Path, float]) -> 
     print("missed:", {robot: damage for robot, damage in damaged.items() if robot not in accused})
     print("accused:", {robot: reasons for robot, reasons in accused.items() if robot in healthy})
     assert found >= 0.95 * len(damaged)
-    assert wrong <= 0.005 * len(healthy)
+    assert wrong <= max(0.005 * len(healthy), 1)  # of fewer than 200 one: no smaller share can be seen
 
 
 def test_broken_recordings_and_wrong_cell_files_are_rows(made: Path, evaluated: tuple[Path, float]) -> None:

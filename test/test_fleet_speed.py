@@ -16,6 +16,7 @@ import pytest
 
 pytest.importorskip("distributed")
 
+from plant import plant, write_plant
 from scaling import Nap, busy, calibrated, nap, simulated
 
 from calibration_core.engine.cluster import Cluster, connected
@@ -23,7 +24,6 @@ from calibration_core.engine.pieces import run_all
 from calibration_core.fleet.recordings.manifest import Entry, read_entries
 from calibration_core.fleet.recordings.store import keep
 from calibration_core.fleet.recordings.task import EvaluatedRecording, measure
-from calibration_sim.plant import plant, write_plant
 
 pytestmark = pytest.mark.slow
 

@@ -116,7 +116,11 @@ def answers(cases: list[Case]) -> Iterator[dict[str, object]]:
 
 def fault(case: Case, answer: dict[str, object], folder: Path) -> str:
     """Return what is wrong with an answer; empty if nothing is."""
-    code, errors = answer["code"], str(answer["errors"])
+    said = str(answer["errors"]).splitlines(keepends=True)
+    code, errors = (
+        answer["code"],
+        "".join(line for line in said if not line.rstrip().endswith("% done)")),
+    )  # no progress
     beside = {path.name for path in folder.iterdir()} - {"out"}
     if code not in (0, 2) or "Traceback" in errors:
         return f"exit code {code}: {errors[-300:]}"
@@ -129,7 +133,7 @@ def fault(case: Case, answer: dict[str, object], folder: Path) -> str:
 
 
 def refused(case: Case, errors: str, output: str, out: Path) -> str:
-    said = [line for line in output.splitlines() if not line.endswith("% done)")]  # progress, where it takes long
+    said = output.splitlines()
     expected = bool(said) == (case.command == "check")  # it lists every error on stdout
     if len(errors.splitlines()) != 1 or not expected or len(errors) > 1500 or ": found " not in errors:
         return f"not one line: {errors[:600]!r} {said[:2]!r}"

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import ast
-import io
 import re
-import tokenize
 from collections import defaultdict
 from pathlib import Path
 
@@ -45,10 +43,14 @@ def words(identifier: str) -> set[str]:
 
 
 def identifiers(code: str) -> set[str]:
-    """Every name in a file."""
-    return {
-        token.string for token in tokenize.generate_tokens(io.StringIO(code).readline) if token.type == tokenize.NAME
-    }
+    """Every name in a file, within f-strings too, whichever Python reads it."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(code)):
+        named = (getattr(node, key, None) for key in ("id", "attr", "arg", "name", "asname", "module", "rest"))
+        several = getattr(node, "names", ()) if isinstance(node, ast.Global | ast.Nonlocal) else ()
+        for name in (*named, *several):
+            found |= set(name.split(".")) if isinstance(name, str) else set()
+    return found
 
 
 def files() -> list[Path]:
@@ -89,3 +91,4 @@ def test_the_words_of_an_identifier() -> None:
     assert "retold" not in INSTEAD
     assert words("retold") & set(INSTEAD) == set()
     assert identifiers("told = 'ladder'  # rung") == {"told"}
+    assert identifiers('f"{rung.told:{climb}}"') == {"rung", "told", "climb"}

@@ -15,6 +15,7 @@ from calibration_core.cli import main
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.identify import identify
 from calibration_core.input_checks.check import check_inputs, unit_note
+from calibration_core.input_checks.placed import PositionRecording, check_positions
 from calibration_core.input_checks.tracker_axes import quarter_turns
 from calibration_core.input_checks.units import unit_anomaly
 from calibration_core.model.chain import pose_matrix
@@ -106,6 +107,46 @@ def test_what_is_wrong_is_named(
     assert record["remedy"]
     for key, value in further.items():
         assert record[key] == pytest.approx(value) if isinstance(value, float) else record[key] == value
+
+
+@pytest.mark.parametrize("off", [0.0, 0.1])
+def test_an_angle_with_another_in_it_is_named_and_the_key_heals_it(
+    good: tuple[Readings, Cell], tmp_path: Path, off: float
+) -> None:
+    """The pendant of FANUC counts joint 3 against the floor; a target may stand elsewhere besides."""
+    readings, cell = good
+    q = readings.q.copy()
+    q[:, 2] -= q[:, 1]
+    there = {name: (x + off, y, z) for name, (x, y, z) in cell.frames.measurement_points.items()}
+    cell = cell.model_copy(update={"frames": cell.frames.model_copy(update={"measurement_points": there})})
+    (found,) = check_inputs(dataclasses.replace(readings, q=q), cell)
+    assert (found.kind, found.joints) == ("joint_coupling", ("joint_2", "joint_3"))
+    assert "state robot.joint_coupling: {joint_3: {joint_2: 1}} in the cell file" in found.remedy
+    write_table(tmp_path / "pendant.csv", dataclasses.replace(readings, q=q))
+    stated = (
+        tmp_path / "cell.yaml",
+        CELL.read_text(encoding="utf-8").replace("robot:", "robot:\n  joint_coupling: {joint_3: {joint_2: 1}}", 1),
+    )
+    stated[0].write_text(stated[1], encoding="utf-8")
+    read = observe(tmp_path / "pendant.csv", load_cell(stated[0]))
+    np.testing.assert_allclose(read.q, readings.q, atol=1e-12)
+
+
+@pytest.mark.parametrize("off", [0.1, 0.2, 0.4])
+def test_a_target_that_stands_elsewhere_accuses_nothing(off: float) -> None:
+    """Points are refitted by every identification, so they are refitted before a relation is denied."""
+    chain = chain_of(load_cell(CELL))
+    for seed in range(5):
+        draw = np.random.default_rng(seed)
+        q = np.repeat(draw.uniform(-1.0, 1.0, (24, 6)), 2, axis=0)
+        point = np.tile([0, 1], 24)
+        stated = draw.normal(scale=0.1, size=(2, 3))
+        true = stated + np.array([[off, 0.0, 0.0], [0.0, 0.0, -off]])
+        seen = posture(chain, q).point(true[point].T).T @ pose_matrix(np.ones(3), draw.normal(size=3))[:3, :3].T
+        noise = draw.normal(scale=2e-5, size=seen.shape)
+        for loaded in (False, True):
+            recording = PositionRecording(chain, q, seen + noise, point, stated, ("mp1", "mp2"), loaded)
+            assert check_positions(recording) == []
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real recordings are not beside the project")

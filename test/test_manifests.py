@@ -38,6 +38,7 @@ KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "tqdm": "python3-tqdm",
+    "trimesh": "python3-trimesh-pip",
     "yaml": "python3-yaml",
     "yourdfpy": "python3-yourdfpy-pip",
 }
@@ -99,7 +100,11 @@ def declared(package: str, *kinds: str) -> set[str]:
 def launched() -> set[str]:
     """The packages whose executables the launch files start, without their own."""
     path = ROOT / "src" / "calibration" / "calibration" / "process_tree.py"
-    tree = runpy.run_path(str(path))
+    sys.path.insert(0, str(path.parents[1]))  # it reads the names of the drivers' tables
+    try:
+        tree = runpy.run_path(str(path))
+    finally:
+        del sys.path[0]
     trees = [value for value in tree.values() if type(value).__name__ == "Tree"]
     return {process.package for one in trees for process in one.processes} - {"calibration"}
 

@@ -28,9 +28,9 @@ from calibration_core.recording.tables.table import write_table
 from calibration_sim.cell.protocol import read_plan
 from calibration_sim.cell.table import simulate_readings
 from calibration_sim.cell.truth import WORKSHOP, Spread, draw_truth
-from calibration_sim.effect_models.effect import Label
-from calibration_sim.effect_models.joints import DeadZone
-from calibration_sim.effect_models.structure import Bearing
+from calibration_sim.effects.effect import Label
+from calibration_sim.effects.joints import dead_zone, spring
+from calibration_sim.effects.structure import Bearing
 from calibration_sim.scenarios.measure import Noise, look
 from calibration_sim.scenarios.protocols import make_protocol
 from calibration_sim.scenarios.world import World, play
@@ -124,7 +124,7 @@ CONCEALED = {
     ),
     "clearance at the driver": (
         "parallelogram",
-        DeadZone(Label("joint law", "backlash", {"joint": "joint_2"}), 1, 4e-4, 3.0),
+        spring(Label("joint law", "backlash", {"joint": "joint_2"}), 1, dead_zone(4e-4, 3.0)),
         2,
     ),
 }
@@ -140,8 +140,7 @@ def test_what_a_simulator_of_other_physics_conceals_is_found(tmp_path: Path, con
     found = diagnose(look(world, played, tuple(cell.frames.measurement_points), Noise(), seed), cell)
     expected = [] if effect is None else [(effect.label.effect, dict(effect.label.location))]
     assert [(one.effect, dict(one.location)) for one in found.findings] == expected
-    assert found.model is not None
-    np.testing.assert_allclose(1 / found.model.compliance, truth.stiffness, rtol=0.1)
+    np.testing.assert_allclose(1 / found.handed_out[0].compliance, truth.stiffness, rtol=0.1)
 
 
 @pytest.mark.parametrize("robot", ["column", "parallelogram"])

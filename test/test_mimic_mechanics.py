@@ -300,7 +300,9 @@ def test_bodies_stand_where_the_posture_says_and_move_no_farther_than_their_boun
     for robot in ROBOTS:
         cell = cell_of(robot, tmp_path)
         chain = chain_of(cell)
-        model = CollisionModel.of(cell, Site.of(chain, nominal_parameters(cell), cell), SpaceRules(floor=None))
+        model = CollisionModel.of(
+            cell, dataclasses.replace(Site.of(chain, nominal_parameters(cell), cell), floor=None), SpaceRules()
+        )
         q = postures_of(chain, 8)
         assert model.clear(q).shape == (8,)
         data, found = model.model.createData(), model.geometry.createData()

@@ -18,8 +18,7 @@ from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.files.yaml_file import yaml_text
 from calibration_sim.scenarios.generate import generate
-from calibration_sim.scenarios.grid import Scenario
-from calibration_sim.scenarios.second_grid import second_grid
+from calibration_sim.scenarios.grid import Scenario, second_grid
 
 SEED, PUBLISHED = 20265, 20261
 

@@ -14,8 +14,8 @@ from calibration_core.identification.stiffness import tested
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.timeseries import Readings
 from calibration_sim.cell.truth import Spread, draw_truth
-from calibration_sim.effect_models.effect import Label
-from calibration_sim.effect_models.structure import Beam
+from calibration_sim.effects.effect import Label
+from calibration_sim.effects.structure import Beam
 from calibration_sim.scenarios.measure import Noise, look
 from calibration_sim.scenarios.protocols import make_protocol
 from calibration_sim.scenarios.world import World, play

@@ -29,9 +29,8 @@ from calibration_core.model.robot import chain_of
 from calibration_sim.cell.protocol import Configuration, Protocol
 from calibration_sim.cell.table import measure, solve
 from calibration_sim.cell.truth import Truth, draw_truth
-from calibration_sim.generators import GENERATORS
-from calibration_sim.generators.draw import Draw
-from calibration_sim.generators.robots import MAGNITUDES
+from calibration_sim.effects import GENERATORS
+from calibration_sim.effects.draw import MAGNITUDES, Draw
 from calibration_sim.scenarios.measure import Noise, look
 from calibration_sim.scenarios.world import World, play
 

@@ -118,6 +118,59 @@ def _outside_make() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name not in {"MAKEFLAGS", "MAKELEVEL", "MFLAGS"}}
 
 
+# --- the gate -------------------------------------------------------------------------------------------------------
+
+GATE = """#!/usr/bin/env bash
+[ "$*" = test ] && echo "$HOME $TMPDIR ${XDG_CACHE_HOME:-}" && ls -A "$HOME" "$HOME/.config" "$TMPDIR"
+touch "$HOME/left" "$TMPDIR/left"
+[ -z "${PYTHON:-}" ] || echo "${PIP_INDEX_URL:-$("$PYTHON" -m pip config get global.index-url)}"
+exit 7
+"""
+
+
+def gate(folder: Path, **settings: str) -> tuple[int, list[str]]:
+    """Exit code and lines of `.ci/run`, whose `make` is a stand-in that lists the homes which it is given."""
+    tools = folder / "tools"
+    tools.mkdir()
+    for tool in ("bash", "dirname", "id", "ln", "ls", "mkdir", "mktemp", "rm", "touch"):
+        (tools / tool).symlink_to(shutil.which(tool) or f"no {tool}")
+    for name, text in {"make": GATE, "chromium": ""}.items():
+        (tools / name).write_text(text, encoding="utf-8")
+        (tools / name).chmod(0o755)
+    environment = {"PATH": str(tools), "TMPDIR": str(folder), **settings}
+    done = subprocess.run([ROOT / ".ci" / "run"], env=environment, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    return done.returncode, done.stdout.splitlines()
+
+
+def test_the_gate_runs_with_an_empty_home_and_leaves_nothing(tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    for name in (".cache", ".ros", ".config/matplotlib"):
+        (home / name).mkdir(parents=True)
+    code, lines = gate(tmp_path, HOME=str(home), XDG_CACHE_HOME=str(home / ".cache"))
+    assert code == 7
+    own, temporary = map(Path, lines[0].split())
+    assert [line for line in lines[1:] if line and not line.endswith(":")] == [".config"]
+    assert own.parent == temporary.parent != tmp_path
+    assert not own.parent.exists()
+    assert not (home / "left").exists()
+
+
+@pytest.mark.parametrize("place", [".pip/pip.conf", ".config/pip/pip.conf", "elsewhere/pip/pip.conf", "variable"])
+def test_the_gate_is_told_where_packages_come_from(place: str, tmp_path: Path) -> None:
+    """By a file of the user, by one where XDG_CONFIG_HOME says, or by PIP_INDEX_URL alone; without a home, too."""
+    index, home = "https://example.invalid/simple", tmp_path / "home"
+    settings = {"PYTHON": str(BIN / "python"), "HOME": str(home)}
+    if place == "variable":
+        assert gate(tmp_path, PYTHON=settings["PYTHON"], PIP_INDEX_URL=index)[1][-1] == index
+        return
+    (home / place).parent.mkdir(parents=True)
+    (home / place).write_text(f"[global]\nindex-url = {index}\n", encoding="utf-8")
+    if place.startswith("elsewhere"):
+        settings["XDG_CONFIG_HOME"] = str(home / "elsewhere")
+    assert gate(tmp_path, **settings)[1][-1] == index
+
+
 # --- pins -----------------------------------------------------------------------------------------------------------
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from bench_geometry import bench_cell
 
 from calibration_core.cell import load_cell
-from calibration_core.identification.geometry.pose_information import geometry_terms, pose_information
+from calibration_core.identification.geometry.identifiability import geometry_terms, pose_information
 from calibration_core.identification.geometry.terms import names_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of

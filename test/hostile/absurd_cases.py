@@ -15,7 +15,7 @@ from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.check import check_inputs
 from calibration_core.input_checks.tracker_axes import quarter_turns
 from calibration_core.timeseries import Readings
-from calibration_sim.generators.robots import robot_cell
+from calibration_sim.effects.draw import robot_cell
 from calibration_sim.scenarios.generate import Generated, generate
 from calibration_sim.scenarios.grid import Scenario
 

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,7 @@ class Suite:
     def __init__(self, environment: dict[str, str], client: Any, directory: Path, namespace: str = "") -> None:
         self.namespace = namespace
         self.mark = str(uuid.uuid4())
-        own = {"ROS_DOMAIN_ID": str(_of_nodes.DOMAIN), MARK: self.mark}
+        own = {"ROS_DOMAIN_ID": str(_of_nodes.DOMAIN), MARK: self.mark, "ROS_HOME": str(directory / "ros")}
         self.environment, self.client, self.directory = {**environment, **own}, client, directory
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.given: dict[str, list[str]] = {}
@@ -107,9 +107,16 @@ class Suite:
             self.given[process.name] = runner.command(process)
             self.again(process.name)
 
-    def start_fast(self, speed: float = SPEED, seed: int = 1, **sequencer: object) -> None:
-        """Start everything that a measurement needs, faster than life; the sequencer with more parameters."""
-        self.start("simulated_cell", FAST, speed=speed, seed=seed, motion_log=self.directory / "motion.log")
+    def start_fast(
+        self,
+        speed: float = SPEED,
+        seed: int = 1,
+        simulated_cell: Mapping[str, object] | None = None,
+        **sequencer: object,
+    ) -> None:
+        """Start everything that a measurement needs, faster than life; two nodes with more parameters."""
+        more = {"motion_log": self.directory / "motion.log"} | dict(simulated_cell or {})
+        self.start("simulated_cell", FAST, speed=speed, seed=seed, **more)
         for name in ("guard", "tracker", "force_torque"):
             self.start(name, FAST)
         self.start("sequencer", FAST, **sequencer)
@@ -158,16 +165,21 @@ class Suite:
     def call(self, service: Any, place: str, /, patience: float = 5.0, **fields: Any) -> Any:
         """Call a service, again after `patience` s, for its server may just have been restarted; return the answer."""
         client = self.client.create_client(service, place)
+        asked = missed = 0
         try:
             end = time.monotonic() + LONG
             while time.monotonic() < end:
-                if client.wait_for_service(1.0):
-                    answer = client.call(service.Request(**fields), timeout_sec=patience)
-                    if answer is not None:
-                        return answer
+                if not client.wait_for_service(1.0):
+                    missed += 1
+                    continue
+                asked += 1
+                answer = client.call(service.Request(**fields), timeout_sec=patience)
+                if answer is not None:
+                    return answer
         finally:
             self.client.destroy_client(client)
-        raise AssertionError(f"{place} does not answer")
+        said = self.log(place.partition("/")[0])[-2000:]
+        raise AssertionError(f"{place}: asked {asked} times without an answer, not seen {missed} times\n{said}")
 
     def run(
         self,
@@ -276,9 +288,9 @@ class Run:
         """Whether there is a result."""
         return bool(self._result.done())
 
-    def cancel(self) -> None:
-        """Cancel it."""
-        self._handle.cancel_goal_async()
+    def cancel(self) -> Any:
+        """Cancel it; return the future answer."""
+        return self._handle.cancel_goal_async()
 
 
 @pytest.fixture(autouse=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from stand_ins import unloaded
 
 from calibration.process_tree import REAL_CELL, SIMULATED_CELL, Tree
 from calibration.topics import STATE
@@ -90,6 +91,7 @@ class LiveTree:
         self.log = suite.directory / "cell.csv"
         self.log.touch()
         if self.by_hand:
+            unloaded(suite.directory / "ros")
             suite.start("simulated_cell", event_log=self.log)
         self.traces = {name: suite.directory / f"{name}.trace" for name in ("guard", "sequencer")}
         more = {name: {"trace": path} for name, path in self.traces.items()}
@@ -164,14 +166,14 @@ class LiveTree:
             self.release()
 
     def release(self) -> None:
-        """Confirm, as the operator of a cell without a load device, that no load of the ended run is on."""
+        """Confirm, where that is asked, that no load of the ended run is on."""
         from calibration_interfaces.msg import Outcome
         from calibration_interfaces.srv import LoadApplied
 
         def released() -> bool:
             procedure = self.state.procedure
             if "another run" not in procedure.waiting:
-                return False
+                return procedure.state not in (procedure.NO_RUN, procedure.PREPARING, procedure.FINISHED)
             place = {"configuration": procedure.configuration, "step": procedure.step}
             answer = self.suite.call(LoadApplied, "sequencer/load_applied", operator_name="test", **place)
             return bool(answer.outcome.code == Outcome.OK)

@@ -21,11 +21,12 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from live_tree import ACTION, SIMULATED, STOPS, TOPIC, BackEnd, LiveTree, long_ways
+from live_tree import ACTION, LONG, SIMULATED, STOPS, TOPIC, BackEnd, LiveTree, long_ways
 
 BAR = 0.150  # s, from when a silence can be known to the command to stop
 AGES = {"sequencer": 0.1, "guard": 0.1, "recorder": 1.0}  # s, configured: sequencer_age, permission_age, recorder_age
 HOWS = (signal.SIGKILL, signal.SIGSTOP)
+ENDS = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT)  # which are heard: the process stops the robot, and goes then
 CONTROLLER = Path(__file__).parent / "controller.py"
 
 
@@ -53,9 +54,9 @@ class Killing(LiveTree):
         process = self.suite.processes[name]
         struck = time.monotonic_ns()
         process.send_signal(how)
-        if how is signal.SIGKILL:
-            self.suite.processes.pop(name).wait()
-        known = struck + round(1e9 * AGES[name])
+        if how is not signal.SIGSTOP:
+            self.suite.processes.pop(name).wait(LONG)
+        known = struck + round(1e9 * (AGES[name] if how not in ENDS or name == "recorder" else 0.0))
         over = lambda: self.events(struck, "rest", *STOPS)  # noqa: E731
         self.wait(over, f"{name}, {how.name}: the robot is not told to stop", 30.0)
         at, what = over()[0]
@@ -72,7 +73,7 @@ class Killing(LiveTree):
         self.see_quiet(f"after the stop, {name} {how.name}")
         self.bring_back(name, how)
         self.see_quiet(f"after the return of {name}, {how.name}")
-        if name == "sequencer" and how is signal.SIGKILL:
+        if name == "sequencer" and how is not signal.SIGSTOP:
             self.reset()
             self.see_quiet("after a reset without a sequencer's run")
             self.begin(resume=True)
@@ -81,7 +82,7 @@ class Killing(LiveTree):
         return used
 
     def bring_back(self, name: str, how: signal.Signals) -> None:
-        if how is signal.SIGKILL:
+        if how is not signal.SIGSTOP:
             self.suite.again(name)
         else:
             self.suite.processes[name].send_signal(signal.SIGCONT)
@@ -117,7 +118,10 @@ class Killing(LiveTree):
 def test_what_is_killed_or_stopped_stops_the_robot(suite: Any, far_plan: Path) -> None:
     """Once each, one way or the other; on a busy machine a stop may come late, but it comes."""
     killing = Killing(suite, far_plan, SIMULATED)
-    for name, how in (("sequencer", HOWS[1]), ("guard", HOWS[0]), ("recorder", HOWS[1]), ("sequencer", HOWS[0])):
+    for name, how in (
+        ("sequencer", signal.SIGSTOP), ("guard", signal.SIGKILL), ("recorder", signal.SIGSTOP),
+        ("guard", signal.SIGHUP), ("sequencer", signal.SIGKILL),
+    ):  # fmt: skip
         while not killing.strike(name, how):
             pass
     killing.show(0.0)
@@ -129,6 +133,14 @@ def test_twenty_times_each(suite: Any, far_plan: Path) -> None:
     """The bar: within 150 ms and the configured age in 99 of 100 cases; the joints stand always."""
     killing = Killing(suite, far_plan, SIMULATED)
     killing.strike_all(tuple(AGES), HOWS, 20)
+    killing.judge(share=0.99)
+
+
+@pytest.mark.slow
+def test_twenty_times_each_told_to_end(suite: Any, far_plan: Path) -> None:
+    """By a terminal that is closed, by SIGTERM, by Ctrl-C: the robot stands before the process is gone."""
+    killing = Killing(suite, far_plan, SIMULATED)
+    killing.strike_all(("sequencer", "guard", "recorder"), ENDS, 20)
     killing.judge(share=0.99)
 
 

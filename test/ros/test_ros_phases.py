@@ -22,7 +22,7 @@ from scipy.stats import binom
 pytest.importorskip("rclpy")
 
 from calibration_core.cell import load_cell
-from calibration_core.identification.circle_point.sweeps import single_joint_sweeps
+from calibration_core.identification.circle_point.joint_axes import single_joint_sweeps
 from calibration_core.measurement.session import Session
 from calibration_core.observations.observe import observe
 from calibration_core.planning.feasible.loads import LoadRules

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import Callable, Generator
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from rclpy.node import Node
 
 T = TypeVar("T")
+Until = Callable[[Callable[[], bool], float], bool]
+"""Waits for a condition, at most so many s of wall time; returns whether it came true."""
+LOOK = 0.005  # s of wall time, between two looks at what is waited for
 
 
 def in_executor(node: Node, work: Callable[[], object]) -> None:
@@ -36,6 +40,37 @@ def in_loop(loop: asyncio.AbstractEventLoop, work: Callable[[], object]) -> None
     except RuntimeError:
         if not loop.is_closed():
             raise
+
+
+def wait_until(condition: Callable[[], bool], seconds: float) -> bool:
+    """Wait, in a thread that is not the executor's, at most so many s of wall time; return whether it came true."""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(LOOK)
+    return True
+
+
+def called(client: Any, request: Any, seconds: float, until: Until = wait_until) -> Any:
+    """Call a service from a thread that is not the executor's.
+
+    Args:
+        client: Of the service.
+        request: What is asked.
+        seconds: Of wall time, that its server may take to appear, and to answer then.
+        until: Waits; it may raise when nobody wants the answer any more.
+
+    Returns:
+        The answer; None if none comes in time.
+    """
+    if not until(client.service_is_ready, seconds):
+        return None
+    future = client.call_async(request)
+    try:
+        return future.result() if until(future.done, seconds) else None
+    finally:
+        client.remove_pending_request(future)
 
 
 class Background(Generic[T]):

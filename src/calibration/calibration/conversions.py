@@ -171,12 +171,12 @@ def to_wrench(values: Float1D) -> Wrench:
 
 
 def to_point_stamped(sample: Sample) -> PointStamped:
-    """Return a point of the contract."""
+    """Return a point as recordings hold it."""
     return PointStamped(header=to_header(sample.stamp, sample.frame), point=to_point(sample.values))
 
 
 def to_wrench_stamped(sample: Sample) -> WrenchStamped:
-    """Return a wrench of the contract."""
+    """Return a wrench as recordings hold it."""
     return WrenchStamped(header=to_header(sample.stamp, sample.frame), wrench=to_wrench(sample.values))
 
 
@@ -186,8 +186,8 @@ def to_step(time: int, configuration: int, step: int, phase: Phase) -> Any:
 
 
 def to_outcome(code: int, text: str) -> Any:
-    """Return how something ended."""
-    return msg.Outcome(code=code, text=text)
+    """Return how something ended, in one line: the command line shows line breaks as two characters each."""
+    return msg.Outcome(code=code, text="; ".join(text.splitlines()))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ node.
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_package_share_directory
@@ -13,7 +14,7 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, Opaqu
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from calibration.process_tree import Argument, Given, Process, Tree, files_of, parameters_of, values_of
+from calibration.process_tree import STARTED_BY, Argument, Given, Process, Tree, files_of, parameters_of, values_of
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from launch import LaunchDescription
@@ -58,6 +59,7 @@ def _node(process: Process, tree: Tree, values: dict[str, str], files: tuple[str
         remappings=list(tree.remappings.items()),
         ros_arguments=["--enclave", process.enclave, "--log-level", values["log_level"]],
         output="screen",
+        additional_env={STARTED_BY: str(os.getpid())},
         sigterm_timeout=str(process.sigterm_after),
         sigkill_timeout=str(process.sigkill_after),
         parameters=[*files, {name: ParameterValue(value, value_type=type(value)) for name, value in given.items()}],

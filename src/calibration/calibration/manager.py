@@ -21,6 +21,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from calibration.conversions import to_header
@@ -36,6 +37,7 @@ from calibration.topics import (
     PERMISSION,
     PROCEDURE,
     PROGRESS,
+    READING,
     ROBOT_STATE,
     SAMPLE_CHECK,
     STATE,
@@ -47,7 +49,7 @@ from calibration_core.cell import load_cell
 # What puts a result to use is needed by nobody, and keeps nobody waiting.
 NAMES = ("guard", "recorder", "tracker", "force_torque", "identification", "sequencer", "compensation")
 LOOK = 0.1  # s of wall time between two looks, and at least between two messages
-PERIOD = 1.0  # s of wall time between two messages that tell nothing new
+PERIOD = 0.2  # s of wall time between two messages that tell nothing new: who reads them sees at once that none comes
 ANSWER = 30.0  # s of wall time, that a transition may take
 LOST = 3.0  # s of wall time, after which a request that began nothing counts as lost: its server may have been dead
 GOALS = {
@@ -88,7 +90,7 @@ class ManagerNode(CalibrationNode):
 
     def on_configure(self) -> None:
         """Offer the services and the state of the cell."""
-        self.cell = load_cell(self.value("cell"))
+        self.cell = load_cell(self.value("cell"), live=True)
         names: tuple[str, ...] = tuple(self.value("nodes"))
         self.order = Order(names, LEASE, time.monotonic())
         self.order.up = self.value("bring_up")
@@ -125,12 +127,17 @@ class ManagerNode(CalibrationNode):
             Conditions, conditions, partial(self._on_part, "conditions"), profile(CONDITIONS_QUALITY)
         )
         self.create_subscription(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, self.whole.hear_stream, SAMPLE_CHECK.qos)
+        now = QoSProfile(depth=100)  # what was said before belongs to no run under way
+        self.create_subscription(READING.message, READING.relative, self._on_reading, now)
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     # --- what is heard -----------------------------------------------------------------------------------------------
 
     def _on_part(self, field: str, message: Any) -> None:
         self.whole.hear(field, message, time.monotonic())
+
+    def _on_reading(self, message: Any) -> None:
+        self.whole.hear_reading(message, time.monotonic())
 
     def _on_heartbeat(self, name: str, message: NodeHealth) -> None:
         message.name = name  # a remapping may have renamed the node, not its place in the order

@@ -34,6 +34,7 @@ from calibration.lifecycle import machine
 from calibration.lifecycle.heartbeat import Heartbeat
 from calibration.lifecycle.managed import ManagedNode
 from calibration.presence import Presence, refuse_second
+from calibration.process_tree import Parent, on_end
 from calibration.transport import sockets_only
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.yaml_file import read_yaml
@@ -42,6 +43,7 @@ NODE_NAMES = (
     "compensation", "force_torque", "guard", "identification", "manager", "panel", "recorder", "sequencer",
     "simulated_cell", "tracker",
 )  # fmt: skip
+NO_WORDS = [""]  # declared for an empty list: without a value, none of a node's parameters could be read all at once
 BUILT_IN = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 MAX_PARAMETER_BYTES = 1 << 20
 POLL = 0.1  # s between looks at the flag that ends the process
@@ -123,6 +125,7 @@ class CalibrationNode(ManagedNode):
     Attributes:
         diagnostics: What the node tells about its health, once a second and at every change.
         failed: Set when the node cannot go on; the process then ends with exit code 1.
+        presence: Its identity where there may be but one of its kind.
         OWNER: What of which there may be one in a namespace this kind of node is, for example "guard"; empty: nothing.
     """
 
@@ -149,7 +152,7 @@ class CalibrationNode(ManagedNode):
             self.diagnostics = Diagnostics(self)
             self._heartbeat = Heartbeat(self)
             if self.OWNER:
-                Presence(self, self.OWNER, self.on_second)
+                self.presence = Presence(self, self.OWNER, self.on_second)
             if self.value("autostart"):
                 self.start()
         except Exception:
@@ -162,12 +165,13 @@ class CalibrationNode(ManagedNode):
             if given not in self._table and not given.startswith(BUILT_IN):
                 raise ParameterError(own, given, "an unknown parameter", f"one of {', '.join(sorted(self._table))}")
         for one in self._table.values():
-            default = Parameter.Type.STRING_ARRAY if one.default == [] else one.default
+            lists, given = isinstance(one.default, list), self._parameter_overrides.get(one.name)
+            default = one.default or NO_WORDS if lists else one.default
+            empty = lists and given is not None and given.type_ == Parameter.Type.NOT_SET  # so a file's [] arrives
             expected = f"{type(one.default).__name__}{_range(one)}"
             try:
-                self.declare_parameter(one.name, default, one.descriptor())
+                self.declare_parameter(one.name, NO_WORDS if empty else default, one.descriptor(), empty)
             except (InvalidParameterTypeException, InvalidParameterValueException, ParameterException) as error:
-                given = self._parameter_overrides.get(one.name)
                 found = quoted(None if given is None else given.value)
                 raise ParameterError(own, one.name, found, expected) from error
             if one.fault(self.value(one.name)):
@@ -176,10 +180,8 @@ class CalibrationNode(ManagedNode):
 
     def value(self, name: str) -> Any:
         """Return a parameter's value; an empty list where none was given."""
-        found = self.get_parameter_or(name)
-        if found is None or found.type_ == Parameter.Type.NOT_SET:
-            return []
-        return list(found.value) if isinstance(self._table[name].default, list) else found.value
+        found = self.get_parameter(name).value
+        return [] if found == NO_WORDS else list(found) if isinstance(self._table[name].default, list) else found
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         for given in parameters:
@@ -316,7 +318,9 @@ def _sections(data: object, prefix: str = "") -> list[str]:
 def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = None) -> int:
     """Run a node until a signal or its own failure ends it; the exit code of the process.
 
-    Two signals are held until the node has stopped what it does; the third one ends the process at once.
+    SIGINT, SIGTERM and SIGHUP (the terminal's window is closed) end it, unless it was started to outlive its terminal
+    (`nohup`), and so does the end of the launch that started it.  Two signals are held until the node has stopped what
+    it does; the third SIGINT or SIGTERM ends the process at once.
 
     Args:
         make: Makes the node, once ROS is initialised: its class.
@@ -331,12 +335,13 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
         stop.set()
-        held.append(number)
+        if number != signal.SIGHUP:  # of which a closed terminal may send several
+            held.append(number)
         if len(held) > HELD_SIGNALS:
             os._exit(128 + number)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
+    on_end(on_signal)
+    parent = Parent.of(os.environ)
     given = list(sys.argv[1:] if arguments is None else arguments)
     shared = sockets_only(os.environ)
     try:
@@ -358,19 +363,22 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
             text = " ".join(str(error).split())
             print(f"ROS_SECURITY_ENABLE is true, and the node does not run without it: {text}", file=sys.stderr)
             return 2
-        return _until(node, stop)
+        return _until(node, stop, parent)
     finally:
         rclpy.try_shutdown()
 
 
-def _until(node: CalibrationNode, stop: threading.Event) -> int:
+def _until(node: CalibrationNode, stop: threading.Event, parent: Parent) -> int:
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     ending = threading.Event()
     thread = threading.Thread(target=spin, args=(executor, node, ending), name="executor", daemon=True)
     thread.start()
-    while not stop.wait(POLL) and not node.failed.is_set():
-        pass
+    gone = ""
+    while not stop.wait(POLL) and not node.failed.is_set() and not gone:
+        gone = parent.gone()
+    if gone:
+        node.get_logger().error(gone)
     try:
         node.stop()
     finally:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import collections
 import functools
+import math
 import socket
 import sys
 import time
@@ -22,6 +23,7 @@ from sensor_msgs.msg import JointState
 
 from calibration.background import in_executor
 from calibration.conversions import joint_positions, to_header
+from calibration.lifecycle.heartbeat import FRESH
 from calibration.node import CalibrationNode, Declared, ParameterError, run
 from calibration.topics import EVENT, STATE
 from calibration.web.access import Control, Session
@@ -31,16 +33,16 @@ from calibration.web.link import CellLink, Latest
 from calibration.web.operator import Operator
 from calibration.web.origin import bracketed, hosts
 from calibration.web.server import Server, Settings
-from calibration.web.serving import Serving, listening, printed, tls_context
+from calibration.web.serving import Door, Serving, listening, printed, tls_context
 from calibration.web.shown.band import Held
-from calibration.web.shown.plain import plain
-from calibration.web.shown.view import checklist, load_of, place_of, view
+from calibration.web.shown.plain import EVENT_KINDS, plain
+from calibration.web.shown.view import checklist, forgotten, place_of, unfinished, view
 from calibration_core.cell import load_cell
 from calibration_core.report.view3d import cell_view
 
 LOOK = 0.05  # s of wall time between two looks at what has come
 SLOW = 2.0  # s of wall time between two looks at what changes slowly: disk, and what the recorder hears
-SILENT = 2.5  # s of wall time without a state, after which the page says that nothing is known
+EVENTS = 10  # last ones that the page lists
 LOOPBACK = "127.0.0.1"
 
 PARAMETERS = (
@@ -67,7 +69,7 @@ class PanelNode(CalibrationNode):
 
     def on_configure(self) -> None:
         """Read the cell, take the port, and make what is served; nothing is served yet."""
-        self._cell = load_cell(self.value("cell"))
+        self._cell = load_cell(self.value("cell"), live=True)
         tls = tls_context(self.value("tls_certificate"), self.value("tls_key"))
         host = self.value("host")
         try:
@@ -83,12 +85,16 @@ class PanelNode(CalibrationNode):
         folder = Folder(Path(self.value("session")).absolute().parent)
         self._hub, self._control, self._folder = Hub(), Control(), folder
         self._held = Held()
+        self._latest: dict[str, Any] | None = None
+        self._unfinished: dict[str, str] | None = None
+        self._door = Door(lambda text: in_executor(self, lambda: self.get_logger().warning(text)))
         self._operator_events: collections.deque[SessionEvent] = collections.deque()
         self._event = self.create_publisher(EVENT.message, EVENT.relative, EVENT.qos)
         self._link = CellLink(self)
         self._operator = Operator(self._link, folder, self._hub, self._control, self.value("cell"), self._log)
         scene = functools.cache(self._in_space)
-        self._server = Server(settings, folder, self._hub, self._control, self._operator.do, self._on_entry, scene)
+        do, door = self._operator.do, self._door
+        self._server = Server(settings, folder, self._hub, self._control, do, self._on_entry, scene, door)
         if host != LOOPBACK and tls is None:
             self.get_logger().warning(f"the page is served at {host} without TLS: who listens there can read the token")
 
@@ -96,15 +102,17 @@ class PanelNode(CalibrationNode):
         """Listen to the cell, and serve."""
         if self._socket.fileno() < 0:  # it was given back when the node was deactivated
             self._socket = listening(self.value("host"), self._server.settings.port)
-        self._web = Serving(self._server.application(), self._socket, self._tls, self._operator.close)
-        self._heard = time.monotonic()
+        self._web = Serving(self._server.application(), self._socket, self._tls, self._operator.close, self._door)
+        self._heard = self._moved = -FRESH
         self._slow = -SLOW
         self._disk: float | None = None
         self._recorder: tuple[bool, str] | None = None
-        self._state = Latest(self, STATE.message, STATE.relative, STATE.qos)
+        self._happened: collections.deque[dict[str, Any]] = collections.deque(maxlen=EVENTS)
+        self.create_subscription(EVENT.message, EVENT.relative, self._on_event, EVENT.qos)
+        self._states = Latest(self, STATE.message, STATE.relative, STATE.qos)
         self._joints = Latest(self, JointState, self._cell.topics.joint_states.lstrip("/"))
         self._hub.show("cell", {"name": self._cell.name, "robot": self._cell.robot.name,
-                                "joints": list(self._cell.robot.joints),
+                                "joints": list(self._cell.robot.joints), "nominal": self._nominal(),
                                 "session": Path(self.value("session")).name})  # fmt: skip
         self._hub.show("silent", value=True)
         self._web.start()
@@ -122,23 +130,29 @@ class PanelNode(CalibrationNode):
         now = time.monotonic()
         joints = self._joints.take()
         q = None if joints is None else joint_positions(joints, self._cell.robot.joints)
-        message = self._state.take()
-        if message is not None:
-            self._heard = now
+        message = self._states.take()
         state = None if message is None else plain(message)
         self._web.do(lambda: self._show(state, None if q is None else [round(float(one), 5) for one in q], now))
 
     def _show(self, state: dict[str, Any] | None, q: list[float] | None, now: float) -> None:
-        """Show what came; in the server's thread."""
-        self._hub.show("silent", now - self._heard > SILENT)
+        """Show what came, and what is current no more; in the server's thread."""
         self._hub.show("hold", self._operator.hold)
         if q is not None:
+            self._moved = now
+        if q is not None or now - self._moved > FRESH:
             self._hub.show("q", q)
         if state is not None:
-            self._shown = view(state)
-            self._hub.show("view", self._shown)
-            self._hub.show("check", checklist(self._shown, self._disk, self._recorder))
-            self._hold(state, now)
+            self._latest, self._heard = state, now
+        elif self._latest is not None and now - self._heard > FRESH:
+            self._latest = state = forgotten(self._latest)
+        self._hub.show("silent", now - self._heard > FRESH)
+        if state is not None:
+            shown = view(state)
+            self._unfinished = unfinished(state, self._folder.root, self._unfinished)
+            self._hub.show("unfinished", self._unfinished)
+            self._hub.show("view", shown)
+            self._hub.show("check", checklist(shown, self._disk, self._recorder))
+            self._hold(state, now, fits=shown["confirm"]["by_itself"])
         if now - self._slow >= SLOW:
             self._slow = now
             self._web.begin(self._look_around())
@@ -147,15 +161,36 @@ class PanelNode(CalibrationNode):
         self._disk = await asyncio.to_thread(self._folder.free)
         answer = await self._link.ask("recorder_hears")
         self._recorder = (answer.done, answer.text)
+        await self._server.keep_used()
 
-    def _hold(self, state: dict[str, Any], now: float) -> None:
-        """Have a load confirmed that has fitted for as long as the operator has chosen."""
-        place = place_of(state)
-        since = self._held.look(place, now, fits=self._shown["confirm"]["offered"] and load_of(state["procedure"]).fits)
+    def _hold(self, state: dict[str, Any], now: float, *, fits: bool) -> None:
+        """Have a load confirmed that has fitted for as long as the operator has chosen, while the operator looks."""
+        since = self._held.look(place_of(state), now, fits=fits and self._operator.present)
         self._hub.show("held", round(since, 1))
         if self._held.take(now, self._operator.hold):
-            procedure = state["procedure"]
-            self._web.begin(self._operator.confirm_held(procedure["configuration"], procedure["step"]))
+            self._web.begin(self._confirm_held(state["procedure"]["configuration"], state["procedure"]["step"]))
+
+    async def _confirm_held(self, configuration: int, step: int) -> None:
+        if not await self._operator.confirm_held(configuration, step):
+            self._held.refused(time.monotonic())
+
+    def _on_event(self, message: SessionEvent) -> None:
+        """Take what happened, as the nodes report it; what one has reported before this one listened comes, too."""
+        one = {"time": message.header.stamp.sec, "kind": EVENT_KINDS.get(message.kind, ""),
+               "source": message.source, "text": message.text}  # fmt: skip
+        self._web.do(lambda: self._add(one))
+
+    def _add(self, event: dict[str, Any]) -> None:
+        self._happened.append(event)
+        self._hub.show("events", list(self._happened))
+        if event["kind"] == "permission_lost":
+            self._hub.show("lost_at", event)
+
+    def _nominal(self) -> dict[str, float]:
+        """Return what the cell file believes of the joints' stiffnesses, N*m/rad; rigid ones are left out."""
+        stiffness = self._cell.robot.stiffness or ()
+        pairs = zip(self._cell.robot.joints, stiffness, strict=False)
+        return {joint: float(one) for joint, one in pairs if math.isfinite(one)}
 
     def _in_space(self) -> dict[str, Any]:
         """Return the cell in space, and where the load pulls, in the flange frame."""

@@ -35,7 +35,11 @@ Second = Callable[[str, bool], None]
 
 
 class Presence:
-    """Says that a node is there, and hears others of its kind."""
+    """Says that a node is there, and hears others of its kind.
+
+    Attributes:
+        identifier: Of the node, drawn at its start.
+    """
 
     def __init__(self, node: Node, role: str, on_second: Second) -> None:
         """Begin.
@@ -46,9 +50,10 @@ class Presence:
             on_second: Called when another one is heard.
         """
         self._role, self._on_second = role, on_second
+        self.identifier = secrets.randbits(63)
         self._own = PresenceMessage(
             role=role,
-            identifier=secrets.randbits(63),
+            identifier=self.identifier,
             since=time.time_ns(),
             process=os.getpid(),
             computer=socket.gethostname(),
@@ -59,7 +64,7 @@ class Presence:
         node.create_timer(PERIOD, lambda: publisher.publish(self._own), clock=steady)
 
     def _on_presence(self, message: Any) -> None:
-        if message.role == self._role and message.identifier != self._own.identifier:
+        if message.role == self._role and message.identifier != self.identifier:
             own, other = self._own, message
             younger = (own.since, own.identifier) > (other.since, other.identifier)
             self._on_second(words(message), younger)

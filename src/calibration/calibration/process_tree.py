@@ -8,10 +8,14 @@ process is ended because another one has ended: the others say what they miss, a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import os
+import signal
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
+from types import FrameType, MappingProxyType
+from typing import Any
 
+from calibration.robot_state import NAMES as ADAPTERS
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError, quoted
 
@@ -103,6 +107,7 @@ class Tree:
     remappings: Mapping[str, str] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
 
 
+STARTED_BY = "CALIBRATION_STARTED_BY"  # in the environment of a node: the process that started it with others
 DEFAULTS = "config/ros.yaml"  # every parameter of every node, in the share folder of the package `calibration`
 FASTER = "config/simulation.yaml"  # what differs where the cell lives faster than life, likewise
 CELL = Argument("cell", "The cell file.", path="file")
@@ -112,9 +117,6 @@ NAMESPACE = Argument("namespace", "Namespace of the cell.", "")
 BACKENDS = ("follow_joint_trajectory", "joint_trajectory_topic", "external", "simulated")
 BACKEND = Argument("backend", "How the robot is moved, and stopped.", "follow_joint_trajectory", choices=BACKENDS)
 INTERFACE = Argument("interface", "Action or topic that moves the robot; empty: the back end's usual one.", "")
-ADAPTERS = (
-    "native", "industrial", "ur", "kuka_kss", "kuka_fri", "abb", "fanuc", "staubli", "manual_confirm", "generic",
-)  # fmt: skip
 ADAPTER = Argument("adapter", "How the controller's state is understood.", "industrial", choices=ADAPTERS)
 LEVELS = ("debug", "info", "warn", "error", "fatal")
 LOG_LEVEL = Argument("log_level", "From which level on the nodes log.", "info", choices=LEVELS)
@@ -202,6 +204,42 @@ REPLAY = Tree(
 )
 
 
+@dataclasses.dataclass(frozen=True)
+class Parent:
+    """The process that has started this one with others, and ends it with them: a launch.
+
+    Attributes:
+        process: Its number; 0: the node was started by hand, and outlives whoever started it.
+        nearest: The parent of this process at its start: the launch, or what it has put in between.
+    """
+
+    process: int
+    nearest: int
+
+    @classmethod
+    def of(cls, environment: Mapping[str, str]) -> Parent:
+        """Return the parent that an environment names."""
+        text = environment.get(STARTED_BY, "")
+        return cls(int(text) if text.isdecimal() else 0, os.getppid())
+
+    def gone(self) -> str:
+        """Say that it has ended; empty: it lives, or there is none."""
+        if not self.process or (os.getppid() == self.nearest and Path(f"/proc/{self.process}").exists()):
+            return ""
+        return f"process {self.process}, which started this node, has ended: the node ends what it does, and itself"
+
+
+def on_end(handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
+    """Have a function called by every signal that ends a process; return what was called before, by signal.
+
+    A process that was started to outlive its terminal (`nohup`) goes on without it.
+    """
+    ends = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        ends.append(signal.SIGHUP)
+    return {int(number): signal.signal(number, handler) for number in ends}
+
+
 def values_of(tree: Tree, asked: Mapping[str, str]) -> dict[str, str]:
     """Return the values of a tree's arguments, what is not said by default.
 
@@ -221,7 +259,7 @@ def values_of(tree: Tree, asked: Mapping[str, str]) -> dict[str, str]:
             raise InputError("arguments", argument.name, found, expected)
         values[argument.name] = value
     if CELL.name in values:
-        load_cell(values[CELL.name])  # what is wrong in it is said once, and not by every node
+        load_cell(values[CELL.name], live=True)  # what is wrong in it is said once, and not by every node
     return values
 
 

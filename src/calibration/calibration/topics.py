@@ -9,20 +9,25 @@ import dataclasses
 import enum
 import functools
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos import QoSCompatibility as Compatibility
 
 from calibration_core.cell import Cell
+from calibration_core.errors import InputError, quoted
 from calibration_core.recording.definitions.own import CONDITIONS_TYPE, STEP_TYPE, TEXT_TYPE
 from calibration_core.recording.messages.kinds import StreamKind
 
 SAMPLES_DEPTH = 2000  # two seconds at 1 kHz: a keep-last history overwrites without a word
 EVENTS_DEPTH = 1000
+NO_PACKAGE = "no such package"
+FROM_SOURCE = {"industrial_msgs", "fanuc_msgs", "kuka_driver_interfaces"}  # not released for Jazzy
 IN_A_TURN = 100  # samples that are taken before anything else has its turn
 
 
@@ -81,7 +86,7 @@ READING = Topic("/calibration/reading", "calibration_interfaces/msg/Reading", Qu
 TARE = Topic("/calibration/tare", "calibration_interfaces/msg/TareEvent", Quality.EVENTS)
 SAMPLE_CHECK = Topic("/calibration/sample_check", "calibration_interfaces/msg/SampleCheck", Quality.SAMPLES)
 LOAD_STATE = Topic("/calibration/load_state", "calibration_interfaces/msg/LoadState", Quality.STATE)
-MOTION_PULSE = Topic("/calibration/motion_pulse", "std_msgs/msg/Bool", Quality.PULSE)
+MOTION_PULSE = Topic("/calibration/motion_pulse", "calibration_interfaces/msg/MotionPulse", Quality.PULSE)
 RECORDING = Topic("/calibration/recording", "calibration_interfaces/msg/RecordingState", Quality.PULSE)
 MARKERS = Topic("/calibration/markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
 PLAN_MARKERS = Topic("/calibration/plan_markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
@@ -89,14 +94,14 @@ PROCEDURE = Topic("/calibration/procedure", "calibration_interfaces/msg/Procedur
 STATE = Topic("/calibration/state", "calibration_interfaces/msg/State", Quality.STATE)
 RAW_WRENCH = Topic("/force_torque/raw", StreamKind.WRENCH.value, Quality.SAMPLES)
 
-PROGRESS = Topic("/calibration/progress", "calibration_interfaces/msg/MeasurementProgress", Quality.EVENTS)
+PROGRESS = Topic("/calibration/progress", "calibration_interfaces/msg/MeasurementProgress", Quality.STATE)
 CONDITIONS_QUALITY = Quality.EVENTS
 
 OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, PROGRESS, TARE, SAMPLE_CHECK, LOAD_STATE, RAW_WRENCH)
 
 
 def contract_topics(cell: Cell) -> tuple[Topic, ...]:
-    """Return the topics of which a recording is made (contract, section 3)."""
+    """Return the topics of which a recording is made."""
     names = cell.topics
     return (
         Topic(names.joint_states, StreamKind.JOINTS.value, Quality.SAMPLES, optional=False),
@@ -152,8 +157,31 @@ def subscription_profile(node: Node, name: str, depth: int = SAMPLES_DEPTH) -> Q
     )
 
 
+class Polled(CallbackGroup):
+    """A group whose subscriptions never wake the executor: what they hold is taken when somebody looks."""
+
+    def can_execute(self, _entity: Any) -> bool:
+        """Nothing is ever due."""
+        return False
+
+    def beginning_execution(self, _entity: Any) -> bool:
+        """Nothing ever begins."""
+        return False
+
+    def ending_execution(self, _entity: Any) -> None:
+        """Nothing ever ends."""
+
+
 def subscribe_to_samples(
-    node: Node, kind: Any, name: str, callback: Callable[[Any], None], quality: QoSProfile, **more: Any
+    node: Node,
+    kind: Any,
+    name: str,
+    callback: Callable[..., None],
+    quality: QoSProfile,
+    *,
+    numbered: bool = False,
+    every: float = 0.0,
+    **more: Any,
 ) -> Any:
     """Subscribe to a stream; where several samples wait, all of them are taken in one turn.
 
@@ -166,26 +194,47 @@ def subscribe_to_samples(
         name: Topic.
         callback: What gets the messages, one at a time, in their order.
         quality: Profile of the subscription.
+        numbered: Whether the callback gets, besides, the number that the message's publisher gave it.
+        every: s of wall time between two looks at what waits; 0: the callback gets each at once.  An executor that is
+            woken a thousand times a second does little else.
         more: Further arguments of `create_subscription`.
 
     Returns:
         The subscription.
     """
 
-    def take(message: Any) -> None:
-        callback(message)
+    def hand(message: Any, info: Mapping[str, Any]) -> None:
+        if numbered:
+            callback(message, info["publication_sequence_number"])
+        else:
+            callback(message)
+
+    def take_waiting(most: int = IN_A_TURN) -> None:
         try:
             with subscription.handle:
-                for _ in range(IN_A_TURN - 1):
+                for _ in range(most):
                     waiting = subscription.handle.take_message(subscription.msg_type, subscription.raw)
                     if waiting is None:
                         return
-                    callback(waiting[0])
+                    hand(*waiting)
         except InvalidHandle:  # the subscription was destroyed in this turn
             return
 
+    def take(message: Any, info: Mapping[str, Any]) -> None:
+        hand(message, info)
+        take_waiting(IN_A_TURN - 1)
+
+    if every:
+        more["callback_group"] = Polled()
+        node.create_timer(every, take_waiting, clock=Clock(clock_type=ClockType.STEADY_TIME))
     subscription = node.create_subscription(kind, name, take, quality, **more)
     return subscription
+
+
+def publishers(node: Node, name: str) -> list[str]:
+    """Return the full names of the nodes that publish a topic, sorted; one that was killed is there for 20 s more."""
+    infos = node.get_publishers_info_by_topic(name)
+    return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
 
 
 def several_publishers(node: Node, name: str) -> str:
@@ -193,8 +242,7 @@ def several_publishers(node: Node, name: str) -> str:
 
     One that was killed is counted for 20 s more, but for one of the node's own name: its presence is watched.
     """
-    names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-                   for info in node.get_publishers_info_by_topic(name))  # fmt: skip
+    names = publishers(node, name)
     own = node.get_fully_qualified_name()
     if sum(one != own for one in names) + (own in names) < 2:
         return ""
@@ -221,6 +269,29 @@ def message_class(kind: str) -> Any:
     """
     package, group, name = kind.split("/")
     return getattr(importlib.import_module(f"{package}.{group}"), name)
+
+
+def load_type(text: str) -> Any:
+    """Return the class of a message, service or action that a driver brings, by its name, `package/msg/Name`.
+
+    Raises:
+        InputError: The name is malformed, the package is not installed (and what would install it), or has no such
+            type.
+    """
+    parts = text.split("/")
+    if len(parts) != 3 or parts[1] not in {"msg", "srv", "action"} or not all(part.isidentifier() for part in parts):
+        raise InputError("parameters", "type", quoted(text), "package/msg/Name")
+    package = parts[0]
+    try:
+        return message_class(text)
+    except ImportError:
+        by_apt = "" if package in FROM_SOURCE else f"apt install ros-jazzy-{package.replace('_', '-')}, or "
+        expected = f"package {package}: {by_apt}built from its source in this workspace or an underlay"
+        raise InputError(package, text, NO_PACKAGE, expected) from None
+    except AttributeError:
+        module = importlib.import_module(f"{package}.{parts[1]}")
+        names = ", ".join(sorted(name for name in dir(module) if name[:1].isupper()))
+        raise InputError(package, text, "no such type", f"one of {names}") from None
 
 
 def offered_qos(profile_: QoSProfile) -> dict[str, object]:

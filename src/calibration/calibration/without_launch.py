@@ -3,13 +3,14 @@
     source install/setup.bash
     .venv/bin/python -m calibration.without_launch simulated_cell cell:=CELL.yaml session:=DIR speed:=20.0
 
-The arguments are those of the launch file of that name; `--help` states them.  Ctrl-C or SIGTERM ends every process,
-as launch does it.
+The arguments are those of the launch file of that name; `--help` states them.  Ctrl-C, SIGTERM or a terminal that is
+closed ends every process, as launch does it.  Where this process is killed, they end by themselves.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -26,9 +27,11 @@ from calibration.process_tree import (
     REAL_CELL,
     REPLAY,
     SIMULATED_CELL,
+    STARTED_BY,
     Process,
     Tree,
     files_of,
+    on_end,
     parameters_of,
     values_of,
 )
@@ -36,7 +39,6 @@ from calibration_core.errors import InputError, quoted
 
 TREES = {"real_cell": REAL_CELL, "simulated_cell": SIMULATED_CELL, "replay": REPLAY}
 DONE, UNUSABLE = 0, 2
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
 HELP = ("-h", "--help")
 WIDTH = 100  # characters of a line of help
 LOOK = 0.2  # s between looks at whether a process still runs
@@ -132,7 +134,7 @@ def main(words: Sequence[str] | None = None) -> int:
     def end(number: int, _: FrameType | None) -> None:
         asked_to_end.append(number)
 
-    before = {number: signal.signal(number, end) for number in SIGNALS}
+    before = on_end(end)
     files = files_of(values, get_package_share_directory("calibration"))
     running: list[tuple[Process, subprocess.Popen[bytes]]] = []
     try:
@@ -140,7 +142,8 @@ def main(words: Sequence[str] | None = None) -> int:
             # each in a session of its own: the keyboard's signal reaches it once, from here
             executable = f"{get_package_prefix(process.package)}/lib/{process.package}/{process.name}"
             command = command_of(executable, tree, process, values, files)
-            running.append((process, subprocess.Popen(command, start_new_session=True)))
+            own = {**os.environ, STARTED_BY: str(os.getpid())}
+            running.append((process, subprocess.Popen(command, start_new_session=True, env=own)))
         while not asked_to_end and any(one.poll() is None for _, one in running):
             time.sleep(LOOK)
     finally:

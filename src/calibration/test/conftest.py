@@ -23,9 +23,10 @@ INTERFACES = ROOT / "install" / "calibration_interfaces"
 FOLDER = Path(tempfile.gettempdir()) / f"calibration-{os.getuid()}"  # locks of this user
 DOMAINS = 100  # beyond 101 the ports of DDS meet those that the system gives away
 
-# A shell ignores SIGINT in what it starts in its background, and so would every process that these tests start and end.
+# A shell ignores SIGINT in what it starts in its background, `nohup` SIGHUP; so would every process started here.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 class Domain:
@@ -58,6 +59,11 @@ class Domain:
         self._held.close()
 
 
+# What nodes keep between runs is not this user's own.
+HOME = tempfile.TemporaryDirectory(prefix="calibration-test-")
+os.environ["ROS_HOME"] = HOME.name
+
+# Whoever imports this module a second time takes a second domain, and what he starts hears nothing of the first.
 OWN = Domain(1 + os.getpid() % DOMAINS)
 DOMAIN = OWN.number
 

@@ -17,6 +17,7 @@ from calibration_interfaces.action import ApplyLoad
 from calibration_interfaces.msg import Outcome, ProcedureState
 from goals import GoalClient
 from panel_client import printed
+from stand_ins import unloaded
 from tree_runner import TreeRunner
 
 from calibration.process_tree import SIMULATED_CELL
@@ -171,6 +172,8 @@ class Cell:
     ) -> None:
         said = {"cell": CELL, "session": root / "session", "speed": speed, "port": 0}
         self.root = root
+        unloaded(root)
+        environment = {**environment, "ROS_HOME": str(root)}
         self.runner = TreeRunner(
             SIMULATED_CELL, environment, root, more={"sequencer": {"load.by": by}, **(more or {})}, **said
         )
@@ -219,7 +222,7 @@ def put_right(page: Any) -> None:
 def begin(page: Any, session: str = "session") -> None:
     """Begin the short plan once everything is in order."""
     page.click("#tab_before")
-    wait(page, lambda: page.locator("#checklist li").count() > 12 and "silent" not in page.inner_text("#now"))
+    wait(page, lambda: page.locator("#checklist li").count() > 12 and not page.locator("body.stale").count())
     put_right(page)
     wait(page, lambda: page.locator("#checklist li").count() > 12
          and page.locator("#checklist li.no").count() == 0)  # fmt: skip

@@ -18,6 +18,8 @@ from calibration.cell.permission import PermissionWatch
 from calibration.cell.readings import ReadingError
 from calibration.motion.arrival import Joints
 from calibration.motion.base import End
+from calibration.motion.stop import Stopper
+from calibration.sequencer.goal import Goal
 from calibration.sequencer.runner import Runner
 from calibration_core.cell import load_cell
 from calibration_core.measurement import messages as m
@@ -91,6 +93,19 @@ class Robot:
         self._thread.join()
 
 
+class Staged(Stopper):
+    """The stages of the stop, of which the first alone reaches the robot."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.stages: list[int] = []
+
+    def take(self, stage: int) -> None:
+        self.stages.append(stage)
+        if stage == 0:
+            super().take(stage)
+
+
 class Proven:
     """A guard that has been seen to stop the robot; the proof has tests of its own, with real processes."""
 
@@ -108,7 +123,7 @@ class Cell:
         self.told: list[Any] = []
         self.confirmed: list[m.TakeReading] = []
         self.absent = ""
-        self.stages: list[int] = []
+        self.pull: str | None = ""
         self.load_works, self.fault, self.refuses = True, "", False
         self.progressed = 0
 
@@ -130,7 +145,12 @@ class Cell:
         answered(Measured(fault=self.fault) if self.fault else Measured(points=points))  # type: ignore[arg-type]
 
     def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
+        if command.unknown:
+            self.pull = ""
         answered(self.load_works or not np.any(command.wrench), "stuck")
+
+    def pulls(self) -> str | None:
+        return self.pull
 
     def lost(self, now: float) -> str:  # noqa: ARG002
         return self.absent
@@ -148,11 +168,6 @@ class Cell:
 
     def carry_out(self, command: m.Command) -> None:
         self.told.append(command)
-
-    def stop_stage(self, stage: int) -> None:
-        self.stages.append(stage)
-        if stage == 0:
-            self.robot.stop()
 
     def scaling(self) -> float:
         return float("nan")
@@ -184,6 +199,7 @@ class Bench:
         configurations = (*(PlannedConfiguration(i + 1, q, steps) for i, q in enumerate(goals)), spare)
         self.plan = Plan(cell.robot.name, cell.robot.joints, configurations, np.empty((0, 6)))
         self.runner: Runner | None = None
+        self.stopper = Staged(SimpleNamespace(), self.robot, cell.robot.joints, lambda: None)
         self._guard = threading.Thread(target=self._pulse, daemon=True)
         self._guarding, self._saying = True, threading.Lock()
         self._guard.start()
@@ -192,6 +208,12 @@ class Bench:
         """Let the guard say, from now on, that it does not hear the sequencer; no message of before arrives later."""
         with self._saying:
             self.hears = False
+            self._say()
+
+    def say(self, *, permitted: bool) -> None:
+        """Let the guard say so, now and from now on."""
+        with self._saying:
+            self.permitted = permitted
             self._say()
 
     def _say(self) -> None:
@@ -213,10 +235,12 @@ class Bench:
     def start(self) -> tuple[Runner, threading.Thread]:
         sequence = Sequence(self.plan, SequenceRules(attempts=2, readings=2))
         limits = MotionLimits()
+        self.goal = Goal(None, self.robot.stop)
         self.runner = Runner(
-            sequence, self.cell, self.robot, self.robot.joints, self.watch, self.monitored, limits, Proven(),
-            settle_time=0.05, stages=4,
+            self.goal, sequence, self.cell, self.robot, self.robot.joints, self.watch, self.monitored, limits, Proven(),
+            self.stopper, settle_time=0.05,
         )  # fmt: skip
+        self.goal.begin(self.runner)
         thread = threading.Thread(target=self.runner.run, daemon=True)
         thread.start()
         return self.runner, thread

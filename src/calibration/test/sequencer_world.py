@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,7 @@ from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import JointState, Temperature
+from stand_ins import Bent, unloaded
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -46,6 +49,7 @@ PULL = [0.0, 0.0, -500.0, 0.0, 0.0, 0.0]
 
 def overrides(**values: Any) -> list[Parameter]:
     usual = {"cell": CELL, "motion.backend": "external", "force_torque": "", "settle_time": 0.1, "recorder": ""}
+    usual |= {"load.memory": str(unloaded(Path(tempfile.mkdtemp(dir=os.environ["ROS_HOME"]))))}
     usual |= {"arrival.dwell": 0.1, "server_wait": 10.0, "permission_age": 1.0, "progress": False}
     return [Parameter(name, value=value) for name, value in (usual | values).items()]
 
@@ -63,24 +67,45 @@ class World:
         self.q = np.zeros(6)
         self.permitted, self.hears, self.temperature = True, True, 21.5
         self.average = 0.0  # s that an average takes
+        self.force = [0.0, 0.0, 0.0]  # N, what the operator was asked to pull with, and does
+        self.tracker_fault = ""  # exchanged: the first two targets are taken for each other; knocked: one, by 5 mm
+        self._bent = Bent()
+        self.node.create_subscription(ProcedureState, PROCEDURE.relative, self._on_target, PROCEDURE.qos)
         self.tracker = ActionServer(self.node, Measure, "tracker/measure", self._measure)
         self.timer = self.node.create_timer(0.02, self._live)
 
     def _live(self) -> None:
+        self.say_permission()
+        self.say_joints()
+
+    def say_permission(self) -> None:
         text = "" if self.permitted else "not now"
         reasons = [] if self.permitted else [Permission.DRIVES_OFF]
         self.permissions.publish(
             Permission(permitted=self.permitted, text=text, hears_sequencer=self.hears, reasons=reasons)
         )
+
+    def say_joints(self) -> None:
         self.joints.publish(JointState(header=now(), name=JOINTS, position=self.q.tolist()))
         self.temperatures.publish(Temperature(temperature=self.temperature))
+
+    def _on_target(self, state: ProcedureState) -> None:
+        force = state.target.force
+        self.force = [force.x, force.y, force.z]
 
     async def _measure(self, goal: Any) -> Any:
         if self.average:
             await self._half_way(goal)
         at = time.time_ns()
-        one = Average(np.array([1.0, 2.0, 3.0]), 1e-10 * np.eye(3), 20, 20.0, 0)
-        means = [Mean(name, "tracker", at - 10**8, at, one) for name in goal.request.names]
+        seen = self._bent.seen(self.q, self.force)
+        if self.tracker_fault == "exchanged":
+            seen["mp1"], seen["mp2"] = seen["mp2"], seen["mp1"]
+        elif self.tracker_fault == "knocked":
+            seen["mp1"] = seen["mp1"] + np.array([3e-3, 4e-3, 0.0])
+        means = [
+            Mean(name, "tracker", at - 10**8, at, Average(seen[name], 1e-10 * np.eye(3), 20, 20.0, 0))
+            for name in goal.request.names
+        ]
         goal.succeed()
         return Measure.Result(outcome=to_outcome(Outcome.OK, ""), averages=[to_average(mean) for mean in means])
 

@@ -216,3 +216,7 @@ def test_where_nobody_spins_it_is_done_at_once(context: Any) -> None:
     in_executor(node, lambda: where.append(threading.current_thread().name))
     assert where == [threading.current_thread().name]
     node.destroy_node()
+
+
+def test_an_outcome_is_one_line() -> None:
+    assert to.to_outcome(msg.Outcome.OK, "first\nsecond\n").text == "first; second"

@@ -14,7 +14,7 @@ from calibration_interfaces.msg import Outcome
 
 from calibration.node import NODE_NAMES
 from calibration.process_tree import BACKENDS
-from calibration.robot_state.catalogue import NAMES as ADAPTERS
+from calibration.robot_state import NAMES as ADAPTERS
 from calibration_core.motion.robot_status import TEXT
 
 ROOT = Path(__file__).resolve().parents[3]

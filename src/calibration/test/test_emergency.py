@@ -1,7 +1,8 @@
-"""The guard's own stop: motions that are not permitted, or that nobody watches, are cancelled, and it is told once."""
+"""The guard's own stop: what is to be stopped is cancelled, noted and told."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from pathlib import Path
@@ -12,11 +13,13 @@ import pytest
 pytest.importorskip("rclpy")
 
 from action_msgs.srv import CancelGoal
+from calibration_interfaces.msg import MotionPulse
 
-from calibration.guard.emergency import MOVES, UNHEARD, WATCHED, Emergency
-from calibration.motion.stop_path import CancelGoals
+from calibration.guard.emergency import STANDS, WATCHED, Emergency
+from calibration.motion.stop import CancelGoals
 from calibration.node import CalibrationNode
 from calibration.topics import MOTION_PULSE
+from calibration_core.motion.motion_watch import FORBIDDEN, MOVES
 
 AGE = 0.5  # s
 
@@ -30,7 +33,8 @@ class Watch:
         self.node.create_service(CancelGoal, "move/_action/cancel_goal", self._on_cancel)
         self.emergency = Emergency(self.node, CancelGoals(self.node, "move", lambda *_: None), AGE, str(trace))
         self.emergency.listen()
-        self.pulse = spinning.plain().create_publisher(MOTION_PULSE.message, MOTION_PULSE.relative, MOTION_PULSE.qos)
+        self.pulse = spinning.plain().create_publisher(MotionPulse, MOTION_PULSE.relative, MOTION_PULSE.qos)
+        self.counted = itertools.count()
 
     def _on_cancel(self, _request: Any, response: Any) -> Any:
         self.cancelled += 1
@@ -38,10 +42,10 @@ class Watch:
 
     def says(self, until: Any, *, moving: bool) -> None:
         """Let the sequencer speak, and the guard hear it."""
-        before = self.emergency._heard
+        before = self.emergency._watch._heard
         until(self.pulse.get_subscription_count)
-        self.pulse.publish(MOTION_PULSE.message(data=moving))
-        until(lambda: self.emergency._heard > before)
+        self.pulse.publish(MotionPulse(identity=1, count=next(self.counted), moving=moving))
+        until(lambda: self.emergency._watch._heard > before)
 
     def told(self) -> tuple[int, str] | None:
         """Level and text about motions."""
@@ -54,52 +58,27 @@ def watch(spinning: Any, tmp_path: Path) -> Watch:
     return Watch(spinning, tmp_path / "trace.csv")
 
 
-def test_no_motion_needs_no_permission(watch: Watch, until: Any) -> None:
-    watch.emergency.look(time.monotonic(), permitted=False)
+def test_every_stop_is_commanded_noted_and_told_once(watch: Watch, until: Any, tmp_path: Path) -> None:
+    """Which motion is stopped is a rule of the core, with tests of its own."""
     watch.says(until, moving=False)
-    watch.emergency.look(time.monotonic() + 10.0, permitted=False)
+    watch.emergency.look(time.monotonic(), permitted=False)
     assert watch.told() is None
-
-
-def test_a_motion_without_permission(watch: Watch, until: Any, tmp_path: Path) -> None:
     for count in (1, 2):
         watch.says(until, moving=True)
         watch.emergency.look(time.monotonic(), permitted=False)
         watch.emergency.look(time.monotonic(), permitted=False)  # nothing new was heard
         until(lambda count=count: watch.cancelled == count)
-        assert watch.told() == (2, "a motion is under way that is not permitted")
+        assert watch.told() == (2, FORBIDDEN)
     watch.says(until, moving=False)
-    watch.emergency.look(time.monotonic(), permitted=True)
-    assert watch.told() == (2, "a motion is under way that is not permitted")
+    for speed in (math.nan, 2.0 * MOVES):
+        watch.emergency.look(time.monotonic(), permitted=True, speed=speed)
+        assert watch.told() == (2, FORBIDDEN)
+    watch.emergency.look(time.monotonic(), permitted=False, speed=0.0)
+    assert watch.told() == (0, STANDS)
+    watch.says(until, moving=True)
+    watch.emergency.look(time.monotonic(), permitted=False, speed=2.0 * MOVES)
+    until(lambda: watch.cancelled == 3)
     watch.says(until, moving=True)
     watch.emergency.look(time.monotonic(), permitted=True)
     assert watch.told() == (0, WATCHED)
-    assert (watch.cancelled, len((tmp_path / "trace.csv").read_text().splitlines())) == (2, 2)
-
-
-def test_a_motion_that_nobody_watches(watch: Watch, until: Any) -> None:
-    watch.says(until, moving=True)
-    watch.emergency.look(time.monotonic() + 0.5 * AGE, permitted=True)
-    assert watch.told() is None
-    watch.emergency.look(time.monotonic() + 2.0 * AGE, permitted=True)
-    until(lambda: watch.cancelled == 1)
-    assert watch.told() == (2, "the sequencer is silent while its motion is under way")
-
-
-def test_a_robot_that_moves_without_any_sign_of_life_is_stopped_again_and_again(watch: Watch, until: Any) -> None:
-    now = time.monotonic()
-    watch.emergency.look(now, permitted=True, speed=0.5 * MOVES)
-    watch.emergency.look(now, permitted=True, speed=math.nan)
-    assert watch.told() is None
-    watch.emergency.look(now, permitted=True, speed=2.0 * MOVES)
-    watch.emergency.look(now + 0.1, permitted=True, speed=2.0 * MOVES)
-    until(lambda: watch.cancelled == 1)
-    watch.emergency.look(now + 1.0, permitted=True, speed=2.0 * MOVES)
-    until(lambda: watch.cancelled == 2)
-    assert watch.told() == (2, UNHEARD)
-    assert not watch.emergency.hears(time.monotonic())
-    watch.says(until, moving=False)  # the guard hears it: who moves the robot then is the operator's affair
-    watch.emergency.look(time.monotonic(), permitted=True, speed=2.0 * MOVES)
-    assert watch.cancelled == 2
-    assert watch.emergency.hears(time.monotonic())
-    assert not watch.emergency.hears(time.monotonic() + 2.0 * AGE)
+    assert (watch.cancelled, len((tmp_path / "trace.csv").read_text().splitlines())) == (3, 3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -32,8 +33,10 @@ def command(name: str, *more: str) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("name", ["tracker", "force_torque", "identification"])
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("name", "end"),
+    [("tracker", signal.SIGINT), ("force_torque", signal.SIGTERM), ("identification", signal.SIGHUP)],
+)
 def test_start_and_end(
     spinning: Any, until: Callable[..., None], source_environment: dict[str, str], name: str, end: signal.Signals
 ) -> None:
@@ -51,6 +54,50 @@ def test_start_and_end(
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+
+
+LAUNCH = """
+import os, subprocess, sys, time
+environment = {**os.environ, **({"CALIBRATION_STARTED_BY": str(os.getpid())} if sys.argv[1] == "launch" else {})}
+print(subprocess.Popen(sys.argv[2:], env=environment).pid, flush=True)
+time.sleep(600.0)
+"""
+
+
+@pytest.mark.parametrize("by", ["launch", "hand"])
+def test_a_node_whose_launch_was_killed_ends_and_one_started_by_hand_goes_on(
+    spinning: Any, until: Callable[..., None], source_environment: dict[str, str], tmp_path: Path, by: str
+) -> None:
+    client, log = spinning.plain(), tmp_path / "log"
+    words = [sys.executable, "-c", LAUNCH, by, *command("tracker", "-p", f"cell:={CELL}")]
+    with log.open("wb") as said:
+        launch = subprocess.Popen(words, env=source_environment, stdout=subprocess.PIPE, stderr=said)
+    assert launch.stdout is not None
+    node = int(launch.stdout.readline())
+    try:
+        until(lambda: "tracker" in client.get_node_names(), timeout=30.0)
+        launch.kill()
+        launch.wait()
+        if by == "launch":
+            until(lambda: not alive(node), timeout=15.0)
+            assert f"process {launch.pid}, which started this node, has ended" in log.read_text()
+        else:
+            time.sleep(1.0)
+            assert alive(node)
+            os.kill(node, signal.SIGHUP)
+            until(lambda: not alive(node), timeout=15.0)
+    finally:
+        launch.kill()
+        if alive(node):
+            os.kill(node, signal.SIGKILL)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended may still wait for somebody to hear of it."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 @pytest.mark.parametrize("name", ["guard", "sequencer", "simulated_cell"])

@@ -1,9 +1,11 @@
-"""The node `force_torque`: what goes in comes out in SI units with the contract's sign; tare and test of the sensor."""
+"""The node `force_torque`: what comes out is in SI units with the sign of recordings; tare and test."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,12 +21,13 @@ from geometry_msgs.msg import (
     WrenchStamped,
 )
 from sensor_msgs.msg import JointState
-from stand_ins import CELL, IRREGULAR, Feed, call, finish, measure, overrides
+from stand_ins import CELL, IRREGULAR, Feed, call, finish, measure, overrides, unloaded
 
 from calibration.conversions import stamp_ns, to_header, to_wrench, wrench_values
 from calibration.instruments.force_torque import ForceTorqueNode
 from calibration_core.cell import load_cell
 from calibration_core.identification.checks.sensor_test import gravity_in_sensor
+from calibration_core.measurement.unloaded import LoadMemory
 
 LOAD = np.array([100.0, -200.0, -1500.0, 10.0, 20.0, -30.0])
 
@@ -120,6 +123,38 @@ def test_tare_is_subtracted_logged_and_taken_back(spinning: Any, feeds: list[Fee
     assert tares[0].requested_by == "A. Operator"
 
 
+def test_a_tare_under_load_is_refused(
+    spinning: Any, feeds: list[Feed], until: Callable[..., None], tmp_path: Path
+) -> None:
+    """By what was proven unloaded, and where that does not tell, by what is kept of the load; a name overrides."""
+    memory = LoadMemory(unloaded(tmp_path))
+    given = overrides(load_memory=str(memory.path))
+    node = spinning.add(ForceTorqueNode(context=spinning.context, parameter_overrides=given))
+    client = spinning.plain()
+    rng, now = np.random.default_rng(3), {"load": LOAD}
+    publisher = client.create_publisher(WrenchStamped, "input/wrench", 100)
+    feeds.append(Feed(publisher, lambda _k: noisy(node, now["load"], rng)))
+    service = client.create_client(Tare, "/force_torque/tare")
+    memory.loading("configuration 3, step 1 of s1")
+    answer = call(service, Tare.Request(requested_by="A. Smith"))
+    assert answer.outcome.code == Outcome.NOT_REACHED
+    assert answer.outcome.text.startswith("a load may be on since configuration 3, step 1 of s1; no tare is taken")
+    memory.released()
+    joints = client.create_publisher(JointState, "joint_states", 10)
+    names = list(load_cell(CELL).robot.joints)
+    feeds.append(Feed(joints, lambda _k: JointState(name=names, position=[0.1] * 6), 0.01))
+    until(lambda: node._joints.latest is not None)
+    answer = call(service, Tare.Request(requested_by="A. Smith"))
+    assert answer.outcome.code == Outcome.NOT_REACHED
+    assert re.match(r"15\d\d N pull at the tool in all, .*; no tare is taken under load", answer.outcome.text)
+    assert call(service, Tare.Request(override=True)).outcome.code == Outcome.NOT_REACHED  # without a name
+    answer = call(service, Tare.Request(override=True, requested_by="A. Smith", reason="another tool"))
+    assert (answer.outcome.code, answer.event.number) == (Outcome.OK, 1)
+    now["load"] = np.zeros(6)
+    answer = call(service, Tare.Request(requested_by="A. Smith"))
+    assert (answer.outcome.code, answer.event.number) == (Outcome.OK, 2)
+
+
 def test_two_tares_at_once(spinning: Any, feeds: list[Feed]) -> None:
     node = spinning.add(ForceTorqueNode(context=spinning.context, parameter_overrides=overrides(window=0.5)))
     client = spinning.plain()
@@ -144,7 +179,6 @@ def test_self_test(spinning: Any, feeds: list[Feed], until: Callable[..., None],
     node = spinning.add(ForceTorqueNode(context=spinning.context, parameter_overrides=overrides()))
     client = spinning.plain()
     service = client.create_client(SelfTest, "/force_torque/self_test")
-    assert call(service, SelfTest.Request(command=SelfTest.Request.ADD)).outcome.code == Outcome.NO_DATA
     bias = np.array([5.0, -3.0, 10.0, 0.5, 0.2, -0.1])
     rng = np.random.default_rng(5)
     now: dict[str, np.ndarray] = {"q": np.zeros(6)}
@@ -155,7 +189,14 @@ def test_self_test(spinning: Any, feeds: list[Feed], until: Callable[..., None],
 
     joints = client.create_publisher(JointState, "joint_states", 10)
     feeds.append(Feed(client.create_publisher(WrenchStamped, "input/wrench", 100), wrench))
-    feeds.append(Feed(joints, lambda _k: JointState(name=list(cell.robot.joints), position=now["q"].tolist()), 0.01))
+    assert call(service, SelfTest.Request(command=SelfTest.Request.ADD)).outcome.code == Outcome.NO_DATA
+
+    def state(_k: int) -> Any:
+        now["q"] = now["q"] + now.get("turns", 0.0)
+        header = to_header(node.now_ns())
+        return JointState(header=header, name=list(cell.robot.joints), position=now["q"].tolist())
+
+    feeds.append(Feed(joints, state, 0.01))
     for k, q in enumerate(np.random.default_rng(6).uniform(-1.5, 1.5, (4, 6))):
         now["q"] = q
         time.sleep(0.2)
@@ -167,6 +208,10 @@ def test_self_test(spinning: Any, feeds: list[Feed], until: Callable[..., None],
     np.testing.assert_allclose(answer.bias, bias, atol=0.3)
     assert answer.outcome.code == (Outcome.OK if sign > 0 else Outcome.TEST_FAILED)
     assert ("sign is reversed" in answer.outcome.text) is (sign < 0)
+    now["turns"] = np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])  # rad at a sample, about the vertical
+    answer = call(service, SelfTest.Request(command=SelfTest.Request.ADD))
+    assert (answer.outcome.code, answer.orientations) == (Outcome.NOT_SETTLED, 4)
+    assert "joint_1 moved by " in answer.outcome.text
     answer = call(service, SelfTest.Request(command=SelfTest.Request.EVALUATE, mass=0.0))
     assert answer.outcome.code == Outcome.INPUT_UNUSABLE
     assert call(service, SelfTest.Request(command=9)).outcome.code == Outcome.INPUT_UNUSABLE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import runpy
 import sys
@@ -168,6 +169,7 @@ def test_a_launch_file_says_what_the_table_says(
         found = {name: value.positional[0] for name, value in given.items()}
         assert found == process_tree.parameters_of(tree, process, values)
         assert all(value.named["value_type"] is type(value.positional[0]) for value in given.values())
+        assert node.named["additional_env"] == {process_tree.STARTED_BY: str(os.getpid())}
         assert float(node.named["sigterm_timeout"]) == process.sigterm_after
         assert float(node.named["sigkill_timeout"]) == process.sigkill_after
     assert [len(one.named["cmd"]) for one in of("ExecuteProcess", description)] == [

@@ -17,6 +17,7 @@ from stand_ins import CELL, Feed, call
 
 from calibration.guard.guard import GuardNode
 from calibration.lifecycle.machine import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE
+from calibration.sequencer.goal import Goal
 from calibration.sequencer.parameters import FREE, PARAMETERS
 from calibration.sequencer.sequencer import SequencerNode
 from calibration_core.motion.robot_status import Reason
@@ -33,7 +34,7 @@ def guard(spinning: Any) -> GuardNode:
 def jump(node: GuardNode) -> None:
     """Let the joints make a change that no motion can make."""
     for angle in (0.0, 3.0):
-        node._on_joints(JointState(name=JOINTS, position=[angle] * 6))
+        node._on_joints(JointState(name=JOINTS, position=[angle] * 6), None)
     node._decide(0.0)
 
 
@@ -82,10 +83,10 @@ def test_parameters_of_a_run_change_between_runs_alone(spinning: Any) -> None:
     assert node.set_parameters([Parameter("settle_time", value=2.5)])[0].successful
     assert not node.set_parameters([Parameter("settle_time", value=-1.0)])[0].successful
     assert not node.set_parameters([Parameter("permission_age", value=0.9)])[0].successful
-    node._action._ended.clear()  # as while a plan is measured
+    node.runs.goal = Goal(None, lambda: None)  # as while a plan is measured
     answer = node.set_parameters([Parameter("settle_time", value=0.0)])[0]
     assert (answer.successful, answer.reason) == (False, "settle_time: not now: a plan is being measured")
-    node._action._ended.set()
+    node.runs.goal = None
     assert node.value("settle_time") == 2.5
 
 

@@ -22,7 +22,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from calibration.background import in_executor
+from calibration.background import in_executor, wait_until
 from calibration.cell.permission import SILENT, PermissionWatch
 from calibration.motion import action_motion, follow_joint_trajectory
 from calibration.motion.arrival import ArrivalRules, Joints
@@ -34,7 +34,7 @@ from calibration.motion.follow_joint_trajectory import decoded
 from calibration.motion.joint_trajectory_topic import TopicMotion
 from calibration.motion.messages import hold, to_duration, to_joint_trajectory
 from calibration.motion.simulated import simulated
-from calibration.motion.stop_stages import StopStages
+from calibration.motion.stop import DESPERATE, CancelGoals, Stopper
 from calibration.process_tree import BACKENDS
 from calibration_core.errors import InputError
 from calibration_core.motion.trajectory import Trajectory
@@ -65,10 +65,11 @@ def test_the_goal_that_every_driver_accepts() -> None:
     assert list(message.points[-1].velocities) == [0.0] * 3
 
 
-def test_hold_is_one_point_where_the_robot_is() -> None:
-    message = hold(JOINTS, np.array([0.1, 0.2, 0.3]))
+def test_hold_is_one_point_where_the_robot_comes_to_rest() -> None:
+    message = hold(JOINTS, np.array([0.1, 0.2, 0.3]), np.zeros(3), 0.01)
     assert len(message.points) == 1
     assert list(message.points[0].positions) == [0.1, 0.2, 0.3]
+    assert list(message.points[0].velocities) == [0.0] * 3
     assert to_duration(1.25).nanosec == 250_000_000
 
 
@@ -114,19 +115,35 @@ def standing(values: list[float], rate: float = 50.0) -> Joints:
 # --- the staged stop -------------------------------------------------------------------------------------------------
 
 
-def test_the_next_stage_is_taken_until_the_robot_stands() -> None:
-    stop = StopStages(4, patience=0.5)
+def test_the_next_stage_is_taken_until_the_robot_stands(spinning: Any, until: Any) -> None:
+    node = spinning.plain()
+    held: list[JointTrajectory] = []
+    spinning.plain("controller").create_subscription(JointTrajectory, "hold", held.append, 10)
+    stopped, told, calls = list[bool](), list[Any](), list[Any]()
+    node.diagnostics = SimpleNamespace(report=lambda *words: told.append(words))
+    maker = SimpleNamespace(call_async=calls.append)
+    course = (np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.0, -0.2]), 0.0)
+    backend: Any = SimpleNamespace(stop=lambda: stopped.append(True))
+    stop = Stopper(node, backend, JOINTS, lambda: course, hold_topic="hold", calls=[(maker, "stop")])
+    until(lambda: node.count_subscribers("hold"))
+    runs_on, stands = (lambda: False), (lambda: True)
     assert not stop.under_way
-    assert stop.advance(0.0, standing=False) is None
-    assert stop.begin(10.0) == 0
-    assert stop.advance(10.4, standing=False) is None
-    assert stop.advance(10.5, standing=False) == 1
-    assert stop.begin(10.6) == 0  # asked again: cancelled again, and no step back
-    assert stop.advance(11.0, standing=False) == 2
-    assert stop.advance(11.5, standing=False) == 3
-    assert stop.advance(20.0, standing=False) is None
+    stop.advance(0.0, lambda: pytest.fail("nobody has to know whether the robot stands"))
+    stop.begin(10.0)
+    stop.advance(10.4, runs_on)
+    assert (len(stopped), calls) == (1, [])
+    stop.advance(10.5, runs_on)
+    until(lambda: held)
+    assert list(held[0].points[0].positions) == pytest.approx([0.14, 0.2, 0.28])  # in 0.2 s, at 2 rad/s^2
+    stop.begin(10.6)  # asked again: stopped again, and no step back
+    assert len(stopped) == 2
+    stop.advance(11.0, runs_on)
+    assert (calls, told) == (["stop"], [])
+    stop.advance(11.5, runs_on)
+    stop.advance(20.0, runs_on)
+    assert told == [("operator", 2, DESPERATE)]
     assert stop.under_way
-    assert stop.advance(20.1, standing=True) is None
+    stop.advance(20.1, stands)
     assert not stop.under_way
 
 
@@ -183,6 +200,11 @@ def test_answers_of_drivers(answer: Any, good: bool) -> None:
 
 
 # --- back ends -------------------------------------------------------------------------------------------------------
+
+
+def present(backend: Any) -> bool:
+    """Wait for the driver."""
+    return wait_until(lambda: not backend.missing(), 10.0)
 
 
 class Driver:
@@ -247,7 +269,7 @@ def awake(spinning: Any) -> Any:
 def test_a_motion_that_succeeds(spinning: Any, awake: Any, until: Any) -> None:
     driver, ends = Driver(awake), Ends()
     backend = simulated(spinning.plain())
-    assert backend.prepare(10.0) == ""
+    assert present(backend)
     assert backend.commands
     assert backend.answers
     backend.move(TRAJECTORY, ends)
@@ -264,7 +286,7 @@ def test_a_motion_that_fails(spinning: Any, awake: Any, until: Any) -> None:
     driver, ends = Driver(awake, success=False), Ends()
     driver.finish.set()
     backend = simulated(spinning.plain())
-    assert backend.prepare(10.0) == ""
+    assert present(backend)
     backend.move(TRAJECTORY, ends)
     until(lambda: ends.said)
     assert ends.said == [(End.FAILURE, "so it ended")]
@@ -273,7 +295,7 @@ def test_a_motion_that_fails(spinning: Any, awake: Any, until: Any) -> None:
 def test_a_motion_that_is_stopped(spinning: Any, awake: Any, until: Any) -> None:
     driver, ends = Driver(awake), Ends()
     backend = simulated(spinning.plain())
-    assert backend.prepare(10.0) == ""
+    assert present(backend)
     backend.move(TRAJECTORY, ends)
     until(lambda: driver.goals)
     time.sleep(0.1)
@@ -287,7 +309,7 @@ def test_a_motion_that_somebody_else_cancels(spinning: Any, awake: Any, until: A
     driver, ends = Driver(awake), Ends()
     node = spinning.plain()
     backend = simulated(node)
-    assert backend.prepare(10.0) == ""
+    assert present(backend)
     backend.move(TRAJECTORY, ends)
     until(lambda: driver.goals)
     canceller = node.create_client(CancelGoal, "driver/move_to/_action/cancel_goal")
@@ -302,7 +324,7 @@ def test_a_motion_that_is_stopped_before_it_is_sent_never_is(spinning: Any, awak
     driver, ends = Driver(awake), Ends()
     node = spinning.plain()
     backend = simulated(node)
-    assert backend.prepare(10.0) == ""
+    assert present(backend)
 
     def at_once() -> None:
         backend.move(TRAJECTORY, ends)
@@ -318,7 +340,7 @@ def test_a_motion_that_is_stopped_before_it_is_sent_never_is(spinning: Any, awak
 def test_a_motion_that_is_stopped_before_it_is_accepted(spinning: Any, awake: Any, until: Any) -> None:
     driver, ends = Driver(awake, delay=0.3), Ends()
     backend = simulated(spinning.plain())
-    assert backend.prepare(10.0) == ""
+    assert present(backend)
     backend.move(TRAJECTORY, ends)
     until(lambda: driver.goals)  # which it is about to accept
     backend.stop()
@@ -330,7 +352,7 @@ def test_a_driver_that_rejects(spinning: Any, awake: Any, until: Any) -> None:
     Driver(awake, accept=False)
     ends = Ends()
     backend = simulated(spinning.plain())
-    assert backend.prepare(10.0) == ""
+    assert present(backend)
     backend.move(TRAJECTORY, ends)
     until(lambda: ends.said)
     assert "rejects" in ends.said[0][1]
@@ -339,7 +361,7 @@ def test_a_driver_that_rejects(spinning: Any, awake: Any, until: Any) -> None:
 def test_a_driver_that_does_not_answer(spinning: Any) -> None:
     ends = Ends()
     backend = simulated(spinning.plain(), "nobody/move_to")
-    assert "no action server nobody/move_to" in backend.prepare(0.1)
+    assert "no action server nobody/move_to" in backend.missing()
     backend.move(TRAJECTORY, ends)
     backend.tick(time.monotonic())
     assert ends.said == []
@@ -350,26 +372,36 @@ def test_a_driver_that_does_not_answer(spinning: Any) -> None:
 
 def test_motion_by_topic(spinning: Any, until: Any) -> None:
     node = spinning.plain()
-    where: list[Any] = [np.array([0.1, 0.2, 0.3])]
-    backend = TopicMotion(node, JOINTS, lambda: where[0], "controller/joint_trajectory")
-    assert "nobody listens" in backend.prepare(0.1)
+    course = [(np.array([0.1, 0.2, 0.3]), np.array([0.8, 0.0, -0.4]), 0.01)]
+    backend = TopicMotion(node, JOINTS, lambda: course[0], "controller/joint_trajectory")
+    assert "nobody listens" in backend.missing()
     heard: list[JointTrajectory] = []
     spinning.plain("controller").create_subscription(JointTrajectory, "controller/joint_trajectory", heard.append, 10)
-    assert backend.prepare(10.0) == ""
+    assert present(backend)
     assert not backend.answers
-    backend.stop()  # nothing is under way
+    backend.stop()  # nothing was ever commanded
     backend.move(TRAJECTORY, Ends())
     backend.stop()
-    backend.stop()
-    until(lambda: len(heard) == 2)
-    assert [len(message.points) for message in heard] == [3, 1]
-    assert list(heard[1].points[0].positions) == [0.1, 0.2, 0.3]
+    course[0] = (np.array([0.3, 0.2, 0.2]), np.zeros(3), 0.01)
+    backend.stop()  # whoever says it again has a reason: the first may have been lost
+    until(lambda: len(heard) == 3)
+    assert [len(message.points) for message in heard] == [3, 1, 1]
+    assert list(heard[1].points[0].positions) == pytest.approx([0.1 + 0.8 * 0.21, 0.2, 0.3 - 0.4 * 0.21])
+    assert list(heard[2].points[0].positions) == [0.3, 0.2, 0.2]
+
+
+def test_a_stop_without_a_driver_leaves_nothing_behind(spinning: Any) -> None:
+    stop = CancelGoals(spinning.plain(), "nobody/move", lambda *_: None)
+    for now in range(50):
+        stop.command(float(now))
+    assert len(stop._client._pending_requests) == 1
+    assert stop.unanswered(50.0)
 
 
 def test_motion_by_the_operator() -> None:
     asked: list[str] = []
     backend = ExternalMotion(asked.append)
-    assert backend.prepare(0.0) == ""
+    assert present(backend)
     assert not backend.commands
     backend.move(TRAJECTORY, Ends())
     assert asked == ["move the robot to 17.189, 5.730, -5.730 degrees; only the hand on the pendant stops it"]
@@ -378,7 +410,7 @@ def test_motion_by_the_operator() -> None:
 
 
 def options(**changes: Any) -> dict[str, Any]:
-    return {"interface": "", "rules": ArrivalRules(), "where": lambda: None, "ask": lambda _: None} | changes
+    return {"interface": "", "rules": ArrivalRules(), "course": lambda: None, "ask": lambda _: None} | changes
 
 
 def test_back_ends_by_name(spinning: Any) -> None:

@@ -46,7 +46,22 @@ def test_values_and_descriptions(context: Any) -> None:
     assert one.describe_parameter("rate").floating_point_range[0].to_value == 1000.0
     assert one.describe_parameter("cell").read_only
     assert "One of: m, mm." in one.describe_parameter("unit").description
-    assert node(context).value("names") == []
+
+
+@pytest.mark.parametrize("given", ["", "    names: []", "    names: ['']"])
+def test_all_parameters_can_be_read_at_once_and_given_back(context: Any, given: str, tmp_path: Path) -> None:
+    """As `ros2 param dump` reads them: one without a value would leave the answer empty."""
+    (tmp_path / "given.yaml").write_text(f"tracker:\n  ros__parameters:\n    cell: a.yaml\n{given}\n", "utf-8")
+    arguments = ["--ros-args", "--params-file", str(tmp_path / "given.yaml")]
+    one = CalibrationNode("tracker", TABLE, context=context, cli_args=arguments)
+    assert one.value("names") == []
+    names = one.list_parameters([], 0).names
+    read = {each.name: each.value for each in one.get_parameters(names)}
+    assert read.keys() >= {declared.name for declared in TABLE}
+    again = node(context, **{name: read[name] for name in ("rate", "names", "cell")})
+    assert again.value("names") == []
+    one.destroy_node()
+    again.destroy_node()
 
 
 @pytest.mark.parametrize(

@@ -99,9 +99,12 @@ def test_a_node_that_is_being_brought_up_is_given_time(order: Order) -> None:
     hear(order, guard=machine.CONFIGURING, tracker=machine.ACTIVATING, sequencer=UNCONFIGURED)
     order.silent(LEASE)
     assert not order.lose("guard", 2.0 * LEASE)
-    assert order.silent(LEASE + 0.1) == ["sequencer"]
+    assert order.silent(LEASE + 0.1) == []  # nobody says that the guard is silent while everything is starting
     order.silent(PATIENCE)
-    assert order.silent(PATIENCE + 0.1) == ["guard", "tracker"]
+    assert order.silent(PATIENCE + 0.1) == ["guard", "tracker", "sequencer"]
+    hear(order, PATIENCE + 0.2, guard=ACTIVE, tracker=ACTIVE, sequencer=ACTIVE)
+    order.silent(PATIENCE + LEASE)
+    assert order.silent(PATIENCE + 0.3 + LEASE) == ["guard", "tracker", "sequencer"]  # they have been up
 
 
 def test_a_manager_that_was_busy_itself_hears_the_others_before_it_misses_them(order: Order) -> None:

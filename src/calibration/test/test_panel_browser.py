@@ -59,7 +59,8 @@ def measure(page: Any, pictures: Path) -> int:
     return clicks
 
 
-@pytest.mark.parametrize("size", ["wide", pytest.param("upright", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", SIZES)
 def test_from_the_checklist_to_the_report(cell: Cell, size: str, tmp_path: Path) -> None:
     with browser(drawing=size == "upright") as one:
         page = cell.page(one, **SIZES[size])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from panel_client import parameters
 from calibration.topics import STATE
 
 SESSION = "today"
-OFTEN = 0.2  # s between two states
+OFTEN = 0.1  # s between two states
 PATIENCE = 20.0  # s, that a page may take to show what it was sent
 SLOW_SOCKET = """
 const Quick = window.WebSocket;
@@ -75,14 +77,20 @@ def page_of(chromium: Any, folder: Path, spinning: Any) -> Iterator[Callable[...
 
 
 @pytest.fixture
-def state(spinning: Any) -> State:
+def quiet() -> threading.Event:
+    """While it is set, no state is published: the manager is silent."""
+    return threading.Event()
+
+
+@pytest.fixture
+def state(spinning: Any, quiet: threading.Event) -> State:
     """A state that is published again and again; the test changes it."""
     procedure = ProcedureState(seconds_left=math.nan, averaged=math.nan, band_force=math.nan, band_angle=math.nan)
     one = State(procedure=procedure, procedure_known=True, permission_known=True)
     one.permission = Permission(permitted=True, speed=0.0, speed_limit=0.25)
     node = spinning.plain("cell")
     publisher = node.create_publisher(STATE.message, STATE.relative, STATE.qos)
-    node.create_timer(OFTEN, lambda: publisher.publish(one))
+    node.create_timer(OFTEN, lambda: None if quiet.is_set() else publisher.publish(one))
     return one
 
 
@@ -199,6 +207,166 @@ def test_one_button_goes_on_after_a_pause(
     assert page.locator("#pause:visible").count() == 0
 
 
+def test_a_pause_at_a_load_step_is_shown(page_of: Callable[..., Any], state: State) -> None:
+    state.procedure.state, state.procedure.waits_for = ProcedureState.LOADING, ProcedureState.OPERATOR
+    page = page_of()
+    wait(page, lambda: page.inner_text("#now").startswith("Load of configuration"))
+    state.procedure.paused = True
+    wait(page, lambda: page.inner_text("#now").endswith("Paused: nothing moves after this"))
+
+
+def test_a_load_that_was_left_on_is_told_at_the_top_of_every_part(page_of: Callable[..., Any], state: State) -> None:
+    one = state.procedure
+    one.state, one.load_left, one.load_felt_known = ProcedureState.FINISHED, "a load may be on since a1", True
+    one.load_felt.force.z = -1176.0
+    page = page_of()
+    for part in ("before", "during", "after"):
+        page.click(f"#tab_{part}")
+        wait(page, lambda: page.inner_text("#load_left").startswith("1,176 N pull at the tool: release the load."))
+    one.load_left = ""
+    wait(page, lambda: page.locator("#load_left:visible").count() == 0)
+
+
+def test_after_a_stop_one_button_goes_on_with_the_session(
+    page_of: Callable[..., Any], state: State, folder: Path, spinning: Any
+) -> None:
+    from calibration_interfaces.action import RunPlan
+    from rclpy.action import ActionServer
+
+    goals = []
+
+    def measure(handle: Any) -> Any:
+        goals.append((Path(handle.request.plan).name, Path(handle.request.session).name, handle.request.resume))
+        handle.succeed()
+        return RunPlan.Result()
+
+    node = spinning.plain("sequencer")
+    spinning.executor.create_task(lambda: ActionServer(node, RunPlan, "sequencer/run", measure))
+    measured(folder, "a1")
+    one = state.procedure
+    one.state, one.configurations_done, one.configurations_total = ProcedureState.READING, 1, 3
+    one.session, one.plan = str(folder / "a1"), str(folder / "plan.yaml")
+    page = page_of()
+    control(page)
+    wait(page, lambda: "being read" in page.inner_text("#now"))
+    assert page.locator("#go_on:visible").count() == 0
+    one.state, one.session = ProcedureState.NO_RUN, ""  # the sequencer was killed, and is there again
+    wait(page, lambda: page.locator("#go_on:visible").count() == 1)
+    assert page.inner_text("#go_on") == "Go on with a1"
+    page.dblclick("#go_on")
+    wait(page, lambda: goals == [("plan.yaml", "a1", True)])
+
+
+# --- what is old -----------------------------------------------------------------------------------------------------
+
+OLD = """() => new MutationObserver(() => {
+  const [shown, against] = ["permit", "against"].map((id) => document.getElementById(id));
+  const told = document.body.classList.contains("stale") && shown.textContent.includes("not known")
+    && getComputedStyle(against).visibility === "hidden";
+  if (told && !window.old) window.old = Date.now();
+}).observe(document.body, { attributes: true, childList: true, subtree: true, characterData: true })"""
+GREY = 1.0  # s, after which nothing is shown as current that was told before
+
+
+def test_nothing_of_a_silent_manager_is_shown_as_current(
+    page_of: Callable[..., Any], state: State, quiet: threading.Event, folder: Path, spinning: Any
+) -> None:
+    page, _ = asked(page_of, state, spinning)
+    state.permission.permitted, state.permission.latched = True, False
+    wait(page, lambda: page.inner_text("#against").startswith("Pull harder."))
+    state.procedure.state = ProcedureState.FINISHED  # or the button is dashed anyway
+    page.click("#tab_before")
+    wait(page, lambda: page.locator("#begin").is_enabled())
+    assert "not known" not in page.inner_text("#checked")
+    page.click("#tab_during")
+    wait(page, lambda: page.inner_text("#permit").startswith("The robot may move"))
+    page.evaluate(OLD)
+    quiet.set()
+    cut = time.time()
+    wait(page, lambda: page.evaluate("window.old"))
+    print(f"silent manager: grey after {page.evaluate('window.old') / 1e3 - cut:.2f} s")
+    assert page.evaluate("window.old") / 1e3 - cut <= GREY + OFTEN
+    assert "The manager is silent" in page.inner_text("#lost")
+    page.click("#tab_before")
+    wait(page, lambda: page.inner_text("#begin_why") == "Not now: the state of the cell is not known.")
+    assert page.inner_text("#checked") == "It is not known whether everything is in order."
+    quiet.clear()
+    wait(page, lambda: page.locator("#begin").is_enabled() and not page.locator("body.stale").count())
+
+
+# --- a hand ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_load_may_confirm_itself_while_somebody_looks_and_a_release_never_does(
+    page_of: Callable[..., Any], state: State, spinning: Any
+) -> None:
+    page, requests = asked(page_of, state, spinning)
+    page.click("#tab_before")
+    page.select_option("#hold", "1")
+    one = state.procedure
+    one.load_felt.force.z, one.load_fault, one.band_force = -900.0, "", math.nan  # what is not checked
+    page.wait_for_timeout(1500)
+    one.load_felt_known, one.band_force = False, 25.0  # what is not felt
+    page.wait_for_timeout(1500)
+    one.load_felt_known, one.target.force.z, one.load_felt.force.z = True, 0.0, 0.0  # a release
+    page.click("#tab_during")
+    wait(page, lambda: page.locator("#confirm:enabled").count() == 1)
+    page.wait_for_timeout(1500)
+    assert requests == []
+    assert page.inner_text("#confirm") == "The load is released"
+    page.dblclick("#confirm")
+    wait(page, lambda: requests == ["load_applied"])
+    wait(page, lambda: page.inner_text("#toast") == "The load is released.")
+    one.step, one.target.force.z, one.load_felt.force.z = 1, -900.0, -900.0
+    page.goto("about:blank")  # nobody looks
+    page.wait_for_timeout(2000)
+    assert len(requests) == 1
+    page.go_back()
+    wait(page, lambda: len(requests) == 2)
+
+
+def test_two_quick_taps_are_one(page_of: Callable[..., Any], state: State) -> None:
+    page = page_of()
+    wait(page, lambda: page.inner_text("#begin_why") == "Take control first.")
+    page.dblclick("#control")
+    wait(page, lambda: page.inner_text("#control") == "Give control back")
+    page.wait_for_timeout(1100)
+    assert page.inner_text("#control") == "Give control back"
+    page.click("#control")
+    wait(page, lambda: page.inner_text("#control") == "Take control")
+
+
+def test_without_a_session_the_page_says_that_there_is_no_stop(page_of: Callable[..., Any], state: State) -> None:
+    page = page_of()
+    page.click("#menu_button")
+    page.click("#leave")
+    page.click("#sure_yes")
+    page.wait_for_selector("#no_stop:visible")
+    assert page.locator("#stop").count() == 0
+
+
+def test_a_condition_is_overridden_by_name_at_its_fault(
+    page_of: Callable[..., Any], state: State, spinning: Any
+) -> None:
+    from calibration_interfaces.srv import OverrideCondition
+
+    given = []
+
+    def take(request: Any, response: Any) -> Any:
+        given.append((request.override.condition, request.override.operator_name, request.override.reason))
+        return response
+
+    spinning.plain("sequencer").create_service(OverrideCondition, "sequencer/override_condition", take)
+    text = "temperature (5.2): found 27 degC"
+    state.faults = [Fault(level=Fault.ERROR, code="condition", source="temperature", text=text, remedy="override it")]
+    page = page_of()
+    control(page)
+    page.click("[data-override=temperature]:enabled")
+    page.keyboard.type("the hall is warm")
+    page.click("#sure_yes")
+    wait(page, lambda: given == [("temperature", "Ann", "the hall is warm")])
+
+
 # --- questions -------------------------------------------------------------------------------------------------------
 
 
@@ -218,6 +386,7 @@ def asked(page_of: Callable[..., Any], state: State, spinning: Any) -> tuple[Any
     state.procedure.state, state.procedure.waits_for = ProcedureState.LOADING, ProcedureState.OPERATOR
     state.procedure.load_awaited = state.procedure.load_felt_known = True
     state.procedure.target.force.z, state.procedure.load_felt.force.z, state.procedure.band_force = -900.0, -500.0, 25.0
+    state.procedure.load_fault = "force: wanted (0, 0, -900) N, found (0, 0, -500) N"
     page = page_of()
     control(page)
     wait(page, lambda: page.locator("#reset:visible:enabled").count() == 1)

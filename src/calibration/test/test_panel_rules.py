@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +13,31 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.web.access import ABSENT, IDLE, MOST_SESSIONS, TOKEN_LIFE, Access, Control, Rate, Session
+from calibration.web.access import (
+    ABSENT,
+    IDLE,
+    MOST_SESSIONS,
+    TOKEN_LIFE,
+    Access,
+    Control,
+    Rate,
+    Session,
+    page_token,
+    write_private,
+)
 from calibration.web.folder import Folder
 from calibration.web.origin import host_allowed, hosts, origin_allowed
 from calibration.web.request_table import KINDS, RequestError, read
-from calibration.web.shown.band import Held, pull
+from calibration.web.shown.band import Held, _advice, pull
 from calibration_core.acceptance.decision import WORDS
 
 STATIC = Path(__file__).resolve().parents[1] / "calibration" / "web" / "static"
 
 
-def entered(access: Access, name: str = "Ann", now: float = 0.0) -> Session:
-    session = access.enter(access.token, name, "127.0.0.1", now)
-    assert session is not None
-    return session
+def entered(access: Access, name: str = "Ann", now: float = 0.0) -> tuple[str, Session]:
+    found = access.enter(access.token, name, "127.0.0.1", now)
+    assert found is not None
+    return found
 
 
 # --- tokens and sessions ------------------------------------------------------------------------------------------
@@ -33,12 +46,11 @@ def entered(access: Access, name: str = "Ann", now: float = 0.0) -> Session:
 def test_a_token_is_good_for_one_entry() -> None:
     access = Access(0.0)
     token = access.token
-    session = access.enter(token, "Ann", "a", 0.0)
-    assert session is not None
+    cookie, session = entered(access)
     assert access.token != token
     assert access.enter(token, "Eve", "b", 0.0) is None
-    assert len({session.cookie, session.token, token, access.token}) == 4
-    assert min(len(session.cookie), len(session.token), len(token)) >= 32
+    assert len({cookie, session.key, page_token(cookie), token, access.token}) == 5
+    assert min(len(cookie), len(page_token(cookie)), len(token)) >= 32
 
 
 def test_a_wrong_token_is_refused_and_uses_nothing_up() -> None:
@@ -53,31 +65,49 @@ def test_a_token_and_a_session_grow_old() -> None:
     access = Access(0.0)
     old = access.token
     assert access.enter(old, "Ann", "a", TOKEN_LIFE + 1.0) is None
-    session = entered(access, now=TOKEN_LIFE + 1.0)
-    assert access.find(session.cookie, TOKEN_LIFE + 2.0) is session
+    cookie, session = entered(access, now=TOKEN_LIFE + 1.0)
+    assert access.find(cookie, TOKEN_LIFE + 2.0) is session
     session.pages = 1  # an open page keeps it
-    assert access.find(session.cookie, 10.0 * IDLE) is session
+    assert access.find(cookie, 10.0 * IDLE) is session
     session.pages, session.used = 0, 0.0
-    assert access.find(session.cookie, IDLE + 1.0) is None
-    assert session.cookie not in access.sessions
+    assert access.find(cookie, IDLE + 1.0) is None
+    assert access.sessions == {}
 
 
 def test_sessions_are_bounded_and_the_one_in_use_stays() -> None:
     access = Access(0.0)
-    first = entered(access)
+    cookie, first = entered(access)
     first.pages = 1
     for number in range(3 * MOST_SESSIONS):
         entered(access, now=1.0 + number)
     assert len(access.sessions) == MOST_SESSIONS
-    assert access.find(first.cookie, 100.0) is first
+    assert access.find(cookie, 100.0) is first
 
 
-def test_a_change_needs_the_sessions_own_token() -> None:
-    access = Access(0.0)
-    one, other = entered(access), entered(access)
-    assert access.may_change(one, one.token)
-    assert not access.may_change(one, other.token)
-    assert not access.may_change(one, "")
+def test_sessions_outlive_the_process_and_the_file_holds_no_secret(tmp_path: Path) -> None:
+    access, file = Access(0.0), tmp_path / "kept.json"
+    (ann, _), (bob, gone), (eve, _) = (entered(access, name, 10.0) for name in ("Ann", "Bob", "Eve"))
+    gone.used = 10.0 - IDLE  # Bob was here a shift ago
+    write_private(file, access.kept(20.0, 1e9))
+    write_private(file, access.kept(20.0, 1e9))
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert [one.name for one in tmp_path.iterdir()] == ["kept.json"]
+    assert not any(one in file.read_text("utf-8") for one in (ann, bob, eve, page_token(ann), access.token))
+    later = Access(3.0)
+    later.restore(file.read_text("utf-8"), 3.0, 1e9 + 100.0)
+    assert sorted(one.name for one in later.sessions.values()) == ["Ann", "Eve"]
+    found = later.find(ann, 4.0)
+    assert found is not None
+    assert found.name == "Ann"
+    assert later.find(bob, 4.0) is None
+    later.leave(found)
+    assert later.used(found, 5.0) is None
+    much_later = Access(0.0)
+    much_later.restore(file.read_text("utf-8"), 0.0, 1e9 + 2.0 * IDLE)
+    assert much_later.sessions == {}
+    for damaged in ("", "[", "{}x", "[1]", '[{"key": 1}]', '{"a": 1}', "null"):
+        with pytest.raises(ValueError, match=r"\w"):
+            Access(0.0).restore(damaged, 0.0, 1e9)
 
 
 # --- control ------------------------------------------------------------------------------------------------------
@@ -85,7 +115,7 @@ def test_a_change_needs_the_sessions_own_token() -> None:
 
 def test_one_at_a_time_holds_control_and_is_asked_for_it() -> None:
     access, control = Access(0.0), Control()
-    ann, bob = entered(access, "Ann"), entered(access, "Bob")
+    (_, ann), (_, bob) = entered(access, "Ann"), entered(access, "Bob")
     ann.pages = bob.pages = 1
     assert control.ask(ann, 0.0)
     assert not control.ask(bob, 1.0)
@@ -101,7 +131,7 @@ def test_one_at_a_time_holds_control_and_is_asked_for_it() -> None:
 
 def test_who_is_gone_is_not_asked() -> None:
     access, control = Access(0.0), Control()
-    ann, bob = entered(access, "Ann"), entered(access, "Bob")
+    (_, ann), (_, bob) = entered(access, "Ann"), entered(access, "Bob")
     ann.pages = 1
     assert control.ask(ann, 0.0)
     ann.pages, ann.left = 0, 10.0
@@ -224,24 +254,37 @@ def test_whatever_comes_is_read_or_refused(name: str, given_: dict[str, Any], da
 
 def test_a_stop_needs_no_control_and_everything_that_moves_does() -> None:
     free = {name for name, kind in KINDS.items() if not kind.control}
-    assert free == {"stop", "control_ask", "control_release"}
+    assert free == {"stop", "control_ask", "control_release", "operator"}
 
 
 # --- the load -----------------------------------------------------------------------------------------------------
 
 
-def test_a_pull_fits_within_its_band_alone() -> None:
-    one = pull([0.0, 0.0, -1000.0], [0.0, 50.0, -1000.0], 20.0, 0.1)
-    assert one.direction == (0.0, 0.0, -1.0)
-    assert one.off_angle == pytest.approx(0.05, abs=1e-3)
-    assert one.off_force == pytest.approx(1.25, abs=0.01)
-    assert one.fits
-    assert not pull([0.0, 0.0, -1000.0], [0.0, 150.0, -1000.0], 20.0, 0.1).fits
-    assert not pull([0.0, 0.0, -1000.0], [0.0, 0.0, -979.0], 20.0, 0.1).fits
-    assert not pull([0.0, 0.0, -1000.0], [0.0, 0.0, 1000.0], 20.0, 0.1).fits
-    assert not pull([0.0, 0.0, -1000.0], None, 20.0, 0.1).fits
-    assert pull([0.0, 0.0, 0.0], [3.0, 0.0, 0.0], 5.0, None).fits  # a load that is to be released has no direction
-    assert pull([0.0, 0.0, -1000.0], None, None, None).fits  # nothing is checked
+WANTED, FAULT = [0.0, 0.0, -1000.0], "force: wanted, found"
+
+
+@pytest.mark.parametrize(
+    ("wanted", "felt", "band", "fault", "against", "by_itself"),
+    [
+        (WANTED, [0.0, 50.0, -1000.0], 20.0, "", "", True),
+        (WANTED, [0.0, 0.0, -900.0], 20.0, FAULT, "force_too_small", False),
+        (WANTED, [0.0, 0.0, -1100.0], 20.0, FAULT, "force_too_great", False),
+        (WANTED, [0.0, 150.0, -990.0], 20.0, FAULT, "direction_off", False),
+        (WANTED, [0.0, 0.0, 1000.0], 20.0, FAULT, "direction_off", False),
+        (WANTED, [0.0, 0.0, -1000.0], 20.0, "torque: wanted, found", "load_differs", False),
+        (WANTED, None, 20.0, "", "load_not_felt", False),
+        (WANTED, None, None, "", "", False),  # nothing is checked: the operator's word is enough, and is needed
+        (WANTED, [0.0, 0.0, -1000.0], None, "", "", False),
+        ([0.0, 0.0, 0.0], [3.0, 0.0, 0.0], 20.0, "", "", False),  # a release: the robot moves after it
+        ([0.0, 0.0, 0.0], [100.0, 100.0, 100.0], 20.0, FAULT, "not_released", False),
+        ([0.0, 0.0, 0.0], None, None, "", "", False),
+    ],
+)
+def test_what_the_sensor_feels_is_judged_by_the_sequencer_and_a_release_needs_a_hand(
+    wanted: list[float], felt: list[float] | None, band: float | None, fault: str, against: str, by_itself: bool
+) -> None:
+    one = pull(wanted, felt, band, 0.1, fault)
+    assert (one.against, one.by_itself) == (against, by_itself)
 
 
 def test_a_load_is_held_without_a_break_and_for_its_own_step() -> None:
@@ -260,8 +303,10 @@ def test_a_load_that_is_held_is_confirmed_once() -> None:
     held.look(("a", 1, 0.0), 4.0, fits=True)  # the release of the same step
     assert [held.take(now, 2.0) for now in (5.0, 6.0, 7.0)] == [False, True, False]
     held.look(("a", 1, 0.0), 8.0, fits=False)
-    held.look(("a", 1, 0.0), 9.0, fits=True)  # the confirmation was refused, and the load fits anew
+    held.look(("a", 1, 0.0), 9.0, fits=True)  # somebody has changed it meanwhile
     assert held.take(11.0, 2.0)
+    held.refused(12.0)  # it was not heard, or refused: it is asked again
+    assert [held.take(now, 2.0) for now in (13.0, 14.0, 15.0)] == [False, True, False]
 
 
 # --- files --------------------------------------------------------------------------------------------------------
@@ -332,7 +377,9 @@ def test_every_code_of_the_nodes_has_words() -> None:
     codes += [f"state_{one}" for one in CONSTANTS["ProcedureState"]["state"].values()]
     codes += [f"party_{one}" for one in CONSTANTS["ProcedureState"]["waits_for"].values()]
     codes += [f"verdict_{one}" for one in CONSTANTS["ProcedureState"]["reading_verdict"].values()]
-    codes += [f"stream_{one}" for one in CONSTANTS["SampleCheck"]["problem"].values()]
+    problems = (*CONSTANTS["SampleCheck"]["problem"].values(), "not_heard")
+    codes += [f"{use}{one}" for one in problems for use in ("stream_", "against_stream_") if one != "fine"]
+    codes += [f"against_{one}" for one in re.findall(r'return "(\w+)"', inspect.getsource(_advice))]
     codes += [f"mode_{one}" for one in CONSTANTS["RobotState"]["operating_mode"].values()]
     codes += [f"drives_{one}" for one in CONSTANTS["RobotState"]["drives"].values()]
     codes += [f"decision_{one}" for one in WORDS]

@@ -15,7 +15,6 @@ import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from conftest import Spinning
 from panel_client import client, run
 
 LATE = 4.0  # s, after which a sequencer is there as a whole
@@ -48,7 +47,7 @@ def test_it_ends_while_a_run_that_was_begun_there_goes_on(
         handle.succeed()
         return RunPlan.Result()
 
-    other = Spinning(spinning.context)
+    other = type(spinning)(spinning.context)
     node = other.plain("sequencer")
     ActionServer(node, RunPlan, "sequencer/run", measure)
     other.start()
@@ -99,7 +98,7 @@ def test_work_that_was_begun_in_the_thread_has_ended_when_it_has(caplog: pytest.
     """A task ends with its loop, also one that takes a moment to end, and one that another task has begun."""
     from aiohttp import web
 
-    from calibration.web.serving import Serving, listening
+    from calibration.web.serving import Door, Serving, listening
 
     ended = []
 
@@ -120,7 +119,7 @@ def test_work_that_was_begun_in_the_thread_has_ended_when_it_has(caplog: pytest.
 
     held: list[Any] = []
     begun = threading.Event()
-    serving = Serving(web.Application(), listening("127.0.0.1", 0), None, nothing)
+    serving = Serving(web.Application(), listening("127.0.0.1", 0), None, nothing, Door(print))
     serving.start()
     serving.do(lambda: serving.begin(outer()))
     assert begun.wait(5.0)
@@ -132,12 +131,12 @@ def test_work_that_was_begun_in_the_thread_has_ended_when_it_has(caplog: pytest.
 
 
 @contextlib.contextmanager
-def sequencer(context: Any, after: float, measure: Any) -> Iterator[None]:
+def sequencer(spinning: Any, after: float, measure: Any) -> Iterator[None]:
     """A sequencer of which the graph shows a part at once, and whose action answers some seconds later."""
     from calibration_interfaces.action import RunPlan
     from rclpy.action import ActionServer
 
-    other = Spinning(context)
+    other = type(spinning)(spinning.context)
     node = other.plain("sequencer")
     part = "sequencer/run/_action/send_goal"
     first = node.create_service(RunPlan.Impl.SendGoalService, part, lambda _, answer: answer)
@@ -177,7 +176,7 @@ def test_a_run_begins_where_the_sequencer_is_found_late(panel: Any, spinning: An
             began = time.monotonic()
             assert (await one.ask("run", **asked))[1] == {"done": False, "text": "sequencer/run is not there"}
             assert time.monotonic() - began < LATE  # where no part of it is seen, nobody waits for the rest
-            with sequencer(spinning.context, LATE, measure):
+            with sequencer(spinning, LATE, measure):
                 await asyncio.sleep(0.5)
                 first = asyncio.create_task(one.ask("run", **asked))
                 await asyncio.sleep(0.5)

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import http.client
+import socket
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import aiohttp
@@ -192,7 +197,16 @@ def test_a_session_that_leaves_takes_its_sockets_along(panel: Any) -> None:
     run(work())
 
 
-def test_requests_are_counted_and_bounded_and_a_stop_stays_possible(panel: Any) -> None:
+def test_requests_are_counted_and_bounded_and_a_stop_is_never_refused(panel: Any, spinning: Any) -> None:
+    from std_srvs.srv import Trigger
+
+    def stop(_: Any, response: Any) -> Any:
+        stops.append(time.monotonic())
+        response.success = True
+        return response
+
+    stops: list[float] = []
+    spinning.plain("sequencer").create_service(Trigger, "sequencer/stop", stop)
     address, token = panel.where()
 
     async def work() -> None:
@@ -200,9 +214,91 @@ def test_requests_are_counted_and_bounded_and_a_stop_stays_possible(panel: Any) 
             await one.enter(token)
             found = [(await one.ask("control_ask"))[0] for _ in range(60)]
             assert 429 in found
-            assert (await one.ask("stop"))[0] == 200
+            taps = await asyncio.gather(*(one.ask("stop") for _ in range(20)))
+            assert {status for status, _ in taps} == {200}  # a stop is never refused
+            assert len(stops) in (2, 3)  # and whoever taps in between shares the next one
+            assert {found["done"] for _, found in taps} == {True}
             large = {"condition": "a", "reason": "x" * 20_000}
             answer = await one.http.post(f"{address}/api/do/override_condition", json=large, headers=one.headers())
             assert answer.status in (413, 429)
 
     run(work())
+
+
+# --- connections that show no session --------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def half_open(address: str, number: int) -> Iterator[list[socket.socket]]:
+    """Connections of somebody without a token, each with the beginning of a header."""
+    host, _, port = address.removeprefix("http://").partition(":")
+    with contextlib.ExitStack() as stack:
+        found = []
+        for _ in range(number):
+            one = stack.enter_context(socket.create_connection((host, int(port)), timeout=10.0))
+            one.sendall(b"G")
+            found.append(one)
+        yield found
+
+
+def ended(connections: list[socket.socket]) -> int:
+    """How many the server has closed."""
+    number = 0
+    for one in connections:
+        one.setblocking(False)
+        try:
+            number += one.recv(1) == b""
+        except BlockingIOError:
+            continue
+        except ConnectionError:
+            number += 1
+    return number
+
+
+def test_strangers_make_room_and_do_not_stay(
+    panel: Any, until: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Half-open connections: a page that is open, a reload and a stop work, the others are closed, with one line."""
+    from calibration.web import serving
+
+    for name, value in (("STRANGERS_OF_ADDRESS", 40), ("STRANGER", 2.0), ("LOOK", 0.2), ("REPORTED", 8.0)):
+        monkeypatch.setattr(serving, name, value)
+    address, token = panel.where()
+    said: list[str] = []
+    monkeypatch.setattr(panel._door, "_say", said.append)
+
+    async def work() -> None:
+        async with client(address) as one, client(address) as late:
+            await one.enter(token)
+            async with one.http.ws_connect(f"{address}/pages", headers=one.headers()) as socket_:
+                await socket_.receive_str(timeout=5.0)
+                with half_open(address, 150) as connections:
+                    until(lambda: ended(connections) >= 110)
+                    assert ended(connections[-40:]) == 0  # the newest ones have room
+                    assert (await one.http.get(f"{address}/")).status == 200
+                    assert (await one.ask("stop"))[0] == 200
+                    assert await late.enter(panel.where()[1], "Bob") == 200  # another device, too
+                    until(lambda: ended(connections) == 150)  # nobody stays who shows no session
+                    for _ in range(3):
+                        assert await socket_.receive_str(timeout=2.0)
+
+    run(work())
+    until(lambda: said)
+    assert "connections that showed no session" in said[0]
+    assert "from 127.0.0.1" in said[0]
+    assert len(said) == 1
+    assert [one.getMessage() for one in caplog.records if one.name == "asyncio"] == []
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(panel: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from calibration.web import server
+
+    monkeypatch.setattr(server, "BODY", 0.3)
+    address, _ = panel.where()
+    one = http.client.HTTPConnection(address.split("/")[2], timeout=10.0)
+    one.putrequest("POST", "/api/enter")
+    for name, value in (("Origin", address), ("Content-Type", "application/json"), ("Content-Length", "100")):
+        one.putheader(name, value)
+    one.endheaders(b"{")
+    assert one.getresponse().status == 408
+    one.close()

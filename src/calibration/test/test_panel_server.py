@@ -193,6 +193,109 @@ def test_with_a_certificate_it_is_served_over_tls_alone(
         PanelNode(context=spinning.context, parameter_overrides=given)
 
 
+def test_an_operator_hands_over_and_leaves(panel: Any, spinning: Any, until: Any) -> None:
+    from calibration_interfaces.msg import SessionEvent
+
+    from calibration.topics import EVENT
+
+    heard: list[str] = []
+    spinning.plain("outside").create_subscription(
+        SessionEvent, EVENT.relative, lambda one: heard.append(one.text), EVENT.qos
+    )
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token, "Ann")
+            await one.ask("control_ask")
+            assert (await one.ask("operator", name=" "))[0] == 400
+            assert (await one.ask("operator", name="Bob"))[1]["done"]
+            await one.listen(lambda shown: shown.get("me", {}).get("name") == "Bob")
+            assert not one.shown["me"]["control"]  # Bob has not asked for it
+            await one.ask("stop")
+            assert (await one.post("/api/leave"))[0] == 200
+            assert (await one.http.get(f"{address}/api/me")).status == 401
+
+    run(work())
+    until(lambda: len(heard) >= 5)
+    assert heard[2].startswith("operator (name Bob) by Ann from 127.0.0.1")
+    assert "by Bob" in heard[3]
+    assert heard[4] == "Bob has left at 127.0.0.1"
+
+
+def test_a_device_stays_entered_when_the_panel_is_started_again(
+    spinning: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from calibration.lifecycle import machine
+    from calibration.panel import PanelNode
+
+    def start(port: int) -> Any:
+        given = parameters(cell=str(CELL), session=str(tmp_path / "session"), port=port)
+        return spinning.add(PanelNode(context=spinning.context, parameter_overrides=given))
+
+    panel = start(0)
+    address, token = printed(capsys.readouterr().out)
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token)
+            await one.ask("control_ask")
+            for change in (machine.DEACTIVATE, machine.CLEANUP):
+                assert await asyncio.to_thread(panel.change, change)
+            again = await asyncio.to_thread(start, int(address.rpartition(":")[2]))
+            assert (await (await one.http.get(f"{address}/api/me")).json())["name"] == "Ann"
+            assert (await one.ask("stop"))[0] == 200
+            assert (await one.ask("pause"))[0] == 409  # control is asked for anew
+            assert (await one.post("/api/leave"))[0] == 200
+            for change in (machine.DEACTIVATE, machine.CLEANUP):
+                assert await asyncio.to_thread(again.change, change)
+            (kept,) = tmp_path.glob(".panel-*.json")
+            kept.write_text("[damaged", "utf-8")
+            await asyncio.to_thread(start, int(address.rpartition(":")[2]))
+            assert (await one.http.get(f"{address}/api/me")).status == 401
+
+    run(work())
+
+
+def test_a_condition_is_overridden_for_the_next_run(panel: Any, spinning: Any, tmp_path: Path) -> None:
+    """Before a run the sequencer takes no override: it goes along with the goal."""
+    from calibration_interfaces.action import RunPlan
+    from calibration_interfaces.msg import Outcome
+    from calibration_interfaces.srv import OverrideCondition
+    from rclpy.action import ActionServer
+
+    given: list[list[tuple[str, ...]]] = []
+
+    def refuse(_: Any, response: Any) -> Any:
+        response.outcome.code, response.outcome.text = Outcome.INPUT_UNUSABLE, "no plan is being measured"
+        return response
+
+    def measure(handle: Any) -> Any:
+        given.append([(one.condition, one.operator_name, one.reason) for one in handle.request.overrides])
+        handle.succeed()
+        return RunPlan.Result()
+
+    node = spinning.plain("sequencer")
+    node.create_service(OverrideCondition, "sequencer/override_condition", refuse)
+    spinning.executor.create_task(lambda: ActionServer(node, RunPlan, "sequencer/run", measure))
+    (tmp_path / "plan.yaml").write_text("x", "utf-8")
+    address, token = panel.where()
+
+    async def work() -> None:
+        async with client(address) as one:
+            await one.enter(token)
+            await one.ask("control_ask")
+            asked = {"condition": "temperature", "reason": "the hall is warm"}
+            assert "next run" in (await one.ask("override_condition", **asked))[1]["text"]
+            await one.listen(lambda shown: shown.get("overrides") == ["temperature"])
+            for session in ("one", "two"):
+                assert (await one.ask("run", plan="plan.yaml", session=session, resume=False))[1]["done"]
+            await one.listen(lambda shown: shown.get("overrides") == [])
+
+    run(work())
+    assert given == [[("temperature", "Ann", "the hall is warm")], []]
+
+
 def test_it_comes_back_at_the_same_place(panel: Any) -> None:
     from calibration.lifecycle import machine
 

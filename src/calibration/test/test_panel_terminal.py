@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from typing import Any
 
 import pytest
@@ -30,7 +31,7 @@ def loading() -> State:
     procedure = ProcedureState(
         state=ProcedureState.LOADING, waits_for=ProcedureState.OPERATOR, configuration=7, step=1, steps=4,
         configurations_total=18, configurations_done=6, load_awaited=True, load_felt_known=True, band_force=25.0,
-        band_angle=0.1, share_done=0.33, seconds_left=math.nan,
+        band_angle=0.1, share_done=0.33, seconds_left=math.nan, load_fault="force: wanted, found",
     )  # fmt: skip
     procedure.target.force.z, procedure.load_felt.force.z = -1000.0, -900.0
     permission = Permission(permitted=True, speed=0.0, speed_limit=0.25, speed_point="flange")
@@ -49,12 +50,19 @@ def test_a_load_is_told_with_what_speaks_against_it() -> None:
     assert lines[-1] == "Pull harder."
     assert text.load(shown, Words("de"))[-1] == "Stärker ziehen."
     assert text.load({**shown, "load": {**shown["load"], "awaited": False}}, Words("en")) == []
+    left = {**shown["load"], "awaited": False, "left": "It was left on by a1."}
+    assert text.load({**shown, "load": left}, Words("en")) == [
+        "900 N pull at the tool: release the load. It was left on by a1."
+    ]
 
 
 def test_a_guard_that_is_silent_permits_nothing() -> None:
     state = loading()
     state.permission_known = False
-    assert text.permission(view(plain(state)), Words("en")) == ["The robot may not move", "the guard is silent"]
+    assert text.permission(view(plain(state)), Words("en")) == [
+        "It is not known whether the robot may move",
+        "the guard is silent",
+    ]
 
 
 def test_the_keys_ask_what_they_say(spinning: Any, until: Any) -> None:
@@ -94,6 +102,9 @@ def test_the_keys_ask_what_they_say(spinning: Any, until: Any) -> None:
             assert "Pull harder." in said("load")
             assert "[5] is odd" in said("faults")  # as it came, no markup
             assert app.query_one("#permission").has_class("yes")
+            await pilot.pause(1.0)
+            assert (said("load"), said("permission")) == ("", "")  # nothing has come for a while
+            assert not app.query_one("#permission").has_class("yes")
             for key, found in (("s", stopped), ("c", loads)):
                 for _ in range(50):
                     await pilot.press(key)
@@ -117,7 +128,7 @@ def test_states_that_arrive_while_it_ends_do_no_harm(spinning: Any, monkeypatch:
         for _ in range(10):
             app = Terminal(node, "Ann", "en")
             async with app.run_test() as pilot:
-                app.cell_shown = view(plain(loading()))
+                app.cell_shown, app.cell_heard = view(plain(loading())), time.monotonic()
                 await pilot.pause(0.02)
                 assert "configuration 7" in str(app.query_one("#status", Static).render())
                 asking = asyncio.create_task(app.action_do("stop"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,7 +27,7 @@ from lifecycle_msgs.msg import State as Lifecycle
 
 from calibration.web.shown.plain import CONSTANTS, plain
 from calibration.web.shown.text import status
-from calibration.web.shown.view import checklist, load_of, place_of, running, view
+from calibration.web.shown.view import checklist, forgotten, place_of, running, unfinished, view
 from calibration.web.shown.words import Words
 
 
@@ -55,14 +56,15 @@ def test_a_load_that_fits_may_be_confirmed() -> None:
     assert against(loading()) == []
 
 
-@pytest.mark.parametrize(
-    ("z", "x", "code"),
-    [(-900.0, 0.0, "force_too_small"), (-1100.0, 0.0, "force_too_great"), (-990.0, 150.0, "direction_off")],
-)
-def test_a_load_beside_its_band_may_not(z: float, x: float, code: str) -> None:
-    state = loading()
-    state.procedure.load_felt.force.z, state.procedure.load_felt.force.x = z, x
-    assert against(state) == [code]
+def test_a_load_that_the_sequencer_finds_wrong_may_not_and_a_release_waits_for_a_hand() -> None:
+    state = loading(load_fault="force: wanted, found")
+    state.procedure.load_felt.force.z = -900.0
+    assert against(state) == ["force_too_small"]
+    released = loading()
+    released.procedure.target.force.z = released.procedure.load_felt.force.z = 0.0
+    for one, by_itself in ((loading(), True), (released, False)):
+        shown = view(plain(one))["confirm"]
+        assert (shown["offered"], shown["by_itself"]) == (True, by_itself)
 
 
 def test_whatever_else_speaks_against_it_is_said() -> None:
@@ -71,6 +73,7 @@ def test_whatever_else_speaks_against_it_is_said() -> None:
     assert against(loading(waits_for=ProcedureState.LOAD_DEVICE)) == ["no_load_awaited"]
     state = loading()
     state.procedure_known = False
+    state.procedure.load_fault = "force: wanted, found"  # once upon a time
     assert against(state) == ["sequencer_silent"]
     state = loading()
     state.permission.speed = 0.01
@@ -79,7 +82,9 @@ def test_whatever_else_speaks_against_it_is_said() -> None:
 
 
 def test_without_a_band_the_operators_word_is_enough() -> None:
-    assert against(loading(band_force=math.nan, band_angle=math.nan, load_felt_known=False)) == []
+    state = loading(band_force=math.nan, band_angle=math.nan, load_felt_known=False)
+    assert against(state) == []
+    assert not view(plain(state))["confirm"]["by_itself"]
 
 
 def test_a_view_is_plain_json_whatever_is_not_known() -> None:
@@ -110,11 +115,74 @@ def test_a_load_step_has_a_place_of_its_own() -> None:
     released = loading()
     released.procedure.target.force.z = 0.0
     assert len({*places, place_of(plain(released))}) == 5
-    assert load_of(plain(loading())["procedure"]).fits
 
 
-def active(name: str) -> NodeHealth:
-    return NodeHealth(name=name, level=NodeHealth.OK, lifecycle=Lifecycle(id=3, label="active"))
+def active(name: str, age: float = 0.1) -> NodeHealth:
+    return NodeHealth(name=name, level=NodeHealth.OK, lifecycle=Lifecycle(id=3, label="active"), age=age)
+
+
+NODES = ("guard", "sequencer", "tracker", "force_torque", "recorder")
+
+
+def heard(*silent: str) -> dict[str, Any]:
+    """What of a state is shown as current while some nodes are silent: none of them has been missed yet."""
+    state = loading(state=ProcedureState.READING, averaged=0.4)
+    state.nodes = [active(name, 0.8 if name in silent else 0.3) for name in NODES]
+    state.procedure_known, state.permission_known = "sequencer" not in silent, "guard" not in silent
+    state.robot = RobotState(operating_mode=RobotState.MODE_MANUAL_REDUCED, drives=RobotState.DRIVES_ON)
+    state.streams = [SampleCheck(name="mp1"), SampleCheck(name="wrench")]
+    told = forgotten(plain(state)) if "manager" in silent else plain(state)
+    shown = view(told)
+    rows = {one["name"]: one["met"] for one in checklist(shown, 1e11, (True, ""))}
+    current = {
+        "permission": shown["permission"]["permitted"], "banner": shown["permission"]["known"],
+        "permission row": rows["permission"], "speed": shown["permission"]["speed"] is not None,
+        "mode": rows["mode"], "drives": rows["drives"], "felt": shown["load"]["felt"] is not None,
+        "confirm": shown["confirm"]["offered"], "averaged": shown["procedure"]["averaged"] is not None,
+        "running": shown["running"], "mp1": rows["stream_mp1"], "wrench": rows["stream_wrench"],
+        "recorder": rows["recorder_hears"], **{name: rows[f"node_{name}"] for name in NODES},
+    }  # fmt: skip
+    assert set(current.values()) <= {True, False, None}
+    return {name for name, value in current.items() if not value}
+
+
+@pytest.mark.parametrize(
+    ("silent", "unknown"),
+    [
+        ("none", set()),
+        ("guard", {"permission", "banner", "permission row", "speed", "mode", "drives"}),
+        ("sequencer", {"felt", "confirm", "averaged", "running"}),
+        ("tracker", {"mp1", "averaged", "confirm"}),
+        ("force_torque", {"wrench", "felt", "averaged", "confirm"}),
+        ("recorder", {"recorder"}),
+    ],
+)
+def test_what_a_silent_node_has_said_is_not_shown_as_current(silent: str, unknown: set[str]) -> None:
+    assert heard(silent) == unknown | ({silent} & set(NODES))
+
+
+def test_of_a_silent_manager_nothing_is_shown_as_current() -> None:
+    everything = set().union(*(heard(one) for one in NODES))
+    assert heard("manager") == everything
+    assert heard(*NODES) == everything
+
+
+def test_a_run_that_ended_early_can_be_gone_on_with(tmp_path: Path) -> None:
+    places = {"session": str(tmp_path / "a1"), "plan": str(tmp_path / "short" / "plan.yaml")}
+    going = {"session": "a1", "plan": "short/plan.yaml"}
+
+    def found(last: dict[str, str] | None = None, known: bool = True, **changes: Any) -> dict[str, str] | None:
+        state = loading(**places | changes)
+        state.procedure_known = known
+        return unfinished(plain(state), tmp_path, last)
+
+    assert found() == going
+    assert found(state=ProcedureState.FINISHED) == going
+    assert found(configurations_done=18) is None
+    assert found(configurations_total=0) is None  # it was refused, or is being prepared
+    assert found(going, session="") == going  # another process of the sequencer, which knows of no run
+    assert found(going, known=False) == going
+    assert found(session="/elsewhere/a1") is None
 
 
 def rows(state: State, **seen: Any) -> dict[str, Any]:

@@ -71,3 +71,41 @@ def test_a_fault_of_the_past_is_remembered_by_its_time_alone() -> None:
     assert watch.at(11.0)[0]
     assert not watch.latched
     assert watch.against == 10.0
+
+
+@pytest.mark.parametrize(
+    "reason",
+    [Permission.DRIVES_OFF, Permission.MODE_NOT_ALLOWED, Permission.SAFETY_STOP, Permission.STATE_STALE,
+     Permission.CONFIRMATION_EXPIRED],
+)  # fmt: skip
+def test_a_robot_that_was_not_sound_is_remembered(reason: int) -> None:
+    watch = _heard(_word(permitted=True))
+    watch.hear(_word(reason), 10.1)
+    watch.hear(_word(permitted=True), 10.2)
+    assert watch.unsound(10.15, 10.3) == ""
+    assert watch.unsound(10.05, 10.3) == "as it is"
+
+
+def test_what_speaks_against_motion_alone_is_nothing_to_a_reading() -> None:
+    watch = _heard(_word(permitted=True))
+    watch.hear(_word(Permission.OVER_SPEED, Permission.LATCHED), 10.1)
+    assert watch.unsound(10.05, 10.2) == ""
+
+
+def test_a_guard_that_was_silent_leaves_the_robot_unknown() -> None:
+    watch = _heard(_word(permitted=True))
+    assert watch.unsound(10.05, 12.4) == ""
+    assert watch.unsound(10.05, 12.6) == SILENT
+    watch.hear(_word(permitted=True), 12.6)
+    assert watch.unsound(10.05, 12.7) == SILENT
+    assert watch.unsound(12.65, 12.7) == ""
+
+
+def test_a_moment_is_judged_once_a_state_of_after_it_was() -> None:
+    watch = _heard(_word(permitted=True))
+    assert not watch.judged(10.05)
+    watch.state(10.1)
+    assert not watch.judged(10.05)
+    watch.hear(_word(permitted=True), 10.15)
+    assert watch.judged(10.05)
+    assert not watch.judged(10.12)

@@ -51,7 +51,7 @@ def test_the_end_of_an_earlier_goal_is_not_that_of_the_next_one(spinning: Any, u
 
     guard.create_service(ProveStop, SERVICE, judge)
     driver = Driver()
-    prover = Prover(spinning.plain("prover"), driver, JOINTS, lambda: np.zeros(6))
+    prover = Prover(spinning.plain("prover"), driver, JOINTS, lambda: (np.zeros(6), np.zeros(6), 0.0))
     assert prover._client is not None
     assert prover._client.wait_for_service(20.0)
 
@@ -90,7 +90,7 @@ def test_a_clock_that_stood_still_at_first_does_not_shorten_every_goal(
 
     guard.create_service(ProveStop, SERVICE, judge)
     driver, clock = Driver(), [0.0, 1.0]  # s of the robot's clock, and its pace
-    prover = Prover(node, driver, JOINTS, lambda: np.zeros(6))
+    prover = Prover(node, driver, JOINTS, lambda: (np.zeros(6), np.zeros(6), 0.0))
     assert prover._client is not None
     assert prover._client.wait_for_service(20.0)
     stand_in = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(1e9 * clock[0])))

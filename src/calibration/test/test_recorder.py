@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import signal
 import subprocess
 import threading
@@ -17,7 +19,7 @@ from granted import Granted
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from calibration_interfaces.msg import MeasurementStep, RobotState, SessionEvent, TareEvent
+from calibration_interfaces.msg import MeasurementStep, Reading, RobotState, SessionEvent, TareEvent
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -30,9 +32,10 @@ from std_srvs.srv import Trigger
 
 from calibration.cell.recorder_client import Recorder, Wanted
 from calibration.conversions import to_header, to_step, to_wrench
+from calibration.recorder import recorder as module
 from calibration.recorder.definitions import definition
 from calibration.recorder.recorder import RecorderNode
-from calibration.topics import EVENT, OWN, contract_topics, recorded_topics
+from calibration.topics import EVENT, OWN, READING, RECORDING, contract_topics, recorded_topics
 from calibration_core.cell import load_cell
 from calibration_core.errors import RecordingError
 from calibration_core.recording.bags.bag import read_bag
@@ -270,6 +273,65 @@ def test_what_came_before_the_recorder_ends_is_in_its_bag(
         assert reader.message_count == 500
 
 
+def test_a_recorder_that_lost_its_disk_goes_on_by_itself(
+    spinning: Any, until: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As soon as there is room again, in a further file; until then whoever measures is told why."""
+    monkeypatch.setattr(module, "AGAIN", 0.2)
+    node, client, publisher = matched(spinning, until, tmp_path)
+    user = Recorder(client, "recorder", 1.0)
+    user.listen()
+    wanted = Wanted(tmp_path / "session" / "bag", "a" * 64, 0, "s@1")
+    until(lambda: user.record(wanted) == "")
+    publisher.publish(joint_state(0))
+    until(lambda: node._bag is not None and node._bag.messages)
+    write, full = os.fsync, [True]
+
+    def fsync(number: int) -> None:
+        if full[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(number)
+
+    monkeypatch.setattr("os.fsync", fsync)
+    publisher.publish(joint_state(1))
+    until(lambda: "has closed its bag" in user.fault(time.monotonic()))
+    until(lambda: user.tick(time.monotonic()) or "a full disk" in user.fault(time.monotonic()))
+    assert "goes on by itself" in user.fault(time.monotonic())
+    full[0] = False
+    until(lambda: user.fault(time.monotonic()) == "")
+    publisher.publish(joint_state(2))
+    until(lambda: node._bag.messages)
+    user.close()
+    assert len(list(wanted.directory.glob("*.mcap"))) > 1
+
+
+def test_a_bag_that_is_deleted_is_told_at_once(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
+    _, client, _ = matched(spinning, until, tmp_path)
+    user = Recorder(client, "recorder", 1.0)
+    user.listen()
+    until(lambda: user.record(Wanted(tmp_path / "session" / "bag", "a" * 64, 0)) == "")
+    shutil.rmtree(tmp_path / "session")
+    until(lambda: "has closed its bag" in user.fault(time.monotonic()))
+    assert not (tmp_path / "session").exists(), "nothing is made in the place of a session that is gone"
+
+
+def test_readings_of_another_session_are_named_and_not_recorded(
+    spinning: Any, until: Callable[..., None], tmp_path: Path
+) -> None:
+    node, client, _ = matched(spinning, until, tmp_path)
+    readings = client.create_publisher(Reading, "calibration/reading", READING.qos)
+    until(readings.get_subscription_count)
+    user = Recorder(client, "recorder", 1.0)
+    user.listen()
+    until(lambda: user.record(Wanted(tmp_path / "session" / "bag", "a" * 64, 0, "mine@1")) == "")
+    until(readings.get_subscription_count)
+    readings.publish(Reading(header=to_header(START), session="old@1"))
+    until(lambda: node._foreign == "old@1")
+    assert not node._bag.messages
+    readings.publish(Reading(header=to_header(START), session="mine@1"))
+    until(lambda: node._bag.messages == 1)
+
+
 def test_places_that_cannot_be_used(context: Any, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(Exception, match="expected a directory"):
@@ -290,6 +352,10 @@ def test_the_process_leaves_a_bag_that_can_be_read(
         client = spinning.plain()
         joints = client.create_publisher(JointState, "joint_states", 1000)
         tracker = client.create_publisher(PointStamped, "tracker/mp1", 1000)
+        signs: list[bool] = []
+        client.create_subscription(
+            RECORDING.message, RECORDING.relative, lambda one: signs.append(one.recording), RECORDING.qos
+        )
         until(lambda: joints.get_subscription_count() and tracker.get_subscription_count(), timeout=30.0)
         sent: list[float] = []
         sending = Granted(process.pid)
@@ -316,6 +382,7 @@ def test_the_process_leaves_a_bag_that_can_be_read(
         assert code == -signal.SIGKILL
     else:
         assert code == 0
+        until(lambda: not signs[-1])  # whoever moves the robot knows at once
         assert len(back.joints) == 1500
         assert "truncated" not in [note.kind for note in back.notes]
         assert took < 2.0

@@ -39,7 +39,7 @@ def test_a_plan_is_measured(bench: Bench) -> None:
     assert all(move.speed_bound <= 0.25 for move in bench.robot.moves)
     np.testing.assert_allclose(bench.robot.moves[0].position[0], HOME, atol=1e-9)
     assert bench.cell.progressed > 0
-    assert bench.cell.stages == []
+    assert bench.stopper.stages == []
 
 
 def test_success_without_arrival_is_none(bench: Bench) -> None:
@@ -126,7 +126,7 @@ def test_a_stop_does_not_wait_for_the_disk(bench: Bench, until: Any, monkeypatch
 
     def slow(command: m.Command) -> None:
         if isinstance(command, m.Record) and command.kind is m.Kind.PAUSED:
-            stopped_when_told.append(bool(bench.cell.stages))
+            stopped_when_told.append(bool(bench.stopper.stages))
         usual(command)
 
     monkeypatch.setattr(bench.cell, "carry_out", slow)
@@ -189,9 +189,9 @@ def test_the_ladder_is_climbed_when_the_robot_goes_on(
     monkeypatch.setattr(bench.robot, "stop", lambda: None)  # deaf
     monkeypatch.setattr(bench.robot.joints, "standing", lambda: False)
     bench.permitted = False
-    until(lambda: bench.cell.stages[-1:] == [3])
-    assert bench.cell.stages[0] == 0
-    assert sorted(set(bench.cell.stages)) == [0, 1, 2, 3]
+    until(lambda: bench.stopper.stages[-1:] == [3])
+    assert bench.stopper.stages[0] == 0
+    assert sorted(set(bench.stopper.stages)) == [0, 1, 2, 3]
 
 
 def test_a_recorder_that_falls_silent_pauses_until_it_is_back(bench: Bench, until: Any) -> None:
@@ -245,6 +245,90 @@ def test_pause_and_stop(bench: Bench, until: Any) -> None:
 
 def test_a_robot_without_joint_states_is_not_moved(bench: Bench) -> None:
     bench.robot.end()
-    bench.robot.joints._samples.clear()
+    bench.robot.joints._kept = Joints(ArrivalRules())._kept  # as before the first
     assert bench.run().outcome is m.Outcome.INCOMPLETE
     assert bench.robot.moves == []
+
+
+@pytest.mark.parametrize("moment", ["in the unloaded window", "in a window", "between"])
+def test_no_reading_counts_of_a_robot_that_was_not_sound(bench: Bench, until: Any, moment: str) -> None:
+    """Drives off for a moment, from the unloaded window on: the configuration begins again, and that is no failure."""
+    asked: list[int] = []
+    measure, load = bench.cell.measure, bench.cell.apply_load
+
+    def fault() -> None:
+        bench.say(permitted=False)
+        bench.say(permitted=True)
+
+    def measured(answered: Any) -> None:
+        asked.append(1)
+        if moment != "between" and len(asked) == (1 if moment == "in the unloaded window" else 2):
+            fault()
+        measure(answered)
+
+    def loaded(command: m.RequestLoad, answered: Any) -> None:
+        if moment == "between" and len(asked) == 1:
+            fault()
+        load(command, answered)
+
+    bench.cell.measure, bench.cell.apply_load = measured, loaded  # type: ignore[method-assign]
+    runner, thread = bench.start()
+    until(lambda: runner.sequence.held)
+    while thread.is_alive():
+        if runner.sequence.held:
+            runner.post(m.ResumeMotion(time.monotonic(), "A. Smith"))
+        thread.join(0.2)
+    assert runner.finish is not None
+    assert runner.finish.outcome is m.Outcome.COMPLETED
+    before = 0 if moment == "in the unloaded window" else 1
+    assert [(c.configuration, c.step) for c in bench.cell.confirmed] == [
+        *[(1, 0)] * before, (1, 0), (1, 1), (2, 0), (2, 1)
+    ]  # fmt: skip
+    assert bench.cell.kinds().count(m.Kind.READING_REJECTED) == 1
+    (ended,) = [c for c in bench.cell.told if isinstance(c, m.EndAttempt) and not c.completed]
+    assert ended.reason.endswith("the configuration begins again")
+
+
+@pytest.mark.slow
+def test_200_random_moments_of_a_robot_that_is_not_sound(bench: Bench) -> None:
+    """Whenever mode, drives or safety are bad or unknown, and however shortly: no reading from the unloaded one on."""
+    rng = np.random.default_rng(2047)
+    faults: list[tuple[float, float]] = []
+    asked: dict[int, float] = {}
+    kept: list[tuple[float, float]] = []
+    measure, confirm = bench.cell.measure, bench.cell.confirm
+
+    def measured(answered: Any) -> None:
+        command = runner._reading[max(runner._reading)]
+        if command.step == 0:
+            asked[command.configuration] = time.monotonic()
+        threading.Timer(float(rng.uniform(0.02, 0.1)), lambda: measure(answered)).start()
+
+    def confirmed(command: m.TakeReading, averages: Any) -> None:
+        confirm(command, averages)
+        kept.append((asked[command.configuration], time.monotonic()))
+
+    bench.cell.measure, bench.cell.confirm = measured, confirmed  # type: ignore[method-assign]
+    rejected = 0
+    while len(faults) < 200:
+        runner, thread = bench.start()
+        while thread.is_alive():
+            time.sleep(float(rng.uniform(0.0, 0.3)))
+            began = time.monotonic()
+            bench.say(permitted=False)
+            time.sleep(float(rng.choice([0.0, rng.uniform(0.0, 0.05)])))
+            bench.say(permitted=True)
+            faults.append((began, time.monotonic()))
+            time.sleep(0.03)
+            if runner.sequence.held:
+                runner.post(m.ResumeMotion(time.monotonic(), "A. Smith"))
+            for _ in range(int(rng.integers(1, 12))):  # something is measured in between
+                thread.join(0.1)
+                if runner.sequence.held:
+                    runner.post(m.ResumeMotion(time.monotonic(), "A. Smith"))
+        rejected += bench.cell.kinds().count(m.Kind.READING_REJECTED)
+        bench.cell.told.clear()
+    bad = [one for one in kept if any(one[0] < end and begin < one[1] for begin, end in faults)]
+    print(f"\n{len(faults)} faults, {len(kept)} readings kept, {rejected} rejected, {len(bad)} kept although")
+    assert bad == []
+    assert rejected > 20

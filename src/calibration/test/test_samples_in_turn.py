@@ -65,7 +65,7 @@ def test_a_turn_ends_however_much_waits(context: Any, waiting: Any) -> None:
     send(SENT)
     with subscription.handle:
         first = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-    subscription.callback(first[0])
+    subscription.callback(*first)
     assert len(taken) == IN_A_TURN
 
 

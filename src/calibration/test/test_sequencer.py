@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import threading
 import time
@@ -29,13 +30,17 @@ from calibration_interfaces.msg import (
 )
 from sequencer_world import CELL, GOAL, JOINTS, PULL, Operator, World, ended, overrides
 
+from calibration.cell.port import logged
+from calibration.sequencer.goal import Goal, Request
+from calibration.sequencer.operator_services import HELD, OperatorServices
 from calibration.sequencer.parameters import PARAMETERS, motion_limits
 from calibration.sequencer.runner import Call
 from calibration.sequencer.sequencer import SequencerNode
-from calibration.topics import SAMPLE_CHECK
+from calibration.topics import PROGRESS, SAMPLE_CHECK, Quality, profile
 from calibration_core.cell import Safety, load_cell
 from calibration_core.errors import InputError
 from calibration_core.files.yaml_file import yaml_text
+from calibration_core.measurement import messages as m
 from calibration_core.measurement.session import Session
 
 
@@ -129,11 +134,12 @@ def test_stop_and_resume_later(
     until(lambda: operator.steps)
     assert operator.says("pause").success
     assert operator.says("resume").success
+    world.q = np.array(GOAL)
+    until(lambda: operator.states[-1].state == ProcedureState.LOADING)
     assert operator.says("stop").success
     assert ended(handle).outcome.code == Outcome.STOPPED
     assert "resume to continue" in operator.rejected(until, plan, tmp_path / "session")
     handle = operator.measure(plan, tmp_path / "session", resume=True)
-    world.q = np.array(GOAL)
     until(lambda: "release the load that another run may have left on" in operator.states[-1].waiting)
     assert math.isnan(operator.states[-1].band_force)  # nothing is known against which the sensor could be held
     until(lambda: operator.loaded(7, 0).code == Outcome.OK)
@@ -208,8 +214,8 @@ def test_a_lost_instrument_stops_a_motion_even_while_a_disk_is_slow(
 def test_a_run_that_outlives_its_node_ends_without_a_word(context: Any, plan: Path, tmp_path: Path) -> None:
     """The interpreter closes what still waits when the process ends; what it would publish with is gone by then."""
     node = SequencerNode(context=context, parameter_overrides=overrides())
-    goal = types.SimpleNamespace(request=RunPlan.Goal(plan=str(plan), session=str(tmp_path / "session")))
-    run = node._action._on_run(goal)
+    handle = types.SimpleNamespace(request=RunPlan.Goal(plan=str(plan), session=str(tmp_path / "session")))
+    run = node.runs._on_run(Goal(handle, lambda: None), handle)
     run.send(None)  # under way
     node.destroy_node()
     run.close()
@@ -351,3 +357,112 @@ def test_parameters_that_cannot_be_used(
     monkeypatch.setitem(sys.modules, "control_msgs", None)
     with pytest.raises(InputError, match=found):
         SequencerNode(context=context, parameter_overrides=overrides(**parameters))
+
+
+@pytest.mark.parametrize(
+    ("record", "line"),
+    [
+        (m.Record(m.Kind.WARM_UP, 1, 0, ""), "warm up: configuration 1, step 0"),
+        (m.Record(m.Kind.REFERENCE, 0, 2, ""), "reference: the reference (configuration 0, step 2)"),
+        (m.Record(m.Kind.READING_REJECTED, 3, 1, "it moved"), "reading rejected: configuration 3, step 1: it moved"),
+        (m.Record(m.Kind.PAUSED, 0, 0, "by the operator"), "paused: by the operator"),
+    ],
+)
+def test_a_line_of_the_log_says_where(record: m.Record, line: str) -> None:
+    assert logged(record) == line
+
+
+def test_resume_is_refused_while_a_run_begins_with_a_latched_fault() -> None:
+    """Motion is resumed by name alone, also where the run has yet to meet the guard's word."""
+    said: list[Request] = []
+    runs = types.SimpleNamespace(goal=object(), take=lambda request, _: said.append(request))
+    watch = types.SimpleNamespace(latched=True)
+    node = types.SimpleNamespace(create_service=lambda *_, **__: None, runner=None, runs=runs, watch=watch)
+    answer = OperatorServices(node)._on_resume(None, types.SimpleNamespace())
+    assert (answer.success, answer.message, said) == (False, HELD, [])
+
+
+def test_who_comes_late_to_progress_hears_what_is_known_now(spinning: Any, until: Any) -> None:
+    speaker = spinning.plain("speaker").create_publisher(PROGRESS.message, PROGRESS.relative, PROGRESS.qos)
+    for number in (1, 2, 3):
+        speaker.publish(PROGRESS.message(configuration=number))
+    heard: list[int] = []
+    spinning.plain("late").create_subscription(
+        PROGRESS.message, PROGRESS.relative, lambda one: heard.append(one.configuration), profile(Quality.EVENTS)
+    )
+    until(lambda: heard)
+    assert heard == [3]
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved away"])
+def test_a_session_that_is_gone_is_told_at_once_and_nothing_is_read_into_nothing(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any, how: str
+) -> None:
+    """Where it is put back, the run goes on, and what was told meanwhile stands in it."""
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    session = tmp_path / "session"
+    handle = operator.measure(plan, session)
+    world.q = np.array(GOAL)
+    until(lambda: operator.states and operator.states[-1].state == ProcedureState.LOADING)
+    before = len(operator.readings)
+    if how == "deleted":
+        shutil.rmtree(session)
+    else:
+        session.rename(tmp_path / "elsewhere")
+    until(lambda: operator.states[-1].paused and "session.db is gone" in operator.states[-1].question, timeout=5.0)
+    operator.loaded(7, 1)
+    assert not operator.says("resume").success or operator.states[-1].paused
+    until(lambda: operator.states[-1].paused)
+    assert len(operator.readings) == before
+    if how == "moved away":
+        (tmp_path / "elsewhere").rename(session)
+        until(lambda: operator.says("resume").success and not operator.states[-1].paused)
+        until(lambda: operator.steps[-1].phase == MeasurementStep.UNLOADING)
+        assert operator.loaded(7, 1).code == Outcome.OK
+        assert ended(handle).outcome.code == Outcome.OK
+        with Session.look(session) as one:
+            assert len(one.confirmed()) == 6
+            assert "paused" in [event.kind for event in one.events]
+    else:
+        assert operator.says("stop").success
+        assert ended(handle).outcome.code != Outcome.OK
+    assert not (session / "session.db").exists() or how == "moved away"
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("exchanged", "mp1 and mp2 are exchanged: look at what the tracker is locked on"),
+     ("knocked", "mp1 stands 5.0 mm elsewhere: look at target and beam")],
+)  # fmt: skip
+def test_targets_pause_the_run_until_they_are_right_or_somebody_answers_for_them(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any, fault: str, words: str
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    handle = operator.measure(plan, tmp_path / "session")
+    world.q = np.array(GOAL)
+    until(lambda: operator.states and operator.states[-1].state == ProcedureState.LOADING)
+    world.tracker_fault = fault
+    assert operator.loaded(7, 1).code == Outcome.OK
+    until(
+        lambda: operator.states[-1].paused and operator.states[-1].question.endswith("the configuration begins again")
+    )
+    assert operator.states[-1].question.startswith(f"{words}: put it right, or override 'targets' by name; then resume")
+    assert len(operator.readings) == 3
+    assert operator.overrides("targets", reason="").code == Outcome.INPUT_UNUSABLE
+    if fault == "exchanged":
+        world.tracker_fault = ""
+    else:
+        assert operator.overrides("targets", reason="it was glued on anew").code == Outcome.OK
+    assert operator.says("resume").success
+    until(lambda: operator.states[-1].state == ProcedureState.UNLOADING)
+    assert operator.loaded(7, 1).code == Outcome.OK
+    until(lambda: operator.states[-1].state == ProcedureState.LOADING)
+    assert operator.loaded(7, 1).code == Outcome.OK
+    until(lambda: operator.states[-1].state == ProcedureState.UNLOADING)
+    assert operator.loaded(7, 1).code == Outcome.OK
+    assert ended(handle).outcome.code == Outcome.OK
+    with Session.look(tmp_path / "session") as session:
+        named = [(one.condition, one.operator) for one in session.overrides]
+        assert named == [("targets", "A. Smith")] * (fault == "knocked")
+        assert [outcome for *_, outcome, _ in session.attempts] == ["given up", "completed"]
+        assert len(session.confirmed()) == 6

@@ -37,7 +37,7 @@ def lived(moves: float) -> float:
     stop = threading.Event()
     stop.set()
     begin = time.monotonic()
-    simulated.live_on(cell(moves), stop)
+    simulated.live_on(cell(moves), stop, 0)
     return time.monotonic() - begin
 
 

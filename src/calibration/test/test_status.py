@@ -22,6 +22,7 @@ from calibration_interfaces.msg import (
     NodeHealth,
     Permission,
     ProcedureState,
+    Reading,
     SampleCheck,
     State,
 )
@@ -36,6 +37,7 @@ from calibration.status.procedure import ProcedureReport
 from calibration.status.whole import Whole
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
+from calibration_core.measurement.target_check import PUT_RIGHT
 from calibration_core.planning.plans.measurement_queue import SequenceRules
 from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 
@@ -187,7 +189,10 @@ def found(state: State) -> list[tuple[int, str, str]]:
 
 
 def test_all_is_well() -> None:
-    assert wrong.faults(well()) == []
+    state = well()
+    assert wrong.faults(state) == []
+    state.permission = Permission(reasons=[Permission.STOP_UNPROVEN], text="the stop is not proven yet")
+    assert wrong.faults(state) == []  # a run proves it before its first motion: nobody has to do anything
 
 
 @pytest.mark.parametrize(
@@ -204,6 +209,9 @@ def test_all_is_well() -> None:
         ({"permission": Permission(reasons=[Permission.DRIVES_OFF], text="drives off"),
           "procedure": ProcedureState(waits_for=ProcedureState.GUARD)},
          (Fault.ERROR, "not_permitted", "guard"), "enabling device"),
+        ({"permission": Permission(reasons=[Permission.STOP_UNPROVEN], text="unproven"),
+          "procedure": ProcedureState(state=ProcedureState.READY, waits_for=ProcedureState.GUARD)},
+         (Fault.ERROR, "not_permitted", "guard"), "the stop is proven"),
         ({"permission": Permission(latched=True, reasons=[Permission.LATCHED], text="over speed")},
          (Fault.ERROR, "guard_latched", "guard"), "moves nothing"),
         ({"streams": [SampleCheck(name="mp1", topic="/tracker/mp1", problem=SampleCheck.SILENT, text="silent")]},
@@ -212,6 +220,8 @@ def test_all_is_well() -> None:
          (Fault.ERROR, "condition", "temperature"), "override it by name"),
         ({"procedure": ProcedureState(reading_verdict=ProcedureState.REPEATED, reading_text="not settled")},
          (Fault.WARN, "reading_rejected", "sequencer"), "tried again"),
+        ({"procedure": ProcedureState(paused=True, question=f"mp1 and mp2 are exchanged: {PUT_RIGHT}")},
+         (Fault.ERROR, "condition", "targets"), "override 'targets' by name"),
         ({"progress": MeasurementProgress(suspicious=True, configuration=4)},
          (Fault.WARN, "suspicious", "configuration 4"), "measure it again"),
     ],
@@ -266,9 +276,28 @@ def test_the_whole_says_who_is_not_heard_and_what_was_said_last() -> None:
     assert list(state.faults) == []
     before = whole.news(state)
     assert before == whole.news(whole.message(order, 1.2))
+    assert [round(one.age, 1) for one in whole.message(order, 1.3).nodes] == [0.3, 0.3]
+    state = whole.message(order, 1.8)  # it is not missed yet, and what it has said is not current any more
+    assert (state.procedure_known, [one.code for one in state.faults]) == (False, ["guard_silent"])
+    assert whole.news(state) != before
     order.lose("sequencer", 1.3)
     state = whole.message(order, 1.3)
     assert state.text == "the sequencer is not heard; it said last: moving to configuration 3"
     assert [one.code for one in state.faults] == ["node_silent"]
     assert whole.news(state) != before
     assert whole.message(order, 2.0).not_permitted == "the guard is silent"
+
+
+def test_readings_of_another_session_are_named_for_a_while() -> None:
+    order, whole = Order(NAMES, 1.5, 0.0), Whole(NAMES, 0.5)
+    for name in NAMES:
+        whole.hear_node(health(name))
+        order.hear(name, 7, ACTIVE, 1.0)
+    whole.hear("permission", Permission(permitted=True), 1.0)
+    whole.hear("procedure", ProcedureState(session="/data/today"), 1.0)
+    whole.hear_reading(Reading(session="/data/today@7"), 1.0)
+    assert [one.code for one in whole.message(order, 1.1).faults] == []
+    whole.hear_reading(Reading(session="/data/last year@3"), 1.0)
+    (fault,) = whole.message(order, 1.1).faults
+    assert (fault.code, "/data/last year@3" in fault.text) == ("foreign_session", True)
+    assert "foreign_session" not in [one.code for one in whole.message(order, 20.0).faults]

@@ -53,7 +53,7 @@ def until_there(*paths: Path) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_every_process_is_started_with_its_parameters_and_ended(
     number: int, tree: Callable[..., list[str]], tmp_path: Path
 ) -> None:

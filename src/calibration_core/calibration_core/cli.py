@@ -1,4 +1,4 @@
-"""The command line: arguments in, core called, summary printed (contract, section 1).
+"""The command line: arguments in, core called, summary printed.
 
 How a command ends, and with which exit code, stands in `commands.outcome`.
 """
@@ -17,8 +17,36 @@ from calibration_core.commands.planning.arguments import plan_arguments
 from calibration_core.commands.shared.population_arguments import population_arguments
 from calibration_core.commands.terminal.outcome import NOTHING, carry_out, tolerate
 from calibration_core.engine.arguments import cluster_arguments
-from calibration_core.engine.command_line import OneLineParser, path, stated_options, whole
+from calibration_core.engine.command_line import EXAMPLE, OneLineParser, day, group, path, stated_options, whole
 
+SECTIONS = {
+    "First steps": ("init", "check", "import"),
+    "Measuring": ("plan", "simulate"),
+    "Evaluating": ("identify", "diagnose", "predict"),
+    "Judging": ("verify", "compare", "fleet"),
+    "Using": ("deflect", "compensate", "export"),
+    "Besides": ("describe", "completion"),
+}
+MODEL = "--model build/calibration/identify/model.yaml"
+EXAMPLES = {
+    "init": "init my_robot.urdf --rated-load 210",
+    "check": "check my.cell.yaml",
+    "import": "import points.txt robot.csv",
+    "plan": "plan --cell my.cell.yaml --configurations 18",
+    "simulate": "simulate --cell my.cell.yaml --plan build/calibration/plan/plan.yaml --seed 1",
+    "identify": "identify my_bag --cell my.cell.yaml",
+    "diagnose": "diagnose my_bag --cell my.cell.yaml",
+    "predict": f"predict other.csv --cell my.cell.yaml {MODEL}",
+    "verify": f"verify other.csv --cell my.cell.yaml {MODEL} --tolerance 0.0001",
+    "compare": "compare spring.csv autumn.csv --cell my.cell.yaml --dates 2026-03-02 2026-09-01",
+    "fleet": "fleet plant.csv --jobs 4",
+    "deflect": f'deflect --cell my.cell.yaml {MODEL} --q "0 0.5 -1 0 0.5 0" --wrench "0 0 -500 0 0 0"',
+    "compensate": f"compensate task.csv --cell my.cell.yaml {MODEL}",
+    "export": f"export --cell my.cell.yaml {MODEL} --format urdf",
+    "describe": "describe build/calibration/identify",
+    "completion": "completion bash",
+}
+INPUT, RESULTS = "input", "results"  # titles of groups of options
 RECORDING_KINDS = "rosbag2 directory, .mcap file, measurement table (.csv), or a session (its directory or session.db)"
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads cost time on these small problems
@@ -49,6 +77,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options of one command; end the process if the arguments make no sense."""
     parser = argument_parser()
+    if not (sys.argv[1:] if arguments is None else arguments):
+        parser.print_help()
+        parser.exit()
     options = parser.parse_args(arguments)
     options.stated = stated_options(parser, arguments)
     if getattr(options, "recordings", None):  # of one robot: the first stands for all of them
@@ -57,21 +88,37 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     return options
 
 
+class _Program(OneLineParser):
+    """Lists the commands by what they are for, instead of in one row."""
+
+    def format_help(self) -> str:
+        """Return the help, with the commands in sections."""
+        (commands,) = (one for one in self._actions if isinstance(one, argparse._SubParsersAction))
+        texts = {one.dest: one.help for one in commands._choices_actions}
+        lines = [self.format_usage(), str(self.description)]
+        for title, names in SECTIONS.items():
+            lines += ["", f"{title}:", *(f"  {name:<11} {texts[name]}" for name in names)]
+        more = ["", "calibration COMMAND --help says more, with an example; --version prints the version.", ""]
+        return "\n".join([*lines, *more])
+
+
 def _output(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
-    group.add_argument("--json", action="store_true", help="print result.json instead of the summary")
+    either = group(parser, RESULTS).add_mutually_exclusive_group()
+    either.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    either.add_argument("--json", action="store_true", help="print result.json instead of the summary")
 
 
 def argument_parser() -> argparse.ArgumentParser:
     """Return the arguments of every command."""
     from calibration_core.commands.files.init_arguments import init_arguments
 
-    parser: argparse.ArgumentParser = OneLineParser(
+    parser: argparse.ArgumentParser = _Program(
         prog="calibration", description="Elastostatic compliance calibration of industrial robots (CWA 17384)."
     )
     parser.add_argument("--version", action="version", version=f"calibration {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    commands: argparse._SubParsersAction[argparse.ArgumentParser] = parser.add_subparsers(
+        dest="command", required=True, metavar="COMMAND", parser_class=OneLineParser
+    )
     plan_arguments(_command(commands, "plan", "choose measurement configurations (Table 1 of the standard)"))
     _simulate(_command(commands, "simulate", "write a recording as the cell's model predicts it"))
     _identify(_bare(commands, "identify", "joint stiffness, frames and geometry from recordings of one robot"))
@@ -88,26 +135,33 @@ def argument_parser() -> argparse.ArgumentParser:
     _import(_bare(commands, "import", "tables of tracker software and controllers into a measurement table"))
     _describe(commands)
     _completion(commands)
+    for one in commands.choices.values():
+        one._action_groups.sort(key=lambda titled: titled.title == RESULTS)  # last, as they are the same everywhere
     return parser
 
 
 def _completion(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "the script by which a shell completes this program's arguments"
-    parser = commands.add_parser("completion", help=text, description=text[0].upper() + text[1:] + ".")
+    parser = _added(commands, "completion", text)
     parser.add_argument("shell", choices=("bash", "zsh", "fish"), help="which shell")
     parser.set_defaults(recording=None, cell=None, out=None, json=False, quiet=False)
 
 
 def _describe(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "what a result says, in words"
-    more = (
-        "It states the decision or verdict of a result, the numbers that count with their units and intervals, and the "
-        "next step; it writes nothing."
-    )
-    parser = commands.add_parser("describe", help=text, description=f"{text[0].upper()}{text[1:]}. {more}")
+    more = "It prints again what the command printed that made the result, and writes nothing."
+    parser = _added(commands, "describe", text, more)
     parser.add_argument("result", type=path, metavar="RESULT", help="a result.json, or the directory that holds it")
     _output(parser)
     parser.set_defaults(recording=None, cell=None, out=None)
+
+
+def _added(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str, more: str = ""
+) -> argparse.ArgumentParser:
+    described = f"{text[0].upper()}{text[1:]}. {more}".strip()
+    epilog = f"{EXAMPLE}\n  calibration {EXAMPLES[name]}"
+    return commands.add_parser(name, help=text, description=described, epilog=epilog)
 
 
 def _check(parser: argparse.ArgumentParser) -> None:
@@ -117,7 +171,7 @@ def _check(parser: argparse.ArgumentParser) -> None:
 
 
 def _no_report(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    group(parser, RESULTS).add_argument(
         "--no-report", dest="report", action="store_false", help="result and tables only, without report.html and .pdf"
     )
 
@@ -126,8 +180,9 @@ def _bare(
     commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
 ) -> argparse.ArgumentParser:
     """Add a command that needs no cell file."""
-    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-    parser.add_argument("--out", type=path, metavar="DIR", help=f"where results go (default build/calibration/{name})")
+    parser = _added(commands, name, text)
+    where = f"where results go (default build/calibration/{name})"
+    group(parser, RESULTS).add_argument("--out", type=path, metavar="DIR", help=where)
     _output(parser)
     parser.set_defaults(recording=None, cell=None)
     return parser
@@ -143,7 +198,7 @@ def _command(
 
 
 def _cell(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--cell", type=path, required=True, metavar="CELL.yaml", help="the cell file")
+    group(parser, INPUT).add_argument("--cell", type=path, required=True, metavar="CELL.yaml", help="the cell file")
 
 
 def _recording(parser: argparse.ArgumentParser) -> None:
@@ -152,6 +207,13 @@ def _recording(parser: argparse.ArgumentParser) -> None:
         type=path,
         metavar="RECORDING",
         help=RECORDING_KINDS,
+    )
+    _date(parser)
+
+
+def _date(parser: argparse.ArgumentParser) -> None:
+    group(parser, INPUT).add_argument(
+        "--date", type=day, metavar="DAY", help="when it was measured, for a recording that does not say: 2026-05-31"
     )
 
 
@@ -164,11 +226,12 @@ def _recordings(parser: argparse.ArgumentParser) -> None:
         help=f"{RECORDING_KINDS}; several recordings of one robot are evaluated together",
     )
     _cells(parser, "recording")
+    _date(parser)
     _no_report(parser)
 
 
 def _cells(parser: argparse.ArgumentParser, each: str) -> None:
-    parser.add_argument(
+    group(parser, INPUT).add_argument(
         "--cell",
         dest="cells",
         type=path,
@@ -180,7 +243,7 @@ def _cells(parser: argparse.ArgumentParser, each: str) -> None:
 
 
 def _given(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    group(parser, INPUT).add_argument(
         "--model",
         type=path,
         metavar="MODEL.yaml",
@@ -188,10 +251,20 @@ def _given(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _test(parser: argparse.ArgumentParser) -> None:
+    text = "a second recording: predicted, not fitted"
+    group(parser, INPUT).add_argument("--test", type=path, metavar="OTHER", help=text)
+
+
+def _model(parser: argparse.ArgumentParser) -> None:
+    text = "an identified model"
+    group(parser, INPUT).add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help=text)
+
+
 def _identify(parser: argparse.ArgumentParser) -> None:
     _recordings(parser)
     _given(parser)
-    parser.add_argument("--test", type=path, metavar="OTHER", help="a second recording: predicted, not fitted")
+    _test(parser)
     parser.add_argument(
         "--method",
         choices=("equilibrium", "linear"),
@@ -223,7 +296,7 @@ def _identify(parser: argparse.ArgumentParser) -> None:
 def _diagnose(parser: argparse.ArgumentParser) -> None:
     _recordings(parser)
     _given(parser)
-    parser.add_argument(
+    group(parser, INPUT).add_argument(
         "--simulation",
         dest="simulations",
         type=path,
@@ -232,19 +305,19 @@ def _diagnose(parser: argparse.ArgumentParser) -> None:
         metavar="SIM",
         help="what a simulation says of the same measurement, to compare with; repeatable, for each recording",
     )
-    parser.add_argument("--test", type=path, metavar="OTHER", help="a second recording: predicted, not fitted")
+    _test(parser)
     parser.add_argument("--no-robust", action="store_true", help="use every reading, gross errors too")
     population_arguments(parser)
 
 
 def _predict(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
-    parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
+    _model(parser)
 
 
 def _use(parser: argparse.ArgumentParser, payload: str) -> None:
     """Add what both commands take that use a model on a load."""
-    parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
+    _model(parser)
     parser.add_argument(
         "--wrench",
         metavar='"fx fy fz tx ty tz"',
@@ -278,14 +351,14 @@ def _compensate(parser: argparse.ArgumentParser) -> None:
 
 def _export(parser: argparse.ArgumentParser) -> None:
     _cell(parser)
-    parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
+    _model(parser)
     parser.add_argument(
         "--format",
         choices=("urdf", "dh", "ur", "mjcf", "table"),
         required=True,
         help="URDF; Denavit-Hartenberg rows; Universal Robots' kinematics file; MuJoCo; table of angle corrections",
     )
-    parser.add_argument(
+    group(parser, INPUT).add_argument(
         "--template", type=path, metavar="FILE", help="ur: the kinematics file extracted from this robot's controller"
     )
     parser.add_argument(
@@ -310,7 +383,7 @@ def _import(parser: argparse.ArgumentParser) -> None:
         metavar="FILES",
         help="a table with everything, or tables of points, of joint angles and of wrenches, or a robot program",
     )
-    parser.add_argument(
+    group(parser, INPUT).add_argument(
         "--map", type=path, metavar="MAP.yaml", help="states what is not recognised: columns, units, names"
     )
 
@@ -332,7 +405,7 @@ def _fleet(parser: argparse.ArgumentParser) -> None:
 
 def _verify(parser: argparse.ArgumentParser) -> None:
     _recording(parser)
-    parser.add_argument("--model", type=path, required=True, metavar="MODEL.yaml", help="an identified model")
+    _model(parser)
     parser.add_argument(
         "--tolerance", type=float, required=True, metavar="M", help="what the error of a point may not exceed, m"
     )
@@ -353,14 +426,14 @@ def _compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dates", nargs="+", metavar="DATE", help="when each was measured, ISO 8601 (default: recorded)"
     )
-    parser.add_argument(
+    group(parser, RESULTS).add_argument(
         "--no-report", dest="report", action="store_false", help="result alone, without report.html and .pdf"
     )
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--plan", type=path, metavar="PLAN.yaml", help="the plan; without it one is made")
-    parser.add_argument(
+    group(parser, INPUT).add_argument("--plan", type=path, metavar="PLAN.yaml", help="the plan; without it one is made")
+    group(parser, INPUT).add_argument(
         "--model",
         type=path,
         metavar="MODEL.yaml",

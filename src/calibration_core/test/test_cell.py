@@ -1,4 +1,4 @@
-"""Cell files: what the contract allows is read, everything else is refused by the name of its field."""
+"""Cell files: what is allowed is read, everything else is refused by the name of its field."""
 
 from __future__ import annotations
 
@@ -78,6 +78,25 @@ def test_a_declared_speed_limit(tmp_path: Path) -> None:
     declared = load(tmp_path, TEXT + "safety: {speed_limit: 0.2, source: checksum 8A3F}\n").safety
     assert declared is not None
     assert (declared.speed_limit, declared.source) == (0.2, "checksum 8A3F")
+
+
+COUPLED = TEXT.replace("rated_load: 10", "rated_load: 10\n  joint_coupling: {j3: {j2: 1}}")
+
+
+def test_a_coupling_of_joints_is_for_recordings(tmp_path: Path) -> None:
+    cell = load(tmp_path, COUPLED)
+    assert cell.robot.coupling.tolist() == [[1, 0, 0], [0, 1, 0], [0, 1, 1]]
+    with pytest.raises(
+        CellError, match=r"cell.yaml:8:3: robot.joint_coupling: found a coupling, expected no coupling where"
+    ):
+        load_cell(cell.path, live=True)
+    assert load_cell(CONFIG / "small.cell.yaml", live=True).robot.joint_coupling == {}
+
+
+@pytest.mark.parametrize("coupling", ["{j3: {j9: 1}}", "{j3: {j3: 1}}", "{j2: {j3: 1}, j3: {j2: 1}}"])
+def test_a_coupling_that_makes_no_sense_is_refused(tmp_path: Path, coupling: str) -> None:
+    with pytest.raises(CellError, match="joint_coupling"):
+        load(tmp_path, COUPLED.replace("{j3: {j2: 1}}", coupling))
 
 
 def test_values_are_frozen(tmp_path: Path) -> None:

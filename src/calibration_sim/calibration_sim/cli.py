@@ -15,7 +15,6 @@ from calibration_core.engine.command_line import (
     refuse_without_effect,
     stated_options,
     whole,
-    within,
 )
 from calibration_core.errors import EquilibriumError, InputError
 from calibration_core.recording.bags.writer import write_bag
@@ -25,7 +24,6 @@ from calibration_sim.cell.protocol import read_plan
 from calibration_sim.cell.streams import simulate_recording
 from calibration_sim.cell.table import simulate_readings
 from calibration_sim.cell.truth import ROUGH, WORKSHOP, draw_truth, write_truth
-from calibration_sim.plant import DAYS, MANIFEST, plant, write_plant
 from calibration_sim.writing import refuse_existing, write_all
 
 UNUSABLE_INPUT = 2
@@ -90,7 +88,6 @@ def _compression(options: argparse.Namespace) -> str | None:
 def _parser() -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = OneLineParser(prog="calibration-sim", description="A simulated measurement cell.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    _plant_arguments(commands)
     record = commands.add_parser(
         "record", help="record a measurement of a simulated cell", description="Writes a rosbag2 directory."
     )
@@ -107,31 +104,6 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("--truth-out", type=path, metavar="FILE.yaml", help="write down what is hidden")
     record.set_defaults(action=_record)
     return parser
-
-
-def _plant_arguments(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = commands.add_parser(
-        "plant", help="measure the robots of a simulated plant", description="Writes plant.csv for calibration fleet."
-    )
-    parser.add_argument("--out", type=path, required=True, help="directory to write, must not exist yet")
-    parser.add_argument("--robots", type=whole(1), default=600, help="how many, of six types (default 600)")
-    parser.add_argument("--dates", type=whole(1), choices=range(1, len(DAYS) + 1), default=3, metavar="N",
-                        help="how many, half a year apart (default 3)")  # fmt: skip
-    parser.add_argument(
-        "--spread", type=within(0.0, 1.0), default=0.03, help="between sisters, of ln stiffness (default 0.03)"
-    )
-    parser.add_argument("--seed", type=whole(0), default=0, help="of everything (default 0)")
-    parser.add_argument("--jobs", type=whole(1), default=1, help="processes (default 1)")
-    parser.set_defaults(action=_plant)
-
-
-def _plant(options: argparse.Namespace) -> None:
-    refuse_existing(options.out)
-    recordings = plant(options.seed, options.robots, options.dates, options.spread)
-    with _blaming("calibration-sim plant --spread", "a smaller spread: the softest robot cannot carry its load"):
-        write_all((options.out, lambda path: write_plant(recordings, path, options.jobs)))
-    manifest = options.out / MANIFEST
-    sys.stdout.write(f"{manifest}: {len(recordings)} recordings of {options.robots} robots\n")
 
 
 if __name__ == "__main__":

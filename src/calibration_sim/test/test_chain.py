@@ -194,6 +194,16 @@ def test_urdf_faults_are_named(changed: Changed, demo: Cell, tmp_path: Path, old
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("end", ["999999", "inf"])
+def test_limits_that_are_none_are_those_of_an_endless_joint(
+    changed: Changed, demo: Cell, tmp_path: Path, end: str
+) -> None:
+    text = demo.urdf_path.read_text().replace('lower="-2.1380" upper="2.1380"', f'lower="-{end}" upper="{end}"')
+    (tmp_path / "endless.urdf").write_text(text)
+    chain = read_chain(changed(demo, robot__urdf=str(tmp_path / "endless.urdf")))
+    assert [-np.pi, np.pi] in chain.limits.tolist()
+
+
 def test_a_missing_urdf_is_named(changed: Changed, demo: Cell, tmp_path: Path) -> None:
     with pytest.raises(CellError, match=r"nothing\.urdf"):
         read_chain(changed(demo, robot__urdf=str(tmp_path / "nothing.urdf")))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration_sim.proving.diagnosing import Run
-from calibration_sim.proving.measures import PLACES, Case, Measure, markdown, measures, power, wrong
+from calibration_sim.proving.measures import PLACES, Case, Measure, as_table, measures, power, wrong
 from calibration_sim.proving.scoring import same_place, score
 
 CONSISTENT: dict[str, Any] = {"schema": 1, "verdict": "consistent", "findings": [], "anomalies": [], "stiffness": []}
@@ -173,7 +173,7 @@ def test_the_table_counts_what_it_says() -> None:
     assert _measure(cases, "effect right, typical, with unloading").value == pytest.approx(0.5)
     assert _measure(cases, "outside: flagged, nothing").value == pytest.approx(0.0)  # consistent: not flagged
     assert _measure(cases, "aliases").value is None
-    assert "| nothing missing: a finding | 0.25 | <= 0.01 | **no** | 4 |" in markdown(cases, "head")
+    assert "| nothing missing: a finding | 0.25 | <= 0.01 | **no** | 4 |" in as_table(measures(cases))
     assert power(cases)[0]["right"] == {"1": 0.5}
     assert [row["group"] for row in wrong(cases)] == ["nothing", "pair", "single", "outside"]
 

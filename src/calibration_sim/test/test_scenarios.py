@@ -13,9 +13,8 @@ from calibration_core.cell import load_cell
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.recording.tables.table import read_table, write_table
 from calibration_sim.cell.truth import draw_truth
-from calibration_sim.generators import GENERATORS
-from calibration_sim.generators.draw import Draw
-from calibration_sim.generators.robots import MAGNITUDES, ROBOTS, robot_cell
+from calibration_sim.effects import GENERATORS
+from calibration_sim.effects.draw import MAGNITUDES, ROBOTS, Draw, robot_cell
 from calibration_sim.scenarios.generate import generate
 from calibration_sim.scenarios.grid import ALIAS_SNR, AMPLITUDES, SINGLES, Scenario, grid, recording_name, sample
 from calibration_sim.scenarios.influence import background, signal, softer
@@ -113,10 +112,10 @@ def test_protocols(kind: str) -> None:
     cell = robot_cell("heavy")
     protocol = make_protocol(cell, kind, 1)
     steps = [len(c.wrenches) for c in protocol.configurations]
-    expected = {"L": [9] * 18, "R": [17] * 18, "W": [4] * 18, "A": [1] * 60}
+    expected = {"L": [9] * 18, "R": [17] * 18, "W": [4] * 18, "S": [2] * 12, "A": [1] * 60}
     assert steps == expected.get(kind, expected[kind[0]] + [1] * 36)
     assert [c.number for c in protocol.configurations] == list(range(1, len(steps) + 1))
-    assert len(points_of(cell, kind)) == (1 if kind == "W" else 3)
+    assert len(points_of(cell, kind)) == (1 if kind in {"W", "S"} else 3)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -13,29 +13,25 @@ import yaml
 from calibration_core.cell import load_cell
 from calibration_core.recording.tables.table import read_table, write_table
 from calibration_sim.cell.truth import draw_truth
-from calibration_sim.effect_models.effect import At, Effect, Label
-from calibration_sim.effect_models.joints import JointLaw
-from calibration_sim.effect_models.other_shapes import (
-    DahlFriction,
-    LostPreload,
-    OneSided,
-    OtherWave,
-    PowerLaw,
-    UnevenFriction,
-    WedgeFriction,
+from calibration_sim.effects import CATALOGUE, EVERYWHERE, OTHER_SHAPES
+from calibration_sim.effects.draw import MAGNITUDES, MORE_ROBOTS, Draw, robot_cell
+from calibration_sim.effects.effect import At, Effect, Label
+from calibration_sim.effects.joints import JointLaw
+from calibration_sim.effects.other_shapes import (
+    Sliding,
+    opening,
+    soft_flank,
+    softer_beyond,
+    to_the_power,
+    wave,
 )
-from calibration_sim.effect_models.structure import Base, Beam, Bearing, Coupling, Modulated, Tool
-from calibration_sim.generators import CATALOGUE, EVERYWHERE, OTHER_SHAPES
-from calibration_sim.generators.draw import Draw
-from calibration_sim.generators.farther_out import farther_out
-from calibration_sim.generators.robots import MAGNITUDES, MORE_ROBOTS, robot_cell
+from calibration_sim.effects.structure import Base, Beam, Bearing, Tool, coupling, waving
 from calibration_sim.scenarios.generate import generate
-from calibration_sim.scenarios.grid import Planned
+from calibration_sim.scenarios.grid import ALL_ROBOTS, LOUDER, SECOND_KINDS, Planned, second_grid
 from calibration_sim.scenarios.influence import background, beyond, signal_to_noise
 from calibration_sim.scenarios.look_alikes import look_alikes
 from calibration_sim.scenarios.names import NAMES, renamed
 from calibration_sim.scenarios.protocols import make_protocol
-from calibration_sim.scenarios.second_grid import ALL_ROBOTS, KINDS, LOUD, second_grid
 from calibration_sim.scenarios.world import World, play
 from calibration_sim.scenarios.yielding import yielding
 
@@ -47,9 +43,9 @@ def _first(kind: str, **changes: object) -> object:
     return dataclasses.replace(next(s for s in GRID if s.group == kind), **changes)  # type: ignore[arg-type]
 
 
-def test_the_grid_has_every_kind_robot_and_name_and_at_most_600_recordings() -> None:
-    assert len(GRID) <= 600
-    assert {s.group for s in GRID} == set(KINDS)
+def test_the_grid_has_every_kind_robot_and_name_and_at_most_1000_recordings() -> None:
+    assert len(GRID) <= 1000
+    assert {s.group for s in GRID} == set(SECOND_KINDS)
     assert min(collections.Counter(s.group for s in GRID).values()) >= 26
     assert {s.robot for s in GRID} == {*ALL_ROBOTS, "column"}
     assert {s.names for s in GRID} == set(NAMES)
@@ -67,7 +63,7 @@ def test_a_recording_of_every_robot_is_read_by_the_core(robot: str, tmp_path: Pa
     (tmp_path / "cell.yaml").write_text(yaml.safe_dump(made.cell))
     back = read_table(tmp_path / "measurements.csv", load_cell(tmp_path / "cell.yaml"))
     assert np.array_equal(back.position, made.readings.position)
-    assert made.label["snr"][0] >= 0.95 * LOUD
+    assert made.label["snr"][0] >= 0.95 * LOUDER
     steps = np.unique(np.column_stack([back.configuration, back.step]), axis=0)
     assert set(np.bincount(steps[:, 0])[1:]) == {1, 9}
 
@@ -125,7 +121,7 @@ def test_a_first_axis_that_slides_is_counted(tmp_path: Path) -> None:
 
 def test_an_effect_farther_out_acts_on_the_joints_that_it_names() -> None:
     draw = Draw(MAGNITUDES["column"], np.full(6, 1e4), 1.0, np.random.default_rng(0), 2)
-    law = farther_out(OTHER_SHAPES["one_sided"](draw), 1)
+    law = OTHER_SHAPES["one_sided"](dataclasses.replace(draw, first=1))
     at = At(0, 1, 0, 0.0, 20.0, np.zeros(7), np.zeros(7), np.full(7, 1e-4))
     moved = [float(np.abs(law.deflect(None, sign * np.ones(7), at)).max()) for sign in (-1.0, 1.0)]  # type: ignore[arg-type]
     assert law.label.location == {"joint": "joint_4"}
@@ -149,7 +145,7 @@ def test_columns_are_what_a_small_spring_does(robot: str) -> None:
         ("link_bending", f"link_{beam + 1}"): (Beam(ANY, beam, (c, c), 0.3 * c), []),
         ("base_compliance", "base"): (Base(ANY, (c, 0.5 * c, 0.2 * c), (c, c, 0.0)), []),
         ("tool_compliance", "tool"): (Tool(ANY, (c, 0.0, 0.0), (0.0, c, c)), []),
-        ("pose_dependent_stiffness", "joint_2"): (Modulated(ANY, 1, 1e-4, 2e-4), []),
+        ("pose_dependent_stiffness", "joint_2"): (waving(ANY, 1, 1e-4, 2e-4), []),
     }
     pair = ("joint_2", "joint_3")
     blocks = yielding(world, protocol).blocks
@@ -159,7 +155,7 @@ def test_columns_are_what_a_small_spring_does(robot: str) -> None:
         best, *_ = np.linalg.lstsq(columns, moved, rcond=None)
         assert np.linalg.norm(moved - columns @ best) < 0.01 * np.linalg.norm(moved), effect
     columns = blocks["joint_coupling", (("joints", pair),)]
-    moved = (play(world.with_effects(Coupling(ANY, (1, 2), c)), protocol).points - known.played.points).ravel()
+    moved = (play(world.with_effects(coupling(ANY, (1, 2), c)), protocol).points - known.played.points).ravel()
     assert columns[:, 0] * c == pytest.approx(moved, abs=0.02 * float(np.abs(moved).max()))
 
 
@@ -196,7 +192,7 @@ def _walk(law: JointLaw, torques: list[float]) -> list[float]:
 
 
 def test_wedge_friction_opens_its_loop_with_the_load() -> None:
-    law = WedgeFriction(ANY, 0, 100.0, 1, 5e-5, 1000.0)
+    law = Sliding(ANY, 0, 100.0, 1, opening(5e-5, 1000.0))
     up = _walk(law, [0.0, 500.0, 1000.0])
     down = _walk(law, [0.0, 1500.0, 1000.0, 500.0])
     assert up[1:] == pytest.approx([-2.5e-5, -5e-5])
@@ -204,7 +200,7 @@ def test_wedge_friction_opens_its_loop_with_the_load() -> None:
 
 
 def test_dahl_friction_approaches_its_width() -> None:
-    law = DahlFriction(ANY, 0, 200.0, 1, 5e-5)
+    law = Sliding(ANY, 0, 200.0, 1, lambda *_: 5e-5, gradual=True)
     seen = _walk(law, [0.0, 2000.0, 1800.0, 0.0])
     assert seen[1] == pytest.approx(-5e-5, rel=1e-3)
     assert seen[2] == pytest.approx(-5e-5 * (2.0 * np.exp(-1.0) - 1.0), rel=1e-3)
@@ -212,20 +208,20 @@ def test_dahl_friction_approaches_its_width() -> None:
 
 
 def test_uneven_friction_holds_back_more_in_one_direction() -> None:
-    law = UnevenFriction(ANY, 0, 200.0, 1, (5e-5, 2e-5))
+    law = Sliding(ANY, 0, 200.0, 1, lambda _, state: (5e-5, 2e-5)[state < 0.0])
     assert _walk(law, [0.0, 500.0, 400.0, 300.0, 0.0])[1:] == pytest.approx([-5e-5, -2.5e-5, 0.0, 2e-5], abs=1e-12)
 
 
 def test_other_knees_and_waves_follow_their_formulas() -> None:
     at = At(0, 1, 0, 0.0, 20.0, np.array([0.4, 0, 0, 0, 0, 0]), np.zeros(6), np.full(6, 1e-6))
-    assert PowerLaw(ANY, 0, 0.1, 1000.0, 2.0).extra(None, -500.0, at) == pytest.approx(-0.1 * 1e-3 * 0.25)
-    assert LostPreload(ANY, 0, 0.5, 300.0).extra(None, 200.0, at) == 0.0
-    assert LostPreload(ANY, 0, 0.5, 300.0).extra(None, -500.0, at) == pytest.approx(-1e-4)
-    assert OneSided(ANY, 0, 0.2, -1.0).extra(None, 500.0, at) == 0.0
-    assert OneSided(ANY, 0, 0.2, -1.0).extra(None, -500.0, at) == pytest.approx(-1e-4)
+    assert to_the_power(0.1, 1000.0, 2.0)(-500.0, 1e-6) == pytest.approx(-0.1 * 1e-3 * 0.25)
+    assert softer_beyond(0.5, 300.0)(200.0, 1e-6) == 0.0
+    assert softer_beyond(0.5, 300.0)(-500.0, 1e-6) == pytest.approx(-1e-4)
+    assert soft_flank(0.2, -1.0)(500.0, 1e-6) == 0.0
+    assert soft_flank(0.2, -1.0)(-500.0, 1e-6) == pytest.approx(-1e-4)
     torque = np.array([500.0, 0, 0, 0, 0, 0])
-    wave, soft = OtherWave(ANY, 0, 0.1, 2, 0.1), OtherWave(ANY, 0, 0.1, 0, 0.4)
-    assert wave.deflect(None, torque, at)[0] == pytest.approx(0.1 * np.sin(0.9) * 5e-4)
+    twice, soft = wave(ANY, 0, 0.1, 2, 0.1), wave(ANY, 0, 0.1, 0, 0.4)
+    assert twice.deflect(None, torque, at)[0] == pytest.approx(0.1 * np.sin(0.9) * 5e-4)
     assert soft.deflect(None, torque, at)[0] == pytest.approx(0.1 * 5e-4)
 
 
@@ -260,7 +256,7 @@ def test_what_every_joint_has_shows_at_every_joint_that_carries(name: str) -> No
 
 def test_an_effect_is_drawn_elsewhere_before_its_size_becomes_absurd() -> None:
     """The last joint's bearing carries next to nothing at rest: no recording tells of it."""
-    scenario = _first("rest", robot="heavy", planned=(Planned("off_axis_compliance", 1.0, snr=LOUD, at_least=True),))
+    scenario = _first("rest", robot="heavy", planned=(Planned("off_axis_compliance", 1.0, snr=LOUDER, at_least=True),))
     for seed in range(3):
         (effect,) = generate(dataclasses.replace(scenario, seed=seed)).label["effects"]  # type: ignore[type-var]
         assert effect["amplitude"] <= 5.0
@@ -272,4 +268,4 @@ def test_an_effect_that_no_robot_could_carry_is_drawn_elsewhere() -> None:
     scenario = next(one for one in second_grid(20265) if one.number == 406)
     label = generate(scenario).label
     assert label["effects"][0]["effect"] == "backlash"
-    assert label["snr"][0] >= 0.9 * LOUD
+    assert label["snr"][0] >= 0.9 * LOUDER

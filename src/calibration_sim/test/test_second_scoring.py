@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 from calibration_sim.proving.diagnosing import Run
-from calibration_sim.proving.measures import Case
+from calibration_sim.proving.measures import Case, as_table, second_measures
 from calibration_sim.proving.scoring import score
-from calibration_sim.proving.second_measures import second_markdown, second_measures
 
 CONSISTENT: dict[str, Any] = {"verdict": "consistent", "findings": [], "anomalies": [], "stiffness": []}
 
@@ -97,7 +96,7 @@ def test_the_second_table_counts_its_kinds() -> None:
     assert rows["nothing missing: a finding"].value == 1.0
     assert rows["diagnoses that failed"].value == pytest.approx(1 / 6)
     assert not [text for text in rows if text.startswith("robots of")]
-    assert "| at rest: named first | 0.5 | >= 0.95 | **no** | 2 |" in second_markdown(cases, "head")
+    assert "| at rest: named first | 0.5 | >= 0.95 | **no** | 2 |" in as_table(second_measures(cases))
 
 
 def test_intervals_of_stiffnesses_count_where_the_cause_is_right() -> None:

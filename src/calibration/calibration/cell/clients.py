@@ -44,9 +44,9 @@ class ActionPort:
         self._lock = threading.Lock()
         self._requests: list[_Request] = []
 
-    def ready(self, timeout: float) -> bool:
-        """Wait for the server."""
-        return bool(self._client.wait_for_server(timeout))
+    def missing(self) -> str:
+        """Say that there is no server; empty if there is one."""
+        return "" if self._client.server_is_ready() else f"no action server {self.name}"
 
     def ask(self, goal: Any, answered: Answered, wait: float, feedback: Callable[[Any], None] | None = None) -> None:
         """Send a goal.
@@ -68,20 +68,20 @@ class ActionPort:
         in_executor(self._node, send)
 
     def cancel(self) -> None:
-        """Cancel whatever is under way."""
-        with self._lock:
-            handles = [request.handle for request in self._requests if request.handle is not None]
-        for handle in handles:
-            handle.cancel_goal_async()
+        """Give up whatever is under way; what is not accepted yet is cancelled as soon as it is."""
+        self._give_up(math.inf, "it is not wanted any more")
 
     def tick(self, now: float) -> None:
         """Give up requests whose answer does not come; `now` is s of the steady clock."""
+        self._give_up(now, f"{self.name} does not answer")
+
+    def _give_up(self, now: float, why: str) -> None:
         with self._lock:
             late = [request for request in self._requests if now > request.deadline]
         for request in late:
             if request.handle is not None:
-                request.handle.cancel_goal_async()
-            self._end(request, None, f"{self.name} does not answer")
+                in_executor(self._node, request.handle.cancel_goal_async)
+            self._end(request, None, why)
 
     def _on_accept(self, request: _Request, future: Any, wait: float) -> None:
         handle = future.result() if future.exception() is None else None

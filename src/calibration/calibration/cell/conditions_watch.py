@@ -21,6 +21,7 @@ from calibration_core import timeseries as core
 from calibration_core.identification.checks.conditions import NAMES, CellState, expected_ratio, judge
 from calibration_core.identification.stiffness.end_effector import relative_stiffness
 from calibration_core.measurement import messages as m
+from calibration_core.measurement.target_check import TARGETS
 from calibration_core.measurement.thermometer import TemperatureHistory
 from calibration_core.motion.robot_status import Drives, OperatingMode
 from calibration_core.planning.plans.plan import Plan
@@ -68,17 +69,15 @@ class ConditionsWatch:
         return self._thermometer.at(self._node.now_ns() / NANOSECONDS)
 
     def _on_state(self, message: RobotState) -> None:
+        self._node.watch.state(time.monotonic())
         self.scaling = float(message.speed_scaling)
         known = {int(mode): mode.name for mode in OperatingMode if mode is not OperatingMode.UNKNOWN}
         self._mode, self._drives = known.get(int(message.operating_mode), ""), Drives(int(message.drives))
 
-    def thermometer_heard(self, wait: float) -> str:
-        """Wait a little for a thermometer that is there; a check that never fails: without one, nothing is known."""
+    def thermometer_heard(self) -> bool:
+        """Tell whether the thermometer has been heard, or there is none: without one, nothing is known."""
         topic = self._node.cell.topics.temperature.lstrip("/")
-        end = time.monotonic() + min(wait, HEARD)
-        while math.isnan(self.temperature) and self._node.count_publishers(topic) and time.monotonic() < end:
-            time.sleep(0.02)
-        return ""
+        return not math.isnan(self.temperature) or not self._node.count_publishers(topic)
 
     def begin(self, plan: Plan, speed: float, warm_up_period: float, overrides: Sequence[Any]) -> str:
         """Prepare for a plan; return what is wrong with the overrides, empty if nothing is.
@@ -159,8 +158,9 @@ class ConditionsWatch:
 
 def fault(message: Any) -> str:
     """Return what is wrong with an override, empty if nothing is."""
-    if message.condition not in NAMES:
-        return f"condition: found {message.condition!r}, expected one of {', '.join(NAMES)}"
+    names = (*NAMES, TARGETS)
+    if message.condition not in names:
+        return f"condition: found {message.condition!r}, expected one of {', '.join(names)}"
     for name, value in (("operator_name", message.operator_name), ("reason", message.reason)):
         if not value.strip():
             return f"{name}: found nothing, expected who overrides {message.condition}, and why"

@@ -21,14 +21,14 @@ class Cell(Protocol):
     def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
         """Change the load, or ask the operator to."""
 
+    def pulls(self) -> str | None:
+        """Say what pulls although nothing should; empty: nothing does.  None: nobody knows now."""
+
     def confirm(self, command: m.TakeReading, measured: Measured) -> None:
         """Put readings on the disk and announce them; raise ReadingError or SessionError."""
 
     def carry_out(self, command: m.Command) -> None:
         """Announce or store what needs no answer: marks, attempts, records, questions."""
-
-    def stop_stage(self, stage: int) -> None:
-        """Take a stage of the stop; 0 is the back end's own stop."""
 
     def scaling(self) -> float:
         """Return the share of the programmed speed at which the controller moves; NaN: not known."""

@@ -9,6 +9,13 @@ from typing import Any
 from calibration_interfaces.msg import Permission
 
 SILENT = "the guard is silent"
+UNHEARD = 5.0  # times the age that permits motion: drives may have gone off and on again without a word of it
+# What a reading needs of the robot from its unloaded step on: with its brakes on it is another robot.
+ROBOT = frozenset({
+    Permission.NOT_STARTED, Permission.STATE_ABSENT, Permission.STATE_STALE, Permission.MODE_UNKNOWN,
+    Permission.MODE_NOT_ALLOWED, Permission.DRIVES_UNKNOWN, Permission.DRIVES_OFF, Permission.SAFETY_UNKNOWN,
+    Permission.SAFETY_STOP, Permission.IN_ERROR, Permission.CONFIRMATION_EXPIRED,
+})  # fmt: skip
 
 
 class PermissionWatch:
@@ -22,15 +29,38 @@ class PermissionWatch:
         self._hears = self._latched = False
         self._reasons: frozenset[int] = frozenset()
         self._against = -math.inf
+        self._unsound = (-math.inf, "")
+        self._state = -math.inf
 
     def hear(self, message: Any, now: float) -> None:
         """Take a `Permission` that arrived at `now`."""
         with self._lock:
+            if now - self._heard > UNHEARD * self._max_age:
+                self._unsound = (now, SILENT)
             self._permitted, self._text, self._heard = bool(message.permitted), str(message.text), now
             self._hears, self._latched = bool(message.hears_sequencer), bool(message.latched)
             self._reasons = frozenset(int(reason) for reason in message.reasons)
             if not self._waits_for_proof:
                 self._against = now
+            if self._reasons & ROBOT:
+                self._unsound = (now, self._text)
+
+    def state(self, now: float) -> None:
+        """Take notice of a state of the robot, which the guard judges, too."""
+        with self._lock:
+            self._state = now
+
+    def judged(self, moment: float) -> bool:
+        """Tell whether the guard has spoken on a state of the robot that came after a moment."""
+        with self._lock:
+            return self._heard > max(self._state, moment) and (self._state > moment or self._state == -math.inf)
+
+    def unsound(self, since: float, now: float) -> str:
+        """Say what was wrong since then with mode, drives or safety, or that it is not known; empty if nothing was."""
+        with self._lock:
+            if now - self._heard > UNHEARD * self._max_age:
+                return SILENT
+            return self._unsound[1] if self._unsound[0] >= since else ""
 
     @property
     def _waits_for_proof(self) -> bool:

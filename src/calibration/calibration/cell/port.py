@@ -9,24 +9,30 @@ from typing import Any
 
 import numpy as np
 from calibration_interfaces.msg import Outcome, SessionEvent
-from rclpy.node import Node
 
 from calibration.cell.clients import Instruments, LoadDevice, Measured
 from calibration.cell.reading_checks import PresentLoad, ReadingChecks
 from calibration.cell.readings import ReadingError, confirmed_readings, to_reading
 from calibration.conversions import to_header, to_step
 from calibration.motion.arrival import Joints
+from calibration_core.errors import SessionError
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.load_time import LoadTime
 from calibration_core.measurement.session import Session
-from calibration_core.planning.plans.plan import REFERENCE_NUMBER
+from calibration_core.measurement.target_check import TARGETS
+from calibration_core.planning.plans.plan import REFERENCE_NUMBER, placed
 from calibration_core.recording.session_values import Decision, Event
 from calibration_core.timeseries import NANOSECONDS, Float1D, Override
 
+DEVICE = "the load device"
 LOAD_OVERRIDE = "load"  # name under which an operator's word against the sensor stands in the session
 PATIENCE = 600.0  # s of wall time, for an instrument's answer; its own timeout ends it before
 SOURCE = "sequencer"
 ERRORS = frozenset({m.Kind.FAULT, m.Kind.ABORTED})
+AT_REFERENCE = frozenset({  # where number 0 is the reference; otherwise it says that nothing is under way
+    m.Kind.REFERENCE, m.Kind.LOAD_APPLIED, m.Kind.LOAD_OVERRIDDEN, m.Kind.READING_REJECTED,
+    m.Kind.CONFIGURATION_RETRIED, m.Kind.CONFIGURATION_SKIPPED,
+})  # fmt: skip
 WARNINGS = frozenset({
     m.Kind.PERMISSION_LOST, m.Kind.CONDITION_VIOLATED, m.Kind.CONFIGURATION_RETRIED, m.Kind.CONFIGURATION_SKIPPED,
 })  # fmt: skip
@@ -50,7 +56,7 @@ class Reached:
 
 
 class CellPort:
-    """Implements `runner.Cell`; called by the runner's thread alone, but for `load_applied`.
+    """Implements `runner.Cell`; called by the runner's thread alone.
 
     Attributes:
         session: Open for writing.
@@ -66,7 +72,6 @@ class CellPort:
         load_device: LoadDevice | None,
         checks: ReadingChecks,
         *,
-        later: Callable[[Callable[[], None]], None],
         equipment: Any,
         temperature: Callable[[], float],
         progress: Callable[[], None],
@@ -81,21 +86,24 @@ class CellPort:
             instruments: Tracker and force/torque sensor.
             load_device: None: an operator changes the load.
             checks: What readings and loads are held against.
-            later: Has something done by the runner's thread.
             equipment: The `Equipment` of the cell.
             temperature: Returns the last temperature, degrees Celsius, or NaN.
             progress: Tells how far it is.
             scaling: Returns the controller's speed scaling, or NaN.
         """
         self._node, self.session, self._joints = node, session, joints
-        self._instruments, self._load_device, self._checks, self._later = instruments, load_device, checks, later
+        self._instruments, self._load_device, self._checks = instruments, load_device, checks
         self._equipment = equipment
         self._temperature, self.progress, self.scaling = temperature, progress, scaling
         self._plan = session.plan_sha256
+        self._identity = session.identity
+        self._unwritten: list[Callable[[], None]] = []  # events and decisions, while the session cannot be written
         self._attempt: tuple[int, int, int] | None = None  # row of the session, configuration, count
         self._awaited: tuple[m.RequestLoad, Callable[[bool, str], None]] | None = None
         self._reached: Reached | None = None
         self.confirmed = 0
+        done = session.completed[-1:]  # what was measured last is how the targets stand
+        checks.targets.restore([one for one in session.confirmed() if one.configuration in done])
 
     def seconds(self) -> float:
         """Return the cell's time, s."""
@@ -105,25 +113,41 @@ class CellPort:
 
     def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
         """Change the load, or ask the operator to."""
+        place = placed(command.configuration, command.step)
+        if np.any(command.wrench):  # before anybody is asked to pull: whoever is killed now leaves a word of it
+            self._checks.loading(f"{place} of {self.session.directory}")
         if not command.unknown:
             self._checks.load_begins()
         if self._load_device is not None:
 
             def take(success: bool, text: str) -> None:  # as every answer to a load
-                if success and self._checks.checks_load and not command.unknown:  # the sensor has to agree
+                if success:  # the sensor has to agree, where there is one
                     self._reached = Reached(command, answered, LoadTime(self.seconds(), time.monotonic()))
                 else:
                     answered(success, text)
 
             self._load_device.apply(command.wrench, self._node.value("load.timeout"), PATIENCE, take)
             return
-        self._awaited = (command, answered)
         if command.unknown:
-            place = f"configuration {command.configuration}, step {command.step}"
-            self.ask(f"{place}: a load may be on from another run: release it, then confirm")
+            why = self._checks.pulls() or self._checks.load_left() or "a load may be on"
+            self._await(command, answered, f"{place}: {why}: see that nothing pulls, then confirm")
             return
         force = ", ".join(f"{value:.0f}" for value in command.wrench[:3])
-        self.ask(f"configuration {command.configuration}, step {command.step}: pull with ({force}) N, then confirm")
+        what = f"pull with ({force}) N" if np.any(command.wrench) else "release the load"
+        self._await(command, answered, f"{place}: {what}, then confirm")
+
+    def _await(self, command: m.RequestLoad, answered: Callable[[bool, str], None], text: str) -> None:
+        """Ask a person for a load, or for its release."""
+        self._awaited = (command, answered)
+        self.ask(text)
+
+    def _answer(
+        self, command: m.RequestLoad, answered: Callable[[bool, str], None], who: str, *, against: bool = False
+    ) -> None:
+        """Tell that a load is on or released, once that is kept for the runs to come; `who` says so."""
+        if not np.any(command.wrench):
+            self._checks.released(who if command.unknown or against else "", against=against)
+        answered(True, "")
 
     def load_applied(self, request: Any) -> tuple[int, str]:
         """Take the operator's word that the load is on, if the sensor agrees, or against it by override.
@@ -143,20 +167,20 @@ class CellPort:
             return Outcome.INPUT_UNUSABLE, "no load is waited for"
         command, answered = self._awaited
         if (command.configuration, command.step) != (request.configuration, request.step):
-            place = f"configuration {command.configuration}, step {command.step}"
+            place = placed(command.configuration, command.step)
             return Outcome.INPUT_UNUSABLE, f"the load of {place} is waited for"
-        fault = "" if command.unknown else self._checks.load(command.wrench)
+        fault = self._checks.load(command.wrench, left=command.unknown)
         if fault and not request.override:
             return Outcome.NOT_REACHED, fault
         self._awaited = None
         if fault:
-            self._later(lambda: self._override_load(command, operator, f"{reason} ({fault})"))
-        self._later(lambda: answered(True, ""))
+            self._override_load(command, operator, f"{reason} ({fault})")
+        self._answer(command, answered, operator, against=bool(fault))
         return Outcome.OK, ""
 
     def _override_load(self, command: m.RequestLoad, operator: str, text: str) -> None:
         """Take a load that the sensor does not find, and record who answers for it."""
-        place = f"configuration {command.configuration}, step {command.step}"
+        place = placed(command.configuration, command.step)
         self._checks.override(command.configuration, command.step)
         self.session.override(self._node.now_ns(), Override(LOAD_OVERRIDE, operator, f"{place}: {text}"))
         words = f"by {operator}: {text}"
@@ -167,7 +191,8 @@ class CellPort:
         load = self._reached
         if load is None:
             return
-        fault = self._checks.load(load.command.wrench)
+        of_device = load.command.unknown and self._checks.unproven  # its word is the first that is known
+        fault = "" if of_device else self._checks.load(load.command.wrench, left=load.command.unknown)
         silent = self._checks.silent  # its node may live: what pulls is not known, and nothing is at odds with it
         elapsed = load.time.looked(self.seconds(), now, lost=silent or bool(self.lost(now)))
         if fault and not elapsed.over(self._equipment.ready):
@@ -177,13 +202,30 @@ class CellPort:
             return
         self._reached = None
         says = "on" if np.any(load.command.wrench) else "released"
-        load.answered(not fault, f"the load device says that the load is {says}; {fault}" if fault else "")
+        if not fault:
+            self._answer(load.command, load.answered, DEVICE)
+        elif load.command.unknown:  # something else pulls, or the sensor has changed: a person has to look
+            text = f"the load device says that the load is released; {fault}"
+            self._await(load.command, load.answered, f"{text}; then confirm, or override with your name")
+        else:
+            load.answered(False, f"the load device says that the load is {says}; {fault}")
+
+    def override_condition(self, message: Any) -> None:
+        """Take an override by name: of a condition of the standard, or of what was found wrong with the targets."""
+        self._node.conditions.override(message, self.session)
+        if message.condition == TARGETS:
+            self._checks.targets.accept()
+            text = f"{TARGETS} by {message.operator_name.strip()}: {message.reason.strip()}"
+            self.carry_out(m.Record(m.Kind.CONDITION_OVERRIDDEN, 0, 0, text))
 
     def present_load(self, wanted: Float1D) -> PresentLoad:
         """Tell what pulls now against what is wanted, (6,) N and N*m, base axes, at the wrench point."""
-        if self._awaited is not None and self._awaited[0].unknown:
-            return PresentLoad()
-        return self._checks.present(wanted)
+        awaited = self._awaited
+        return self._checks.present(wanted, left=awaited is not None and awaited[0].unknown)
+
+    def pulls(self) -> str | None:
+        """Say what pulls although nothing should; empty: nothing does.  None: nobody knows now."""
+        return self._checks.pulls()
 
     @property
     def averaged(self) -> float:
@@ -217,7 +259,9 @@ class CellPort:
         self.confirmed += len(rows)
         tare = 0 if measured.wrench is None else measured.wrench.tare
         for reading, mean in zip(rows, measured.points, strict=True):
-            message = to_reading(reading, command.attempt, self._node.cell.robot.joints, mean.frame, tare)
+            message = to_reading(
+                reading, self._identity, command.attempt, self._node.cell.robot.joints, mean.frame, tare
+            )
             self._node.readings.publish(message)
 
     def _row(self, configuration: int) -> int:
@@ -250,8 +294,9 @@ class CellPort:
         place = {"configuration": record.configuration, "step": record.step}
         words = {"source": SOURCE, "text": record.text, "plan_sha256": self._plan}
         self._node.events.publish(SessionEvent(header=to_header(now), kind=int(record.kind), **place, **words))
-        text = f"{record.kind.name.lower()} {record.configuration}.{record.step} {record.text}".rstrip()
-        self.session.note(Event(now, record.kind.name.lower(), f"{record.configuration}.{record.step} {record.text}"))
+        text = logged(record)
+        event = Event(now, record.kind.name.lower(), f"{record.configuration}.{record.step} {record.text}")
+        self._write(lambda: self.session.note(event))
         if record.kind in ERRORS:
             self._node.get_logger().error(text)
         elif record.kind in WARNINGS:
@@ -268,13 +313,21 @@ class CellPort:
 
     def decided(self, decision: Decision) -> None:
         """Store a change of the guard's mind."""
-        self.session.decide(decision)
+        self._write(lambda: self.session.decide(decision))
+
+    def _write(self, work: Callable[[], None]) -> None:
+        """Write to the session; where its files are gone the run is paused, and it is written once they are back."""
+        self._unwritten.append(work)
+        try:
+            while self._unwritten:
+                self._unwritten[0]()
+                self._unwritten.pop(0)
+        except SessionError as error:
+            if not self.session.fault():
+                raise
+            self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
 
     # --- stopping, and requests without an answer --------------------------------------------------------------------
-
-    def stop_stage(self, stage: int) -> None:
-        """Take a stage of the stop."""
-        self._node.stopper.take(stage)
 
     def ready(self, since: float) -> bool:
         """Tell whether all that a reading needs has given a sign of life since then, s of the steady clock."""
@@ -285,8 +338,8 @@ class CellPort:
         return bool(self._equipment.recorded(since))
 
     def lost(self, now: float) -> str:
-        """Say which recorder or instrument has fallen silent; empty if none has."""
-        return str(self._equipment.fault(now))
+        """Say which recorder or instrument has fallen silent, or that the session's files are gone; else empty."""
+        return "; ".join(filter(None, [str(self._equipment.fault(now)), self.session.fault()]))
 
     def look(self, now: float) -> None:
         """Give up requests that are not answered; bring a recorder that is closed back to the bag."""
@@ -297,15 +350,8 @@ class CellPort:
             self._load_device.port.tick(now)
 
 
-def call_and_wait(node: Node, client: Any, request: Any, timeout: float) -> Any:
-    """Call a service from a thread that is not the executor's; return its answer, None if none comes in time."""
-    if not client.wait_for_service(timeout):
-        return None
-    future = client.call_async(request)
-    end = time.monotonic() + timeout
-    while not future.done() and time.monotonic() < end and node.context.ok():
-        time.sleep(0.005)
-    if not future.done():
-        client.remove_pending_request(future)
-        return None
-    return future.result()
+def logged(record: m.Record) -> str:
+    """Return the line of the log for what happened."""
+    somewhere = record.configuration != REFERENCE_NUMBER or record.kind in AT_REFERENCE
+    where = placed(record.configuration, record.step) if somewhere else ""
+    return ": ".join(filter(None, [record.kind.name.lower().replace("_", " "), where, record.text]))

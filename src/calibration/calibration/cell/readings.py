@@ -14,7 +14,13 @@ from calibration_core.recording.session_values import ConfirmedReading
 
 
 class ReadingError(Exception):
-    """No reading can be made of what was measured; the text says why."""
+    """No reading can be made of what was measured; the text says why.
+
+    Attributes:
+        resume: What a person has to do before the configuration begins again; empty: the reading is tried again.
+    """
+
+    resume = ""
 
 
 def confirmed_readings(
@@ -57,12 +63,15 @@ def confirmed_readings(
     return rows
 
 
-def to_reading(reading: ConfirmedReading, attempt: int, joints: Sequence[str], frame: str, tare: int) -> Reading:
+def to_reading(
+    reading: ConfirmedReading, session: str, attempt: int, joints: Sequence[str], frame: str, tare: int
+) -> Reading:
     """Return a reading as a message."""
     wrench = np.zeros(6) if reading.wrench is None else reading.wrench
     covariance = np.zeros((6, 6)) if reading.wrench_covariance is None else reading.wrench_covariance
     return Reading(
         header=to_header(reading.time, frame),
+        session=session,
         configuration=reading.configuration,
         step=reading.step,
         attempt=attempt,

@@ -16,6 +16,7 @@ from calibration_core.timeseries import NANOSECONDS, Float1D
 
 MEAN = 0.5  # s of the cell's time, over which the present wrench is averaged
 KEPT = 1000  # samples
+LOOK = 0.02  # s of wall time between looks at the wrench, far less than what is averaged
 FRESH = 1.0  # s of wall time; an older last sample says nothing about now
 
 
@@ -33,12 +34,13 @@ class WrenchWatch:
         self._node, self.topic = node, node.cell.topics.wrench
         self._samples: collections.deque[tuple[int, Float1D]] = collections.deque(maxlen=KEPT)
         self._heard = -np.inf  # s of the steady clock
+        self._biases: dict[int, Float1D] = {}  # by the number of the tare
         self.tares = self.tare = 0
 
     def listen(self) -> None:
         """Listen to wrench and tares."""
         newest = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.BEST_EFFORT)
-        subscribe_to_samples(self._node, WrenchStamped, self.topic.lstrip("/"), self._on_wrench, newest)
+        subscribe_to_samples(self._node, WrenchStamped, self.topic.lstrip("/"), self._on_wrench, newest, every=LOOK)
         self._node.create_subscription(TARE.message, TARE.relative, self._on_tare, TARE.qos)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
@@ -49,6 +51,11 @@ class WrenchWatch:
 
     def _on_tare(self, message: Any) -> None:
         self.tares, self.tare = self.tares + 1, int(message.number)
+        self._biases[self.tare] = wrench_values(message.bias)
+
+    def bias(self, tare: int) -> Float1D:
+        """Return what a tare subtracts, (6,) N and N*m."""
+        return self._biases.get(tare, np.zeros(6))
 
     @property
     def now(self) -> Float1D | None:

@@ -10,18 +10,18 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import Any
 
-from calibration.motion.stop_path import StopPath
+from calibration_interfaces.msg import MotionPulse
+from rclpy.qos import QoSProfile
+
+from calibration.motion.stop import StopPath
 from calibration.node import CalibrationNode
-from calibration.topics import MOTION_PULSE
+from calibration.topics import MOTION_PULSE, publishers, subscribe_to_samples
+from calibration_core.motion.motion_watch import MOVES, MotionWatch
 from calibration_core.motion.stop_proof import RequestedStop
 
-UNHEARD = "the robot moves and no sign of life of the sequencer is heard"
-MOVES = 0.02  # m/s of the fastest point: a robot at rest is never as fast, noise included
-AGAIN = 0.5  # s between stops of such a motion
 WATCHED = "the motion under way is permitted and watched"
-SILENT = "the sequencer is silent while its motion is under way"
+STANDS = "no motion is under way"
 DEAF = "the driver does not acknowledge that it stops: press the emergency stop"
 
 
@@ -39,26 +39,40 @@ class Emergency:
         """
         self._node, self._stop, self._max_age = node, stop, max_age
         self._trace = Path(trace) if trace else None
-        self._moving, self._heard, self._reported = False, -math.inf, ""
-        self._unheard = -math.inf
+        self._reported = ""
 
     def listen(self) -> None:
         """Listen to the sequencer's sign of life."""
-        self._moving, self._heard = False, -math.inf
-        self._node.create_subscription(MOTION_PULSE.message, MOTION_PULSE.relative, self._on_pulse, MOTION_PULSE.qos)
+        self._watch = MotionWatch(self._max_age, can_stop=self._stop.how is not RequestedStop.NONE)
+        every = QoSProfile(depth=100)  # a stranger's signs of life do not push out those of the sequencer
+        subscribe_to_samples(self._node, MotionPulse, MOTION_PULSE.relative, self._on_pulse, every)
 
-    def _on_pulse(self, message: Any) -> None:
-        self._moving = bool(message.data)
-        self._heard = time.monotonic()
+    def _on_pulse(self, message: MotionPulse) -> None:
+        self._watch.on_pulse(message.identity, message.count, time.monotonic(), moving=message.moving)
 
     def hears(self, now: float) -> bool:
         """Tell whether the sequencer gives a sign of life at `now`, s of the steady clock."""
-        return now - self._heard <= self._max_age
+        return self._watch.hears(now)
 
     @property
     def moving(self) -> bool:
         """Whether the sequencer said last that a motion of its own is under way."""
-        return self._moving
+        return self._watch.moving
+
+    def another(self, now: float) -> bool:
+        """Tell whether another sequencer gives a sign of life beside the one that is followed."""
+        return self._watch.another(now)
+
+    def others(self, now: float) -> str:
+        """Return who publishes the sign of life, where more than one sequencer does; empty otherwise.
+
+        One that was killed and has been started again stands in the graph twice, by one name.
+        """
+        names = publishers(self._node, MOTION_PULSE.relative)
+        if len(set(names)) < 2 and not self._watch.another(now):
+            return ""
+        topic = self._node.resolve_topic_name(MOTION_PULSE.relative)
+        return f"{topic} is published by {', '.join(names)}"
 
     def look(self, now: float, *, permitted: bool, speed: float = math.nan) -> str:
         """Stop, and say so, if a motion is under way that is not permitted, or that nobody watches; return why.
@@ -68,30 +82,18 @@ class Emergency:
             permitted: Whether motion is.
             speed: m/s, of the fastest point as measured; NaN: unknown.
         """
-        fault = self._fault(now, permitted=permitted, speed=speed)
+        fault = self._watch.fault(now, permitted=permitted, speed=speed)
         if fault:
-            self._moving = False  # until the sequencer says so again
             self.command(now, fault)
         if self._stop.unanswered(now):
             fault = fault or DEAF
-        # What was reported stands until a motion is as it should be.
-        if fault != self._reported and (fault or self._moving):
+        # What was reported stands until the robot does, or a motion is as it should be.
+        if fault != self._reported and (fault or self.moving or speed <= MOVES):
             self._reported = fault
-            self._node.diagnostics.report("motion", 2 if fault else 0, fault or WATCHED)
+            self._node.diagnostics.report("motion", 2 if fault else 0, fault or (WATCHED if self.moving else STANDS))
             if fault:
                 self._node.get_logger().error(fault)
         return fault
-
-    def _fault(self, now: float, *, permitted: bool, speed: float) -> str:
-        if not self._moving:
-            silent = not self.hears(now) and now - self._unheard > AGAIN
-            if self._stop.how is RequestedStop.NONE or not silent or not speed > MOVES:
-                return ""
-            self._unheard = now
-            return UNHEARD
-        if not self.hears(now):
-            return SILENT
-        return "" if permitted else "a motion is under way that is not permitted"
 
     def command(self, now: float, why: str) -> None:
         """Stop whatever moves, and note why."""

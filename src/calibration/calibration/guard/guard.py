@@ -7,6 +7,8 @@ means no.  It stops the robot itself when the sequencer may not be able to.  It 
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import math
 import sys
 import threading
@@ -24,24 +26,32 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_stamp
-from calibration.guard.emergency import AGAIN, SILENT, Emergency
+from calibration.guard.emergency import Emergency
+from calibration.guard.joint_publishers import JointPublishers
 from calibration.guard.messages import to_evidence, to_permission, to_robot_state
 from calibration.guard.parameters import PARAMETERS, configured_adapter, guard_rules
 from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import ArrivalRules, Joints
-from calibration.motion.stop_path import make_stop_path
+from calibration.motion.stop import make_stop_path
 from calibration.node import CalibrationNode, run
 from calibration.process_tree import STANDSTILL
-from calibration.robot_state.adapter import Received, Report, Source, assemble
-from calibration.robot_state.catalogue import load_type
+from calibration.robot_state.adapter import Received, Report, assemble
 from calibration.robot_state.confirmation import Confirmation, checked, confirmed
-from calibration.topics import GUARD_EVIDENCE, PERMISSION, ROBOT_STATE, several_publishers, subscribe_to_samples
+from calibration.topics import (
+    GUARD_EVIDENCE,
+    PERMISSION,
+    ROBOT_STATE,
+    load_type,
+    several_publishers,
+    subscribe_to_samples,
+)
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.clock_watch import ClockWatch
 from calibration_core.motion.guard import Guard, GuardDecision
+from calibration_core.motion.motion_watch import AGAIN, SILENT
 from calibration_core.motion.robot_status import Reason
 from calibration_core.motion.speed import Monitored
 from calibration_core.timeseries import NANOSECONDS
@@ -72,15 +82,16 @@ class GuardNode(CalibrationNode):
         """Read the cell, choose adapter and stop path, and offer what the guard says."""
         self.cell = load_cell(self.value("cell"))
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell), tool_point(self.cell))
-        self.rules = guard_rules(self, self.cell)
         self.adapter = configured_adapter(self)
+        simulated = self.get_parameter("use_sim_time").value
+        self.rules = dataclasses.replace(guard_rules(self, self.cell, self.adapter), stamps_run=not simulated)
         self._joints = Joints(ArrivalRules())
         self.stop_path = make_stop_path(
             self.value("motion.backend"),
             self,
             self.cell.robot.joints,
             interface=self.value("motion.interface"),
-            where=lambda: self._joints.latest,
+            course=lambda: self._joints.course(self.now_ns()),
             ended=self._on_goal_ended,
         )
         self._asked: dict[str, tuple[Any, Any, float]] = {}  # service -> client, pending answer, since
@@ -98,6 +109,7 @@ class GuardNode(CalibrationNode):
         self._report = Report(self.adapter.translate({}))
         self._confirmation: Confirmation | None = None
         self._q = np.full(self.monitored.chain.n, math.nan)
+        self._joint_publishers = JointPublishers(self.monitored.chain.joints)
         self._last: GuardDecision | None = None
         self._evidence_sent = -math.inf
         self._clock_watch = ClockWatch(self.value("clock_jump"))
@@ -117,20 +129,22 @@ class GuardNode(CalibrationNode):
         self.create_service(ResetGuard, "~/reset", self._on_reset)
         self.create_service(ConfirmMode, "~/confirm_mode", self._on_confirm)
         self.create_service(ProveStop, "~/prove_stop", self._on_prove, callback_group=ReentrantCallbackGroup())
-        for source in self.adapter.sources:
+        for key, source in self.adapter.sources.items():
             if source.is_service:
-                self._asked[source.key] = (self.create_client(load_type(source.type), source.name), None, -math.inf)
+                self._asked[key] = (self.create_client(load_type(source.kind), source.name), None, -math.inf)
 
     def _listen(self) -> None:
         # Best effort is heard from every publisher, and of a state only the newest matters.
         newest = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
         kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         joint_states = self.cell.topics.joint_states.lstrip("/")
-        subscribe_to_samples(self, JointState, joint_states, self._on_joints, newest)
-        for source in self.adapter.sources:
+        subscribe_to_samples(self, JointState, joint_states, self._on_joints, newest, numbered=True)
+        for key, source in self.adapter.sources.items():
             if not source.is_service:
                 quality = newest if source.max_age is not None else kept
-                self.create_subscription(load_type(source.type), source.name, self._hear(source), quality)
+                self.create_subscription(
+                    load_type(source.kind), source.name, functools.partial(self._take, key), quality
+                )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / self.value("rate"), self._on_pulse, clock=steady)
         self.create_timer(LOOK_AROUND, self._look_around, clock=steady)
@@ -139,50 +153,49 @@ class GuardNode(CalibrationNode):
 
     # --- what arrives ------------------------------------------------------------------------------------------------
 
-    def _hear(self, source: Source) -> Any:
-        def on_message(message: Any) -> None:
-            self._take(source.key, message)
-
-        return on_message
-
     def _take(self, key: str, message: Any) -> None:
         self._received[key] = Received(message, time.monotonic_ns())
-        now = time.monotonic()
-        report = self._known(now)
-        changed = report.status != self._report.status
-        self._report = report
-        if report.received_time:
-            self.guard.on_status(report.status, now)
-        if changed:
+        now, before = time.monotonic(), self._report.status
+        self._note(now)
+        if self._report.status != before:
             self._decide(now)
+
+    def _note(self, now: float) -> None:
+        """Hand the state as it is known over, once every topic that is awaited has been heard."""
+        self._report = report = self._known(now)
+        if report.received_time and (self.adapter.awaited or self._confirmation is not None):
+            self.guard.on_status(report.status, report.received_time / NANOSECONDS, report.max_age, report.first)
 
     def _known(self, now: float) -> Report:
         report = assemble(self.adapter, self._received, round(now * NANOSECONDS))
+        if self._confirmation is not None:
+            self._confirmation = self._confirmation.after(report.status, now)
         return confirmed(report, self._confirmation, now)
 
-    def _on_joints(self, message: JointState) -> None:
+    def _on_joints(self, message: JointState, number: int | None) -> None:
+        now = time.monotonic()
+        if self._joint_publishers.hear(message.name[: len(message.position)], number, now):
+            self.guard.on_new_source()
         q = joint_positions(message, self.monitored.chain.joints)
-        self._q = np.full(self.monitored.chain.n, math.nan) if q is None else q
+        if q is None:  # another device's joints, or some of ours
+            return
+        self._q = q
         stamp = stamp_ns(message.header.stamp)
-        if q is not None:
-            self._joints.add(stamp or self.now_ns(), q)
-        self.guard.on_joints(self._q, time.monotonic(), stamp / NANOSECONDS if stamp else math.nan)
+        self._joints.add(stamp or self.now_ns(), q)
+        self.guard.on_joints(q, now, stamp / NANOSECONDS if stamp else math.nan)
 
     def _ask(self) -> None:
         """Ask the adapter's services again; an answer that does not come is given up, for its server may be gone."""
         now = time.monotonic()
-        for source in self.adapter.sources:
-            if not source.is_service:
-                continue
-            client, pending, since = self._asked[source.key]
+        for key, (client, pending, since) in list(self._asked.items()):
             if pending is not None and now - since < 3.0 * ASK_EVERY:
                 continue
             if pending is not None:
                 client.remove_pending_request(pending)
             pending = client.call_async(client.srv_type.Request()) if client.service_is_ready() else None
             if pending is not None:
-                pending.add_done_callback(self._answer(source.key))
-            self._asked[source.key] = (client, pending, now)
+                pending.add_done_callback(self._answer(key))
+            self._asked[key] = (client, pending, now)
 
     def _answer(self, key: str) -> Any:
         def on_done(future: Any) -> None:
@@ -200,12 +213,9 @@ class GuardNode(CalibrationNode):
         now = time.monotonic()
         if self._clock_watch.jumped(self.now_ns(), now):
             self.guard.on_clock_jump()
-        report = self._known(now)
-        if report.status != self._report.status:  # a source fell silent, or a confirmation ended
-            self._report = report
-            self.guard.on_status(report.status, now)
-        elif not self.adapter.sources and self._confirmation is not None:
-            self.guard.on_status(report.status, now)
+        self._note(now)  # a source may have fallen silent, or a confirmation ended
+        if self._emergency.another(now):
+            self._look_around()
         self._decide(now)
         if self._last is None:
             return
@@ -226,9 +236,16 @@ class GuardNode(CalibrationNode):
 
     def _look_around(self) -> None:
         """See who publishes what the guard rests on: of two, nobody knows which one speaks of the robot."""
-        topics = [self.cell.topics.joint_states.lstrip("/")]
-        topics += [source.name for source in self.adapter.sources if not source.is_service]
-        self.guard.on_sources("; ".join(filter(None, [several_publishers(self, topic) for topic in topics])))
+        topics = [source.name for source in self.adapter.sources.values() if not source.is_service]
+        found = [several_publishers(self, topic) for topic in topics]
+        joints, twice = self.cell.topics.joint_states, self._joint_publishers.twice(time.monotonic())
+        named = several_publishers(self, joints.lstrip("/"))
+        if twice:
+            found.append(f"{', '.join(twice)}: {named or joints}")
+        elif not self._joint_publishers.numbered:
+            found.append(named)
+        found.append(self._emergency.others(time.monotonic()))
+        self.guard.on_sources("; ".join(filter(None, found)))
 
     def on_second(self, words: str, younger: bool) -> None:
         """Another guard is heard: neither permits anything."""
@@ -284,16 +301,18 @@ class GuardNode(CalibrationNode):
 
     def _on_confirm(self, request: Any, response: Any) -> Any:
         now = time.monotonic()
+        reported = assemble(self.adapter, self._received, round(now * NANOSECONDS)).status.operating_mode
+        asked = (request.operator_name, request.operating_mode, request.valid_for)
         try:
-            self._confirmation = checked(request.operator_name, request.operating_mode, request.valid_for, now)
+            self._confirmation = checked(*asked, reported, now)
         except InputError as error:
             response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
             return response
-        self._report = self._known(now)
-        self.guard.on_status(self._report.status, now)
+        self._note(now)
         self._decide(now)
-        response.confirmed_until = to_stamp(self.now_ns() + round(request.valid_for * NANOSECONDS))
-        text = f"{self._confirmation.operator} confirms {self._confirmation.mode.name} for {request.valid_for:.0f} s"
+        valid_for = self._confirmation.until - now
+        response.confirmed_until = to_stamp(self.now_ns() + round(valid_for * NANOSECONDS))
+        text = f"{self._confirmation.operator} confirms {self._confirmation.mode.name} for {valid_for:.0f} s"
         self.get_logger().info(text)
         response.outcome = to_outcome(Outcome.OK, text)
         return response

@@ -39,15 +39,15 @@ def to_robot_state(report: Report, time: int, *, steady_to_ros: int) -> RobotSta
         motion_possible=tri_state(status.motion_possible),
         in_motion=tri_state(status.in_motion),
         in_error=tri_state(status.in_error),
-        speed_scaling=status.speed_scaling,
-        speed_limit_mm_s=MILLIMETRES * status.speed_limit,
+        speed_scaling=math.nan if status.speed_scaling is None else status.speed_scaling,
+        speed_limit_mm_s=math.nan if status.speed_limit is None else MILLIMETRES * status.speed_limit,
         vendor_codes=list(report.vendor_codes),
         source=report.source,
         source_stamp=to_stamp(report.source_time),
         received_stamp=to_stamp(max(report.received_time + steady_to_ros, 0) if report.received_time else 0),
         operator_confirmed=status.operator_confirmed,
         operator_name=report.operator,
-        confirmed_until=to_stamp(0 if math.isnan(until) else max(round(until * NANOSECONDS) + steady_to_ros, 0)),
+        confirmed_until=to_stamp(0 if until is None else max(round(until * NANOSECONDS) + steady_to_ros, 0)),
     )
 
 

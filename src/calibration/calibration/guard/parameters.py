@@ -7,17 +7,16 @@ import math
 from typing import Any, Protocol
 
 from calibration.guard.messages import mode_names
+from calibration.motion.arrival import ArrivalRules
 from calibration.motion.catalogue import MOTION_INTERFACE
 from calibration.node import Declared
-from calibration.robot_state import generic
-from calibration.robot_state.adapter import Adapter
-from calibration.robot_state.catalogue import GENERIC, NAMES, adapter_of
+from calibration.robot_state import NAMES
+from calibration.robot_state.adapter import LONGEST_AGE, Adapter, load_adapter
 from calibration_core.cell import Cell
 from calibration_core.errors import InputError, quoted
 from calibration_core.motion.guard import GuardRules
-from calibration_core.motion.robot_status import OperatingMode
+from calibration_core.motion.robot_status import OperatingMode, Reason
 
-LONGEST_AGE = 10.0  # s, of a source's last message
 RULES = GuardRules()
 MODES = tuple(mode.name for mode in OperatingMode if mode is not OperatingMode.UNKNOWN)
 
@@ -27,11 +26,29 @@ PARAMETERS = (
     Declared("evidence_rate", 2.0, "Hz, of the evidence between changes.", low=0.1, high=50.0),
     Declared("allowed_modes", ["MANUAL_REDUCED"], f"Operating modes in which motion is permitted: {', '.join(MODES)}."),
     Declared("speed_limit", RULES.speed_limit, "m/s, of every monitored point.", low=0.01, high=0.25),
-    Declared("tolerance", RULES.tolerance, "Share by which a measured speed may exceed the limit.", low=0.0, high=0.2),
-    Declared("max_state_age", RULES.max_state_age, "s, of the robot state.", low=0.05, high=10.0),
+    Declared(
+        "joint_error",
+        RULES.joint_error,
+        "rad or m, of the difference of two joint states: step or noise.",
+        low=0.0,
+        high=1e-3,
+    ),
+    Declared("time_error", RULES.time_error, "s, likewise of their stamps.", low=0.0, high=0.01),
+    Declared(
+        "tracking_error",
+        RULES.tracking_error,
+        "rad or m, a standing joint lies beside its command; a cancelled goal holds it where it is measured.",
+        low=0.0,
+        high=ArrivalRules().tolerance,  # a robot that lies farther off never arrives
+    ),
     Declared("max_joints_age", RULES.max_joints_age, "s, of the joint states.", low=0.01, high=1.0),
-    Declared("freeze_time", RULES.freeze_time, "s, joint states repeat while in motion.", low=0.02, high=5.0),
-    Declared("speed_window", RULES.speed_window, "s, over which speed is measured.", low=0.0, high=1.0),
+    Declared(
+        "freeze_time",
+        RULES.freeze_time,
+        "s, joint states repeat while in motion, beyond the driver's latency.",
+        low=0.02,
+        high=5.0,
+    ),
     Declared("jump_rate", RULES.jump_rate, "rad/s, no joint is faster.", low=1.0, high=100.0),
     Declared("scaling_zero_time", RULES.scaling_zero_time, "s, speed scaling may be zero.", low=0.0, high=10.0),
     Declared("max_pause", RULES.max_pause, "s, between two decisions, and between stamps of joint states.", low=0.1),
@@ -41,13 +58,10 @@ PARAMETERS = (
     Declared("clock_jump", 2.0, "s, the clock of messages may advance in a second.", low=0.1, high=3600.0),
     Declared("robot_state.adapter", "native", "How the controller's state is understood.", choices=NAMES),
     Declared("robot_state.topics", [], "Names of topics other than the driver's defaults, as key=name."),
-    Declared("robot_state.max_ages", [], "s, that a source's last message counts, other than usual, as key=seconds."),
-    Declared("robot_state.generic.topic", "", "Topic of the generic adapter."),
-    Declared("robot_state.generic.type", "", "Its type, package/msg/Name."),
     Declared(
-        "robot_state.generic.max_age", 1.0, "s, after which its last message counts no longer.", low=0.05, high=10.0
+        "robot_state.max_ages", [], "s, that a source's last message counts, other than the driver's, as key=seconds."
     ),
-    *(Declared(f"robot_state.generic.{name}", "", "Rule: path = value: WORD, ...") for name in generic.WORDS),
+    Declared("robot_state.table", "", "File of your driver's own table, for the adapter `generic`."),
 )
 
 
@@ -58,8 +72,8 @@ class Values(Protocol):
         """Return a parameter's value."""
 
 
-def guard_rules(node: Values, cell: Cell) -> GuardRules:
-    """Return the limits.
+def guard_rules(node: Values, cell: Cell, adapter: Adapter) -> GuardRules:
+    """Return the limits, with what the driver makes of them.
 
     Raises:
         InputError: A mode is unknown.
@@ -72,7 +86,11 @@ def guard_rules(node: Values, cell: Cell) -> GuardRules:
     table = {one.name for one in PARAMETERS}
     names = {field.name for field in dataclasses.fields(GuardRules)} - {"allowed_modes", "declared_limit"}
     given = {name: node.value(name) for name in names & table}
-    return GuardRules(allowed_modes=modes, declared_limit=declared, **given)
+    given["freeze_time"] += adapter.in_motion_latency
+    awaited = ", ".join(source.name for source in adapter.awaited.values())
+    notes = {Reason.STATE_ABSENT: f"awaited: {awaited}"} if awaited else {}
+    notes |= {Reason[name]: text for name, text in adapter.notes.items()}
+    return GuardRules(allowed_modes=modes, declared_limit=declared, remote=adapter.remote, notes=notes, **given)
 
 
 def configured_adapter(node: Values) -> Adapter:
@@ -81,24 +99,18 @@ def configured_adapter(node: Values) -> Adapter:
     Raises:
         InputError: One of them cannot be used, or a message package is not installed.
     """
-    name = node.value("robot_state.adapter")
-    if name == GENERIC:
-        place = "robot_state.generic"
-        rules = {quantity: node.value(f"{place}.{quantity}") for quantity in generic.WORDS}
-        topic, kind, age = (node.value(f"{place}.{key}") for key in ("topic", "type", "max_age"))
-        adapter = generic.adapter(topic, kind, age, rules)
-    else:
-        adapter = adapter_of(name)
+    adapter = load_adapter(node.value("robot_state.adapter"), node.value("robot_state.table"))
     topics, ages = _by_key(node, adapter, "robot_state.topics"), _by_key(node, adapter, "robot_state.max_ages")
-    sources = []
-    for source in adapter.sources:
-        max_age = _seconds("robot_state.max_ages", ages[source.key]) if source.key in ages else source.max_age
-        sources.append(dataclasses.replace(source, name=topics.get(source.key, source.name), max_age=max_age))
-    return dataclasses.replace(adapter, sources=tuple(sources))
+    sources = dict(adapter.sources)
+    for key, name in topics.items():
+        sources[key] = sources[key].model_copy(update={"name": name})
+    for key, text in ages.items():
+        sources[key] = sources[key].model_copy(update={"max_age": _seconds("robot_state.max_ages", text)})
+    return adapter.model_copy(update={"sources": sources}).loaded()
 
 
 def _by_key(node: Values, adapter: Adapter, name: str) -> dict[str, str]:
-    known = {source.key for source in adapter.sources}
+    known = adapter.sources
     found = {}
     for entry in node.value(name):
         key, _, text = entry.partition("=")

@@ -92,7 +92,7 @@ class AcquisitionNode(CalibrationNode):
         self.group = ReentrantCallbackGroup()
         self._checks = self.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
         self._measure = self.create_action_server(Measure, "~/measure", self._on_measure)
-        self._averaging = 0  # requests under way
+        self._averages: set[object] = set()  # under way, in threads of their own
 
     def on_activate(self) -> None:
         """Look for the sources, and report how they are, from now on."""
@@ -104,14 +104,14 @@ class AcquisitionNode(CalibrationNode):
     def on_deactivate(self) -> None:
         """Wait until averages under way have given up: they look whether the node is still active."""
         end = time.monotonic() + GIVEN_UP
-        while self._averaging:
+        while self._averages:
             if time.monotonic() > end:
                 raise TransitionError(f"an average is still being taken after {GIVEN_UP:g} s")
             time.sleep(POLL)
 
     def busy(self) -> str:
         """Say that an average is being taken: what it is taken with does not change meanwhile."""
-        return "an average is being taken" if self._averaging else ""
+        return "an average is being taken" if self._averages else ""
 
     def limits(self, largest: tuple[float, ...], fastest: tuple[float, ...]) -> Limits:
         """Return the limits of a stream from the parameters that all instruments share."""
@@ -219,7 +219,7 @@ class AcquisitionNode(CalibrationNode):
         before = {stream.name: stream.check.counts.received for stream in request.streams}
         tare = self.tare_number()
         deadline = _Deadline(self.now_ns, request.timeout)
-        self._averaging += 1
+        self._averages.add(deadline)
         try:
             while True:
                 _refuse_two_sources(request.streams)
@@ -235,7 +235,7 @@ class AcquisitionNode(CalibrationNode):
                 report(min(_share(state) for _, state in states), _waiting_for(states))
                 time.sleep(POLL)
         finally:
-            self._averaging -= 1
+            self._averages.discard(deadline)
             for stream, averaging in running:
                 stream.end(averaging)
         if self.tare_number() != tare:

@@ -1,14 +1,15 @@
-"""Node `force_torque`: the wrench, checked, in SI units, with the contract's sign; tare and test of the sensor.
+"""Node `force_torque`: the wrench, checked, in SI units, with the sign of recordings; tare and test of the sensor.
 
-A tare is subtracted from what is published and told on its own topic; the untared wrench is published beside it.
+A tare is subtracted from what is published and reported on its own topic; the untared wrench is published beside it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Sequence
-from typing import Any
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from calibration_interfaces.msg import Outcome, TareEvent
@@ -22,22 +23,30 @@ from calibration.conversions import (
     WRENCH_INPUTS,
     Mean,
     joint_positions,
+    stamp_ns,
     to_header,
     to_outcome,
     to_tare,
     to_wrench_stamped,
     wrench_sample,
 )
-from calibration.instruments.acquisition import AcquisitionNode, MeasuringError
+from calibration.instruments.acquisition import POLL, AcquisitionNode, MeasuringError
 from calibration.instruments.stream import Stream
+from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.node import Declared, run
-from calibration.topics import RAW_WRENCH, TARE, Quality, Topic, subscription_profile
+from calibration.topics import RAW_WRENCH, TARE, Quality, Topic, subscribe_to_samples, subscription_profile
 from calibration_core.errors import InputError
 from calibration_core.identification.checks.sensor_test import evaluate_sensor_test, gravity_in_sensor
+from calibration_core.measurement.load_check import LoadCheck
+from calibration_core.measurement.posture_check import Stood, movement_fault
+from calibration_core.measurement.unloaded import LoadMemory, Unloaded, memory_file
+from calibration_core.planning.plans.tolerances import DEFAULT_TOLERANCES
 from calibration_core.recording.messages.kinds import StreamKind
 from calibration_core.timeseries import Float1D
 
 WRENCH = "wrench"
+JOINTS_WAIT = 2.0  # s of wall time, joint states of a window may come after its last sample
+T = TypeVar("T")
 
 PARAMETERS = (
     Declared("topic", "input/wrench", "Where the sensor's samples come from."),
@@ -51,6 +60,7 @@ PARAMETERS = (
     Declared("fastest_torque", 0.0, "Change of torque that counts as a jump, N*m/s; 0: not checked.", low=0.0),
     Declared("tolerance_force", 5.0, "Change over a window that does not matter, N.", low=0.0, read_only=False),
     Declared("tolerance_torque", 2.5, "Change over a window that does not matter, N*m.", low=0.0, read_only=False),
+    Declared("load_memory", "", "File in which the sequencer keeps what is known of the load; empty: in $ROS_HOME."),
     Declared("publish_raw", True, "Whether the untared wrench is published as well."),
     Declared("test_mass_share", 0.05, "Share by which the tested mass may be off.", low=0.0, high=1.0),
     Declared("test_angle", 0.05, "Angle by which the tested axes may be off, rad.", low=0.0, high=3.2),
@@ -76,7 +86,7 @@ class ForceTorqueNode(AcquisitionNode):
         self._number, self._tares = 0, 0
         self._busy = False
         self._orientations: list[tuple[Float1D, Float1D]] = []
-        self._q: Float1D | None = None
+        self._joints = Joints(ArrivalRules())
         limits = self.limits(
             (self.value("largest_force"), self.value("largest_torque")),
             (self.value("fastest_force"), self.value("fastest_torque")),
@@ -98,8 +108,10 @@ class ForceTorqueNode(AcquisitionNode):
         """Listen to the joint states, too."""
         super().on_activate()
         joints = Topic(self.cell.topics.joint_states, StreamKind.JOINTS.value, Quality.SAMPLES)
-        profile = subscription_profile(self, joints.relative, depth=1)
-        self.create_subscription(joints.message, joints.relative, self._on_joints, profile)
+        profile = subscription_profile(self, joints.relative)
+        subscribe_to_samples(self, joints.message, joints.relative, self._on_joints, profile)
+        if self._forwards:  # a node that was started again has forgotten the tare of before
+            self._publish_tare(0, self._bias, None, self.get_name(), "the node begins without a tare")
 
     def outputs(self) -> Sequence[Any]:
         """Return the publisher of the wrench."""
@@ -123,47 +135,80 @@ class ForceTorqueNode(AcquisitionNode):
                 self._raw.publish(to_wrench_stamped(self.labelled(raw)))
 
     def _on_joints(self, message: Any) -> None:
-        self._q = joint_positions(message, self.cell.robot.joints)
+        q = joint_positions(message, self.cell.robot.joints)
+        if q is not None:
+            self._joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
 
     # --- tare -------------------------------------------------------------------------------------------------
 
     async def _on_tare(self, request: Any, response: Any) -> Any:
         if not self._forwards:
-            text = "the stream comes on the contract's topic already: nothing can be subtracted from it"
+            text = "the stream comes on the topic of recordings already: nothing can be subtracted from it"
             response.outcome = to_outcome(Outcome.NOT_AVAILABLE, text)
             return response
-        if request.clear:
-            self._set_tare(response, request, 0, np.zeros(6), None)
-            return response
-        mean = await self._averaged(response, request.window, request.timeout)
-        if mean is not None:
-            self._tares += 1
-            self._set_tare(response, request, self._tares, self._bias + mean.average.mean, mean)
+        number, bias, mean = 0, np.zeros(6), None
+        if not request.clear:
+            averaged = await self._averaged(response, lambda: self._unloaded(request))
+            if averaged is None:
+                return response
+            mean, bias = averaged
+            number = self._tares = self._tares + 1
+        self._bias, self._number = bias, number
+        response.event = self._publish_tare(number, bias, mean, request.requested_by, request.reason)
+        response.outcome = to_outcome(Outcome.OK, "")
         return response
 
-    def _set_tare(self, response: Any, request: Any, number: int, bias: Float1D, mean: Mean | None) -> None:
-        self._bias, self._number = bias, number
-        header = to_header(self.now_ns(), mean.frame if mean else self._stream.frame)
-        event: TareEvent = to_tare(header, number, bias, mean, request.requested_by, request.reason)
-        self._tare_events.publish(event)
-        self.get_logger().info(f"tare {number}: bias {np.round(bias, 3).tolist()} ({request.requested_by})")
-        response.outcome, response.event = to_outcome(Outcome.OK, ""), event
+    def _unloaded(self, request: Any) -> tuple[Mean, Float1D]:
+        """Average what the sensor says; return the mean and the untared wrench, (6,) N and N*m.
 
-    async def _averaged(self, response: Any, window: float = 0.0, timeout: float = 0.0) -> Mean | None:
-        """Average now; with None, the response says why there is nothing."""
+        Raises:
+            MeasuringError: There is no mean, or a load pulls and nobody takes it upon himself by name.
+            InputError: What is kept of the load cannot be read.
+        """
+        (mean,) = self.measure(self.asked((), request.window, request.timeout, 0))
+        untared = self._bias + mean.average.mean
+        if LoadCheck.possible(self.cell) and not (request.override and request.requested_by.strip()):
+            file = memory_file(self.cell, self.get_namespace(), self.value("load_memory"))
+            memory = LoadMemory(file)
+            stood = self._stood(mean)
+            unloaded = Unloaded(LoadCheck(self.cell, DEFAULT_TOLERANCES), self.cell, memory.zeros)
+            fault = f"a load may be on since {memory.left}" if memory.left else ""
+            if len(stood.q):
+                fault = unloaded.fault(stood.q.mean(axis=0), untared) or fault
+            if fault:
+                text = f"{fault}; no tare is taken under load: release it, or override with your name in requested_by"
+                raise MeasuringError(Outcome.NOT_REACHED, text)
+        return mean, untared
+
+    def _publish_tare(self, number: int, bias: Float1D, mean: Mean | None, who: str, why: str) -> TareEvent:
+        header = to_header(self.now_ns(), mean.frame if mean else self._stream.frame)
+        event: TareEvent = to_tare(header, number, bias, mean, who, why)
+        self._tare_events.publish(event)
+        self.get_logger().info(f"tare {number}: bias {np.round(bias, 3).tolist()} ({who})")
+        return event
+
+    async def _averaged(self, response: Any, work: Callable[[], T]) -> T | None:
+        """Do what averages, beside the executor; with None, the response says why there is nothing."""
         if self._busy:
             response.outcome = to_outcome(Outcome.BUSY, "a tare or test is under way")
             return None
         self._busy = True
         try:
-            request = self.asked((), window, timeout, 0)
-            (mean,) = await Background(self, lambda: self.measure(request))
+            return await Background(self, work)
         except MeasuringError as error:
             response.outcome = to_outcome(error.code, str(error))
-            return None
+        except InputError as error:
+            response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
         finally:
             self._busy = False
-        return mean
+        return None
+
+    def _stood(self, mean: Mean) -> Stood:
+        """Return where the robot stood while a mean was taken; joint states of its last moment may still come."""
+        end = time.monotonic() + JOINTS_WAIT
+        while self._joints.until < mean.end and time.monotonic() < end:
+            time.sleep(POLL)
+        return Stood(mean.begin, mean.end, *self._joints.between(mean.begin, mean.end))
 
     # --- test with a known mass -------------------------------------------------------------------------------
 
@@ -172,7 +217,10 @@ class ForceTorqueNode(AcquisitionNode):
             self._orientations.clear()
             response.outcome = to_outcome(Outcome.OK, "")
         elif request.command == SelfTest.Request.ADD:
-            await self._add_orientation(response)
+            orientation = await self._averaged(response, self._orientation)
+            if orientation is not None:
+                self._orientations.append(orientation)
+                response.outcome = to_outcome(Outcome.OK, "")
         elif request.command == SelfTest.Request.EVALUATE:
             self._evaluate(request, response)
         else:
@@ -181,22 +229,19 @@ class ForceTorqueNode(AcquisitionNode):
         response.orientations = len(self._orientations)
         return response
 
-    async def _add_orientation(self, response: Any) -> None:
-        q = self._q
-        if q is None:
-            text = f"no joint states with all joints of the cell on {self.cell.topics.joint_states}"
-            response.outcome = to_outcome(Outcome.NO_DATA, text)
-            return
-        mean = await self._averaged(response)
-        if mean is None:
-            return
-        try:
-            weight = gravity_in_sensor(self.cell, q)
-        except InputError as error:
-            response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
-            return
-        self._orientations.append((mean.average.mean + self._bias, weight))
-        response.outcome = to_outcome(Outcome.OK, "")
+    def _orientation(self) -> tuple[Float1D, Float1D]:
+        """Average what the sensor says; return it untared, (6,) N and N*m, with gravity in its axes, (3,) m/s^2.
+
+        Raises:
+            MeasuringError: There is no mean, or the robot was not seen to stand all the time that it was taken.
+            InputError: The cell file does not say how the sensor is mounted.
+        """
+        (mean,) = self.measure(self.asked((), 0.0, 0.0, 0))
+        stood = self._stood(mean)
+        fault = movement_fault(stood, self.cell.robot.joints)
+        if fault:
+            raise MeasuringError(Outcome.NOT_SETTLED if len(stood.q) else Outcome.NO_DATA, fault)
+        return mean.average.mean + self._bias, gravity_in_sensor(self.cell, stood.q.mean(axis=0))
 
     def _evaluate(self, request: Any, response: Any) -> None:
         if not (np.isfinite(request.mass) and request.mass > 0.0):

@@ -1,4 +1,4 @@
-"""Node `tracker`: points of a laser tracker or a camera system, checked, in metres, on the topics of the contract."""
+"""Node `tracker`: points of a laser tracker or a camera system, checked, in metres, on the topics of recordings."""
 
 from __future__ import annotations
 

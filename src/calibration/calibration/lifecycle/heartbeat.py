@@ -18,6 +18,7 @@ from calibration_core.timeseries import NANOSECONDS
 
 TOPIC = "heartbeat"  # below the node's name
 PERIOD = 0.25  # s of wall time between two signs of life
+FRESH = 0.7  # s of wall time without one, after which what the node has said is not shown as current any more
 LEASE = 1.5  # s of wall time without one, after which the node counts as silent
 
 

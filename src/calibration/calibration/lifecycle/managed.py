@@ -239,6 +239,7 @@ class ManagedNode(Node):
         *,
         goal_callback: Callable[[Any], GoalResponse] = lambda _goal: GoalResponse.ACCEPT,
         cancel_callback: Callable[[Any], CancelResponse] = lambda _goal: CancelResponse.ACCEPT,
+        handle_accepted_callback: Callable[[Any], None] = lambda goal: goal.execute(),
     ) -> ActionServer:
         """Offer an action; while the node is not active, goals are rejected.  Goals run beside one another."""
 
@@ -250,7 +251,7 @@ class ManagedNode(Node):
 
         return ActionServer(
             self, action, name, execute, callback_group=ReentrantCallbackGroup(), goal_callback=judged,
-            cancel_callback=cancel_callback,
+            cancel_callback=cancel_callback, handle_accepted_callback=handle_accepted_callback,
         )  # fmt: skip
 
     def _serving(self, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:

@@ -73,10 +73,10 @@ class Order:
     def lose(self, name: str, now: float) -> bool:
         """Take notice that the sign of life has ended; return whether that is news.
 
-        A node that is being configured or activated may be too busy for one: it is given time.
+        A node that has not been up yet, or is being configured or activated, may be too busy for one: it is given time.
         """
         one = self.members[name]
-        if one.state in BUSY and now - one.heard <= PATIENCE:
+        if (one.bringing or one.state in BUSY) and now - one.heard <= PATIENCE:
             return False
         news, one.alive = one.alive, False
         return news

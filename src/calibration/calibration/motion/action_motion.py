@@ -75,9 +75,9 @@ class ActionMotion:
             goal = self._goal
             return None if goal is None or goal.over or goal.handle is None else bytes(goal.handle.goal_id.uuid)
 
-    def prepare(self, timeout: float) -> str:
-        """Wait for the driver's action server."""
-        return "" if self._client.wait_for_server(timeout) else f"no action server {self._name}"
+    def missing(self) -> str:
+        """Look for the driver's action server."""
+        return "" if self._client.server_is_ready() else f"no action server {self._name}"
 
     def move(self, trajectory: Trajectory, done: Done) -> None:
         """Send a goal."""

@@ -25,8 +25,8 @@ Done = Callable[[End, str], None]
 class Backend(Protocol):
     """A way to move the robot.  Methods return at once; `done` may be called from another thread."""
 
-    def prepare(self, timeout: float) -> str:
-        """Wait up to `timeout` (s) for the driver; return what is missing, empty if nothing is."""
+    def missing(self) -> str:
+        """Return what is missing of the driver now; empty if nothing is."""
 
     def move(self, trajectory: Trajectory, done: Done) -> None:
         """Follow a trajectory; the one before, if any, is over."""
@@ -50,8 +50,8 @@ class Backend(Protocol):
         """Whether the robot moves by our command, so that arrival may be awaited for a limited time only."""
 
 
-class Standing(Protocol):
-    """Tells where the robot stands."""
+class Course(Protocol):
+    """Tells where the robot is, and how it moves."""
 
-    def __call__(self) -> Float1D | None:
-        """Return the measured joint angles (n,) rad; None if they are not known."""
+    def __call__(self) -> tuple[Float1D, Float1D, float] | None:
+        """Return joint angles (n,) rad, rates (n,) rad/s, and their age, s, as measured; None if nothing is known."""

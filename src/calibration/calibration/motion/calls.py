@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from calibration.robot_state.catalogue import load_type
+from calibration.topics import load_type
 from calibration_core.errors import InputError, quoted
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from calibration.motion.arrival import ArrivalRules
-from calibration.motion.base import Backend, Standing
+from calibration.motion.base import Backend, Course
 from calibration.motion.external import ExternalMotion
 from calibration.motion.follow_joint_trajectory import follow_joint_trajectory
 from calibration.motion.joint_trajectory_topic import TopicMotion
@@ -31,7 +31,7 @@ def make_backend(
     *,
     interface: str,
     rules: ArrivalRules,
-    where: Standing,
+    course: Course,
     ask: Callable[[str], None],
 ) -> Backend:
     """Return a back end.
@@ -42,7 +42,7 @@ def make_backend(
         joints: Names, in the order of q.
         interface: Name of the action or topic; empty: the usual one.
         rules: When the robot has arrived.
-        where: Tells where the robot is.
+        course: Tells where the robot is, and how it moves.
         ask: Shows a text to the operator.
 
     Raises:
@@ -52,7 +52,7 @@ def make_backend(
         case "follow_joint_trajectory":
             return follow_joint_trajectory(node, interface, tolerance=rules.tolerance, goal_time=GOAL_TIME)
         case "joint_trajectory_topic":
-            return TopicMotion(node, joints, where, interface)
+            return TopicMotion(node, joints, course, interface)
         case "external":
             return ExternalMotion(ask)
         case "simulated":

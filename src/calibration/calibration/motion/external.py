@@ -36,7 +36,7 @@ class ExternalMotion:
         """The operator takes the time that it takes."""
         return False
 
-    def prepare(self, timeout: float) -> str:  # noqa: ARG002  # nothing is needed
+    def missing(self) -> str:
         """Nothing is needed."""
         return ""
 

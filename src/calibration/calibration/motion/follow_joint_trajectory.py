@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from calibration.motion.action_motion import ActionMotion
 from calibration.motion.messages import to_duration, to_joint_trajectory
-from calibration.robot_state.catalogue import load_type
+from calibration.topics import load_type
 from calibration_core.motion.trajectory import Trajectory
 
 DEFAULT = "joint_trajectory_controller/follow_joint_trajectory"

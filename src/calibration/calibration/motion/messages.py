@@ -9,10 +9,8 @@ from __future__ import annotations
 from builtin_interfaces.msg import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from calibration_core.motion.trajectory import Trajectory
+from calibration_core.motion.trajectory import Trajectory, halt
 from calibration_core.timeseries import NANOSECONDS, Float1D
-
-HOLD_TIME = 0.1  # s, a hold trajectory's only point lies so far ahead
 
 
 def to_duration(seconds: float) -> Duration:
@@ -33,9 +31,10 @@ def to_joint_trajectory(trajectory: Trajectory) -> JointTrajectory:
     )
 
 
-def hold(joints: tuple[str, ...], q: Float1D) -> JointTrajectory:
-    """Return the trajectory that stops a controller: one point, where the robot is."""
+def hold(joints: tuple[str, ...], q: Float1D, rate: Float1D, age: float) -> JointTrajectory:
+    """Return the trajectory that stops a controller: one point, where the robot comes to rest; arguments of `halt`."""
+    where, seconds = halt(q, rate, age)
     point = JointTrajectoryPoint(
-        positions=q.tolist(), velocities=[0.0] * len(q), time_from_start=to_duration(HOLD_TIME)
+        positions=where.tolist(), velocities=[0.0] * len(q), time_from_start=to_duration(seconds)
     )
     return JointTrajectory(joint_names=list(joints), points=[point])

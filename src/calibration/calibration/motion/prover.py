@@ -13,7 +13,7 @@ from calibration_interfaces.srv import ProveStop
 from rclpy.node import Node
 
 from calibration.background import in_executor
-from calibration.motion.base import Backend, End, Standing
+from calibration.motion.base import Backend, Course, End
 from calibration_core.motion.stop_proof import ProofRules
 from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import NANOSECONDS, Float1D
@@ -35,9 +35,9 @@ class Prover:
         fault: Why there is none after the last try; empty: none was tried, or there is one.
     """
 
-    def __init__(self, node: Node, backend: Backend, joints: tuple[str, ...], where: Standing) -> None:
-        """Take who moves the robot, the joints in the order of q, and what tells where the robot stands."""
-        self._node, self._backend, self._joints, self._where = node, backend, joints, where
+    def __init__(self, node: Node, backend: Backend, joints: tuple[str, ...], course: Course) -> None:
+        """Take who moves the robot, the joints in the order of q, and what tells where the robot is."""
+        self._node, self._backend, self._joints, self._course = node, backend, joints, course
         self._client = node.create_client(ProveStop, SERVICE) if backend.commands else None
         self.proven, self.running, self.fault = not backend.commands, False, ""
         self._tries = 0
@@ -77,13 +77,13 @@ class Prover:
 
     def begin(self, now: float) -> None:
         """Send the robot where it stands, at `now`, s of the steady clock."""
-        where = self._where()
-        if where is None or self._client is None:
+        course = self._course()
+        if course is None or self._client is None:
             return
         self.running, self.fault, self._begun, self._asked, self._answer = True, "", now, False, None
         self._number, self._over = self._number + 1, False
         number = self._number
-        trajectory = held(self._joints, where, ProofRules().hold * (self._haste or 1.0))
+        trajectory = held(self._joints, course[0], ProofRules().hold * (self._haste or 1.0))
         self._backend.move(trajectory, lambda how, text: self._on_end(number, how, text))
 
     def tick(self, now: float) -> None:

@@ -1,17 +1,20 @@
 """Node `recorder`: every topic of the table to a bag, as raw bytes, on the disk within a fraction of a second.
 
-Callbacks only append; a thread of its own writes and syncs.  `~/close` ends the bag's file, so that it can be evaluated
-while the node lives on; `~/open` continues the bag with a further file.  `~/hears` tells whether every instrument that
-publishes has been heard: what is measured before that would be missing in the bag.
+Callbacks only append; a thread of its own opens, writes, syncs and closes bags.  `~/close` ends the bag's file, so that
+it can be evaluated while the node lives on; `~/open` continues the bag with a further file.  `~/hears` tells whether
+every instrument that publishes has been heard: what is measured before that would be missing in the bag.
 
 Where the bag is, the session decides that is measured: `~/record` closes the present bag and goes on in the session's.
-Twenty times a second the recorder says what it does; whoever measures and does not hear that stops.
+Twenty times a second the recorder says what it does; whoever measures and does not hear that stops.  A bag that cannot
+be written any more, as on a full disk, is left as it is; a further file goes on as soon as that can be written.
 """
 
 from __future__ import annotations
 
 import collections
+import contextlib
 import math
+import queue
 import struct
 import sys
 import threading
@@ -22,14 +25,17 @@ from typing import Any
 
 from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import Record
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
-from calibration.background import in_executor
+from calibration.background import Background, in_executor
 from calibration.conversions import stamp_ns, to_header, to_outcome
 from calibration.node import CalibrationNode, Declared, run
 from calibration.recorder.definitions import definition
 from calibration.topics import (
+    READING,
     RECORDING,
     Quality,
     Topic,
@@ -49,6 +55,7 @@ LOOK = 0.05  # s of wall time between looks for new publishers
 THOROUGH = 1.0  # s of wall time between looks at what all publishers offer
 DRAIN = 2.0  # s of wall time, the executor may take until what has arrived is taken, when the node ends
 SIGN = 0.05  # s of wall time between two signs of life
+AGAIN = 2.0  # s of wall time, after which a bag that could not be written is tried again
 STAMP = {True: struct.Struct("<iI"), False: struct.Struct(">iI")}  # little-endian or not: s and ns of a header in CDR
 
 PARAMETERS = (
@@ -59,6 +66,7 @@ PARAMETERS = (
 )
 
 Item = tuple[Topic, int, bytes]
+FOREIGN = "readings of {session} are heard, which is not the session that is recorded: look who plays a bag here"
 
 
 class RecorderNode(CalibrationNode):
@@ -78,15 +86,19 @@ class RecorderNode(CalibrationNode):
         self._queue: collections.deque[Item] = collections.deque()
         self._infos: dict[str, LiveTopic] = {}
         self._numbers: dict[str, int] = {}
-        self._lock = threading.RLock()  # the bag and what belongs to it
-        self._place = self.value("out")
+        self._asked: queue.Queue[Callable[[], None]] = queue.Queue()  # what the writer does next: it alone owns the bag
+        self._place, self._plan, self._session = str(self.value("out")), "", ""
+        self._lost = ""  # why the bag cannot be written
+        self._foreign = ""  # another session, of which readings are heard
         self._session_topics, self._since = session_topics(cell), 0
         self._signs = self.create_publisher(RECORDING.message, RECORDING.relative, RECORDING.qos)
         self._bag: LiveBag | None = None
         self._ending = threading.Event()
-        self.create_service(Record, "~/record", self._on_record)
-        self.create_service(Trigger, "~/close", self._on_close)
-        self.create_service(Trigger, "~/open", self._on_open)
+        self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
+        waiting = ReentrantCallbackGroup()  # these await the writer
+        self.create_service(Record, "~/record", self._on_record, callback_group=waiting)
+        self.create_service(Trigger, "~/close", self._on_close, callback_group=waiting)
+        self.create_service(Trigger, "~/open", self._on_open, callback_group=waiting)
         self.create_service(Trigger, "~/hears", self._on_hears)
 
     def on_activate(self) -> None:
@@ -95,8 +107,10 @@ class RecorderNode(CalibrationNode):
         self._counted: dict[str, int] = {}
         self._looked = -math.inf  # s of the monotonic clock
         self._written = time.monotonic()  # when everything that had come was last on the disk
-        self._bag = self._new_bag() if self._place else None
+        if self._place:
+            self._open_bag()
         self._ending.clear()
+        self._leaving = False
         self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
         self._writer.start()
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -104,9 +118,9 @@ class RecorderNode(CalibrationNode):
         self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._look()
 
-    def _new_bag(self, plan_sha256: str = "") -> LiveBag:
-        self._numbers = {}
-        return LiveBag(Path(self._place), self.value("compression"), plan_sha256)
+    def _open_bag(self) -> None:
+        self._bag = LiveBag(Path(self._place), self.value("compression"), self._plan)
+        self._numbers, self._lost = {}, ""
 
     # --- what comes in ----------------------------------------------------------------------------------------
 
@@ -144,9 +158,20 @@ class RecorderNode(CalibrationNode):
                 self._infos[topic.name] = self._info(topic)
             if topic.name in self._session_topics and stamp_of(payload) < self._since:
                 return  # of an earlier session: who comes late gets everything that was announced
+            if topic is READING and self._of_another(deserialize_message(payload, topic.message).session):
+                return
             self._queue.append((topic, self.now_ns(), payload))
 
         return take
+
+    def _of_another(self, session: str) -> bool:
+        """Tell whether a reading is of another session than the one that is recorded; it is told once."""
+        if not self._session or session == self._session:
+            return False
+        if session != self._foreign:
+            self._foreign = session
+            self.get_logger().error(f"{FOREIGN.format(session=session or 'no session')}: they are not recorded")
+        return True
 
     def _drain(self) -> None:
         """Take what has arrived and waits for its turn: whoever asks to close the bag sent it all before."""
@@ -165,64 +190,115 @@ class RecorderNode(CalibrationNode):
     # --- what goes out ----------------------------------------------------------------------------------------
 
     def _write_on(self) -> None:
-        while not self._ending.wait(self.value("sync_period")):
-            if not self._write():
-                return
+        """Write what comes, and do what is asked; the writer's thread."""
+        tried = time.monotonic()
+        while not self._ending.is_set():
+            with contextlib.suppress(queue.Empty):
+                self._asked.get(timeout=self.value("sync_period"))()
+            self._write()
+            if self._lost and time.monotonic() - tried > AGAIN:
+                tried = time.monotonic()
+                self._go_on()
 
     def _write(self, *, last: bool = False) -> bool:
-        """Bring everything onto the disk that has come; False once that fails.
+        """Bring everything onto the disk that has come; False where that fails.
 
         What came before the first word of a simulated clock waits for it: it counts as received then.
         """
         try:
-            with self._lock:
-                written = False
-                while self._queue:
-                    topic, received, payload = self._queue.popleft()
-                    if self._bag is None:
-                        continue
-                    received = received or self.now_ns()
-                    if not received and not last:
-                        self._queue.appendleft((topic, received, payload))
-                        break
-                    if topic.name not in self._numbers:
-                        self._numbers[topic.name] = self._bag.add_topic(self._infos[topic.name])
-                    self._bag.write(self._numbers[topic.name], received, payload)
-                    written = True
-                if written and self._bag is not None:
-                    self._bag.sync()
-                self._written = time.monotonic()
+            written = False
+            while self._queue:
+                topic, received, payload = self._queue.popleft()
+                if self._bag is None:
+                    continue
+                received = received or self.now_ns()
+                if not received and not last:
+                    self._queue.appendleft((topic, received, payload))
+                    break
+                if topic.name not in self._numbers:
+                    self._numbers[topic.name] = self._bag.add_topic(self._infos[topic.name])
+                self._bag.write(self._numbers[topic.name], received, payload)
+                written = True
+            if self._bag is not None and (written or not self._bag.there):
+                self._bag.sync()
+            self._written = time.monotonic()
         except OutputError as error:
-            self.get_logger().fatal(str(error))
-            self.failed.set()
+            self.get_logger().error(f"{error}; recording goes on by itself once that is put right")
+            self._lost, bag, self._bag = str(error), self._bag, None
+            if bag is not None:
+                bag.leave()
             return False
         return True
 
-    def _on_record(self, request: Any, response: Any) -> Any:
-        """Go on in the bag of a session; what was announced of it before the recorder came is asked for again."""
-        with self._lock:
+    def _go_on(self) -> None:
+        """Go on with a bag that was lost, where its directory's own has not gone, too."""
+        try:
+            if Path(self._place).absolute().parent.is_dir():
+                self._open_bag()
+                self.get_logger().warning(f"recording goes on in {self._place}")
+        except OutputError as error:
+            self._lost = str(error)
+
+    def _close_bag(self) -> str:
+        """Write what has come and end the file; return what is wrong, empty if nothing is."""
+        if self._write(last=True) and self._bag is not None:
             try:
-                if self._bag is not None and self._bag.path.absolute() == Path(request.directory).absolute():
-                    self._bag.belong_to(request.plan_sha256)
-                else:
-                    self._begin(request)
+                self._bag.close()
             except OutputError as error:
-                response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, str(error))
-                return response
-            assert self._bag is not None  # noqa: S101 - it has just been opened
-            response.outcome, response.file = to_outcome(Outcome.OK, ""), str(self._bag.file)
+                self._lost = str(error)
+        self._bag = None
+        return self._lost
+
+    async def _by_writer(self, work: Callable[[], str]) -> str:
+        """Have the writer do something; return what is wrong, empty if nothing is."""
+        answers: list[str] = []
+        done = threading.Event()
+
+        def ask() -> None:
+            try:
+                answers.append(work())
+            except OutputError as error:
+                answers.append(str(error))
+            finally:
+                done.set()
+
+        if self._writer.is_alive():
+            self._asked.put(ask)
+            await Background(self, done.wait)
+        else:
+            ask()
         self._report()
+        return answers[0]
+
+    async def _on_record(self, request: Any, response: Any) -> Any:
+        """Go on in the bag of a session; what was announced of it before the recorder came is asked for again."""
+        self._drain()
+        others = self._bag is None or self._bag.path.absolute() != Path(request.directory).absolute()
+
+        def go_on() -> str:
+            if not others and self._bag is not None:
+                self._bag.belong_to(request.plan_sha256)
+            else:
+                gone = self._lost and not Path(self._place).absolute().parent.is_dir()
+                if gone and request.directory == self._place:  # whoever has moved it away may put it back
+                    return self._lost
+                self._close_bag()
+                self._place, self._plan = request.directory, request.plan_sha256
+                self._open_bag()
+            self._plan, self._session, self._foreign = request.plan_sha256, request.session, ""
+            return ""
+
+        wrong = await self._by_writer(go_on)
+        response.outcome = to_outcome(Outcome.INPUT_UNUSABLE if wrong else Outcome.OK, wrong)
+        bag = self._bag
+        response.file = "" if bag is None else str(bag.file)
+        if others and not wrong:
+            self._hear_again(stamp_ns(request.since))
         return response
 
-    def _begin(self, request: Any) -> None:
-        if self._bag is not None:
-            self._drain()
-            self._write(last=True)
-            self._bag.close()
-            self._bag = None
-        self._place = request.directory
-        self._bag = self._new_bag(request.plan_sha256)
-        self._since = stamp_ns(request.since)
+    def _hear_again(self, since: int) -> None:
+        """Ask again for what was announced of the session."""
+        self._since = since
         kept = [topic.name for topic in self._topics if topic.quality in (Quality.STATE, Quality.EVENTS)]
         for name in kept:
             if name in self._heard:
@@ -230,33 +306,36 @@ class RecorderNode(CalibrationNode):
         self._looked = -math.inf
         self._look()
 
-    def _on_close(self, _request: Any, response: Any) -> Any:
-        with self._lock:
-            if self._bag is None:
-                response.success, response.message = False, "no bag is open"
-                return response
-            self._drain()
-            response.success = self._write(last=True)
-            response.message = f"{self._bag.messages} messages in {self._bag.file}"
-            self._bag.close()
-            self._bag = None
-        self._report()
+    async def _on_close(self, _request: Any, response: Any) -> Any:
+        self._drain()
+        answers: list[str] = []
+
+        def close() -> str:
+            bag, self._session = self._bag, ""
+            if bag is None:
+                self._lost = ""
+                return "no bag is open"
+            wrong = self._close_bag()
+            answers.append(f"{bag.messages} messages in {bag.file}")
+            self._lost = ""
+            return wrong
+
+        wrong = await self._by_writer(close)
+        response.success, response.message = not wrong, wrong or answers[0]
         return response
 
-    def _on_open(self, _request: Any, response: Any) -> Any:
-        with self._lock:
+    async def _on_open(self, _request: Any, response: Any) -> Any:
+        def open_again() -> str:
             if self._bag is not None:
-                response.success, response.message = False, f"{self._bag.file} is open"
-                return response
-            try:
-                if not self._place:
-                    raise OutputError("out", "", "nothing", "the directory of a bag")
-                self._bag = self._new_bag()
-            except OutputError as error:
-                response.success, response.message = False, str(error)
-                return response
-            response.success, response.message = True, str(self._bag.file)
-        self._report()
+                return f"{self._bag.file} is open"
+            if not self._place:
+                return str(OutputError("out", "", "nothing", "the directory of a bag"))
+            self._open_bag()
+            return ""
+
+        wrong = await self._by_writer(open_again)
+        bag = self._bag
+        response.success, response.message = not wrong, wrong or ("" if bag is None else str(bag.file))
         return response
 
     def _on_hears(self, _request: Any, response: Any) -> Any:
@@ -274,7 +353,7 @@ class RecorderNode(CalibrationNode):
         self._signs.publish(
             RECORDING.message(
                 header=to_header(self.now_ns()),
-                recording=bag is not None and not self.failed.is_set(),
+                recording=bag is not None and not self._leaving,
                 directory=str(Path(self._place).absolute()) if self._place else "",
                 file="" if bag is None else str(bag.file),
                 plan_sha256="" if bag is None else bag.plan_sha256,
@@ -285,6 +364,11 @@ class RecorderNode(CalibrationNode):
 
     def _report(self) -> None:
         bag = self._bag
+        foreign = FOREIGN.format(session=self._foreign) if self._foreign else ""
+        self.diagnostics.report("session", 1 if foreign else 0, foreign or "every reading is of this session")
+        if self._lost:
+            self.diagnostics.report("bag", 2, f"{self._lost}; recording goes on by itself once that is put right")
+            return
         if bag is None:
             self.diagnostics.report("bag", 1, "closed: nothing is recorded")
             return
@@ -292,10 +376,12 @@ class RecorderNode(CalibrationNode):
         self.diagnostics.report("bag", 0, f"recording to {bag.file}", figures)
 
     def on_deactivate(self) -> None:
-        """Write what has come and close the bag."""
+        """Say so at once, for a robot may move; write what has come and close the bag."""
         drained = threading.Event()
+        self._leaving = True
 
         def drain() -> None:
+            self._sign()
             self._drain()
             drained.set()
 
@@ -303,10 +389,10 @@ class RecorderNode(CalibrationNode):
         drained.wait(DRAIN)
         self._ending.set()
         self._writer.join(timeout=5.0)
-        with self._lock:
-            if self._bag is not None and not self.failed.is_set() and self._write(last=True):
-                self._bag.close()
-            self._bag = None
+        while not self._asked.empty():  # nobody who asked waits for ever
+            self._asked.get()()
+        if wrong := self._close_bag():
+            self.get_logger().error(wrong)
 
 
 def stamp_of(payload: bytes) -> int:

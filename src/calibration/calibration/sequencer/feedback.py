@@ -32,18 +32,16 @@ class Feedback:
         self._reported = -math.inf
         self._goal: Any = None
         self._runner: Any = None
-        self._progress = MeasurementProgress()
         self._report = ProcedureReport(node)
 
     def prepare(self, request: Any) -> None:
         """Tell that a goal was accepted, and what it asks for."""
-        recording = self._node.value("recording") or str(Path(request.session) / "bag")
-        self._report.preparing(str(request.plan), str(request.session), recording)
+        self._report.preparing(str(request.plan), str(request.session), str(Path(request.session) / "bag"))
 
     def begin(self, goal: Any, runner: Any) -> None:
         """Take the goal and the runner of a run."""
         runner.observer.by_device = self._node.value("load.by") == DEVICE
-        self._goal, self._runner, self._progress = goal, runner, MeasurementProgress()
+        self._goal, self._runner = goal, runner
 
     def end(self, text: str) -> None:
         """Forget the run; tell how it ended."""
@@ -58,7 +56,6 @@ class Feedback:
 
     def _on_progress(self, found: dict[str, Any]) -> None:
         message = MeasurementProgress(header=to_header(self._node.now_ns()), **found)
-        self._progress, self._reported = message, -math.inf
         self._publisher.publish(message)
         say = self._node.get_logger().warning if message.suspicious else self._node.get_logger().info
         say(f"after configuration {message.configuration}: {message.text}")
@@ -89,8 +86,7 @@ class Feedback:
                 phase=int(phase),
                 share_done=float(sequence.queue.share_done),
                 seconds_left=float(sequence.seconds_left),
-                text=f"waits for {sequence.state.value}",
-                progress=self._progress,
+                text=runner.observer.text,
             )
         )
 

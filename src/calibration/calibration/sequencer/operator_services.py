@@ -2,88 +2,86 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
 from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import LoadApplied, OverrideCondition, ResumeMotion
+from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
 
+from calibration.background import Background, wait_until
 from calibration.cell.conditions_watch import refused
 from calibration.conversions import to_outcome
+from calibration.sequencer.goal import Answer, Request
 from calibration.sequencer.parameters import DEVICE
 from calibration.sequencer.runner import Call
 from calibration_core.measurement import messages as m
 
-NO_PLAN = "no plan is being measured"
 NAMELESS = "the name of who answers for it is missing"
 HELD = "the permission was lost: reset the guard where it is latched, then call ~/resume_motion with your name"
 
 
 class OperatorServices:
-    """The services; what is said goes into the queue of the run under way."""
+    """The services; what is said is taken as `goal.TABLE` says, and heard by the run alone."""
 
     def __init__(self, node: Any) -> None:
-        """Offer them; `node` is the sequencer, with its run (`runner`, `port`), guard's word (`watch`), conditions."""
+        """Offer them; `node` is the sequencer, with its goal (`runs`), guard's word (`watch`), conditions."""
         self._node = node
-        node.create_service(Trigger, "~/pause", self._on_pause)
+        node.create_service(Trigger, "~/pause", lambda _, answer: self._say(answer, Request.PAUSE, m.Pause(0.0)))
         node.create_service(Trigger, "~/resume", self._on_resume)
         node.create_service(ResumeMotion, "~/resume_motion", self._on_resume_motion)
-        node.create_service(Trigger, "~/repeat", lambda _request, response: self._redo(response, skip=False))
-        node.create_service(Trigger, "~/skip", lambda _request, response: self._redo(response, skip=True))
-        node.create_service(Trigger, "~/stop", self._on_stop)
-        node.create_service(LoadApplied, "~/load_applied", self._on_load_applied)
+        node.create_service(Trigger, "~/repeat", lambda _, answer: self._redo(answer, skip=False))
+        node.create_service(Trigger, "~/skip", lambda _, answer: self._redo(answer, skip=True))
+        node.create_service(Trigger, "~/stop", lambda _, answer: self._say(answer, Request.STOP))
+        group = ReentrantCallbackGroup()
+        node.create_service(LoadApplied, "~/load_applied", self._on_load_applied, callback_group=group)
         node.create_service(OverrideCondition, "~/override_condition", self._on_override)
 
-    def _post(self, event: m.Event, response: Any) -> Any:
-        runner = self._node.runner
-        response.success = runner is not None
-        response.message = "" if runner is not None else NO_PLAN
-        if runner is not None:
-            runner.post(event)
+    def _say(self, response: Any, request: Request, event: m.Event | None = None) -> Any:
+        response.message = self._node.runs.take(request, event).refusal
+        response.success = not response.message
         return response
 
-    def _on_pause(self, _request: Any, response: Any) -> Any:
-        return self._post(m.Pause(0.0), response)
-
     def _on_resume(self, _request: Any, response: Any) -> Any:
-        runner = self._node.runner
-        if runner is not None and runner.sequence.held:
+        runner, watch, now = self._node.runner, self._node.watch, time.monotonic()
+        lost = watch.latched if runner is None else runner.sequence.held or not watch.ready(now)
+        if lost and self._node.runs.goal is not None:
             response.success, response.message = False, HELD
             return response
-        return self._post(m.Resume(0.0), response)
+        return self._say(response, Request.RESUME, m.Resume(0.0))
 
     def _on_resume_motion(self, request: Any, response: Any) -> Any:
-        runner, name = self._node.runner, request.operator_name.strip()
-        now = time.monotonic()
+        node, name, now = self._node, request.operator_name.strip(), time.monotonic()
         if not name:
             response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, NAMELESS)
-        elif runner is None:
-            response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, NO_PLAN)
-        elif not self._node.watch.ready(now):
-            response.outcome = to_outcome(Outcome.NOT_PERMITTED, self._node.watch.at(now)[1])
+        elif node.runner is not None and not node.watch.ready(now):
+            response.outcome = to_outcome(Outcome.NOT_PERMITTED, node.watch.at(now)[1])
         else:
-            runner.post(m.ResumeMotion(now, name))
-            response.outcome = to_outcome(Outcome.OK, "")
+            refusal = node.runs.take(Request.ACT, m.ResumeMotion(now, name)).refusal
+            response.outcome = to_outcome(Outcome.INPUT_UNUSABLE if refusal else Outcome.OK, refusal)
         return response
 
     def _redo(self, response: Any, *, skip: bool) -> Any:
         by_device = self._node.value("load.by") == DEVICE
-        return self._post(m.Redo(0.0, skip=skip, moves_load=by_device), response)
+        return self._say(response, Request.ACT, m.Redo(0.0, skip=skip, moves_load=by_device))
 
-    def _on_stop(self, _request: Any, response: Any) -> Any:
-        self._node.interrupt()  # the runner may be waiting for a disk
-        return self._post(m.Stop(0.0), response)
-
-    def _on_load_applied(self, request: Any, response: Any) -> Any:
-        port = self._node.port
-        absent = (Outcome.INPUT_UNUSABLE, NO_PLAN)
-        response.outcome = to_outcome(*(absent if port is None else port.load_applied(request)))
+    async def _on_load_applied(self, request: Any, response: Any) -> Any:
+        """Have the run's thread, which owns loads and readings, take the operator's word."""
+        port, answers = self._node.port, list[tuple[int, str]]()
+        refusal = self._node.runs.take(Request.ACT, Call(lambda: answers.append(port.load_applied(request)))).refusal
+        if not refusal:
+            over = lambda: bool(answers) or self._node.port is not port  # noqa: E731  # a disk may be slow
+            await Background(self._node, lambda: wait_until(over, math.inf))
+            refusal = "" if answers else Answer.LATE.value
+        response.outcome = to_outcome(*([(Outcome.INPUT_UNUSABLE, refusal)] if refusal else answers)[0])
         return response
 
     def _on_override(self, request: Any, response: Any) -> Any:
-        runner, port, conditions = self._node.runner, self._node.port, self._node.conditions
-        response.outcome = refused(request.override, running=runner is not None) or to_outcome(Outcome.OK, "")
-        if response.outcome.code == Outcome.OK and runner is not None and port is not None:
-            runner.post(Call(lambda: conditions.override(request.override, port.session)))
+        port = self._node.port
+        response.outcome = refused(request.override, running=port is not None) or to_outcome(Outcome.OK, "")
+        if response.outcome.code == Outcome.OK:
+            refusal = self._node.runs.take(Request.ACT, Call(lambda: port.override_condition(request.override))).refusal
+            response.outcome = to_outcome(Outcome.INPUT_UNUSABLE if refusal else Outcome.OK, refusal)
         return response

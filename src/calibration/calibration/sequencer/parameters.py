@@ -10,6 +10,7 @@ from calibration.motion.arrival import ArrivalRules
 from calibration.motion.catalogue import MOTION_INTERFACE
 from calibration.node import Declared
 from calibration_core.cell import Cell
+from calibration_core.motion.speed import SPEED_ERROR
 from calibration_core.motion.trajectory import MotionLimits
 from calibration_core.planning.plans.measurement_queue import SequenceRules
 
@@ -46,7 +47,12 @@ _TABLE = (
     *MOTION_INTERFACE,
     Declared("motion.speed", LIMITS.speed, "m/s, of every monitored point.", low=0.01, high=0.25),
     Declared(
-        "motion.margin", LIMITS.margin, "Share of the speed that is kept free.", low=0.01, high=0.9, read_only=False
+        "motion.margin",
+        LIMITS.margin,
+        "Share of the speed that is kept free.",
+        low=2.0 * SPEED_ERROR,
+        high=0.9,
+        read_only=False,
     ),
     Declared("motion.joint_speed", 0.8, "rad/s, of every joint.", low=0.001, high=10.0),
     Declared("motion.joint_acceleration", 0.6, "rad/s^2, of every joint.", low=0.001, high=100.0),
@@ -59,6 +65,7 @@ _TABLE = (
     Declared("arrival.dwell", ARRIVAL.dwell, "s, for which both hold.", low=0.01, high=10.0),
     Declared("load.by", OPERATOR, "Who changes the load.", choices=(OPERATOR, DEVICE)),
     Declared("load.interface", "driver/apply_load", "Action of the load device."),
+    Declared("load.memory", "", "File that keeps, between runs, what is known of the load; empty: in $ROS_HOME."),
     Declared(
         "load.timeout",
         60.0,

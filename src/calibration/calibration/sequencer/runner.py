@@ -19,19 +19,19 @@ import numpy as np
 from calibration.cell.clients import Measured
 from calibration.cell.interface import Cell
 from calibration.cell.permission import PermissionWatch
-from calibration.cell.reading_checks import PostureError
 from calibration.cell.readings import ReadingError
 from calibration.motion.arrival import Joints
 from calibration.motion.base import Backend, End
 from calibration.motion.prover import Prover
-from calibration.motion.stop_stages import StopStages
-from calibration.sequencer.since import Since
+from calibration.motion.stop import Stopper
+from calibration.sequencer.goal import Goal, Stage
 from calibration.status.observer import Observer
 from calibration_core.errors import SessionError, TrajectoryError
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
 from calibration_core.motion.speed import Monitored
 from calibration_core.motion.trajectory import MotionLimits, Trajectory, plan_motion
+from calibration_core.planning.plans.plan import REFERENCE_NUMBER
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
 LOOK = 0.01  # s of wall time between two looks while nothing happens
@@ -43,7 +43,34 @@ SLACK = 1.5  # times a trajectory's length, and ...
 SLACK_TIME = 10.0  # s more, a motion may take
 PATIENCE = 2.0  # s of wall time, joint states may come after the averages of the same window
 WIND_DOWN = 1.2  # s of wall time, the robot has to come to rest at the end
+STAGES = {
+    m.RunState.IDLE: Stage.READY,
+    m.RunState.READY: Stage.READY,
+    m.RunState.MOVING: Stage.MOVING,
+    m.RunState.LOADING: Stage.LOADING,
+    m.RunState.UNLOADING: Stage.LOADING,
+    m.RunState.SETTLING: Stage.SETTLING,
+    m.RunState.READING: Stage.READING,
+    m.RunState.FINISHED: Stage.ENDING,
+}
 UNSEEN = "it has not been seen in this run that the guard can stop the robot"
+
+
+@dataclasses.dataclass(frozen=True)
+class Since:
+    """A moment by the cell's clock and by the steady one: a simulation outruns life, and a cell's clock may jump.
+
+    Attributes:
+        cell: s, of the cell.
+        steady: s, of wall time.
+    """
+
+    cell: float
+    steady: float = dataclasses.field(default_factory=time.monotonic)
+
+    def longer(self, now: float, seconds: float) -> bool:
+        """Return whether more than so many seconds have passed by both clocks; `now` is of the cell."""
+        return min(now - self.cell, time.monotonic() - self.steady) > seconds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,6 +122,7 @@ class Runner:
 
     def __init__(
         self,
+        goal: Goal,
         sequence: Sequence,
         cell: Cell,
         backend: Backend,
@@ -103,13 +131,14 @@ class Runner:
         monitored: Monitored,
         limits: MotionLimits,
         prover: Prover,
+        stopper: Stopper,
         *,
         settle_time: float,
-        stages: int,
     ) -> None:
         """Prepare; `run` begins.
 
         Args:
+            goal: What is run: its events are heard, and its moves made, until it is asked to end.
             sequence: The procedure.
             cell: What carries out its commands.
             backend: Moves the robot.
@@ -118,31 +147,43 @@ class Runner:
             monitored: Points whose speed is bounded.
             limits: Of motions.
             prover: Shows the guard that it can stop the robot, before the first motion.
+            stopper: Stops the robot.
             settle_time: s, that everything has to stand before a reading.
-            stages: Of the staged stop.
         """
+        self._goal, self._events = goal, goal.events
         self.sequence, self._cell, self._backend, self._joints = sequence, cell, backend, joints
         self.observer = Observer(sequence)
         self._watch, self._monitored, self._limits, self._settle_time = watch, monitored, limits, settle_time
-        self._prover = prover
-        self._stop_stages = StopStages(stages)
-        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._prover, self._stopper = prover, stopper
         self._motion: _Motion | None = None
         self._settling: tuple[int, float] | None = None  # request, since
         self._reading: dict[int, m.TakeReading] = {}
         self._behind: MeasuredFor | None = None
+        self._sound_since: float | None = (
+            None  # s of the steady clock, from which on the robot has to be as it was then
+        )
+        self._unsensed = math.inf  # s of the steady clock, since when nobody knows whether something pulls
         self._ticked = -math.inf
         self.finish: m.Finish | None = None
 
     @property
     def moving(self) -> bool:
         """Whether a motion of ours is under way, or being stopped."""
-        return (self._motion is not None and self._motion.trajectory is not None) or self._stop_stages.under_way
+        return (self._motion is not None and self._motion.trajectory is not None) or self._stopper.under_way
 
     @property
     def stopping(self) -> bool:
         """Whether a motion of ours is being stopped."""
-        return self._stop_stages.under_way
+        return self._stopper.under_way
+
+    @property
+    def stage(self) -> Stage:
+        """Where the run is in the life of its goal."""
+        if self.finish is not None:
+            return Stage.ENDING
+        if self._prover.running:
+            return Stage.PROVING
+        return Stage.MOVING if self.moving else STAGES[self.sequence.state]
 
     def post(self, event: m.Event | MotionEnded | MeasuredFor | Call) -> None:
         """Put an event into the queue, from any thread; the `now` of ResumeMotion is s of the steady clock."""
@@ -152,15 +193,32 @@ class Runner:
         """Run to the end; return how it ended.  `held`: nothing moves before the operator resumes motion."""
         self._prover.reset()
         self._handle(m.Start(self._cell.seconds(), held))
-        while self.finish is None:
-            try:
-                event = self._events.get(timeout=LOOK)
-            except queue.Empty:
-                event = None
-            self._take(event)
-            self._look()
-        self._wind_down()
+        try:
+            self._listen(0.0)
+            while self.finish is None:
+                self._look()
+                self._listen(LOOK)
+        except BaseException:
+            if self.moving:
+                self._stop()
+            raise
+        finally:
+            self._wind_down()
         return self.finish
+
+    def _listen(self, seconds: float) -> None:
+        """Take all that has come, within so many s at least; nothing of it matters once the goal is to end."""
+        wait = seconds
+        while self.finish is None:
+            if (asked := self._goal.asked) is not None:
+                self._handle(m.Stop(self._cell.seconds(), asked.value))
+                return
+            try:
+                event = self._events.get(timeout=wait) if wait else self._events.get_nowait()
+            except queue.Empty:
+                return
+            self._take(event)
+            wait = 0.0
 
     def _take(self, event: Any) -> None:
         match event:
@@ -178,7 +236,9 @@ class Runner:
             case m.Resume() | m.ResumeMotion() if lost := self._cell.lost(time.monotonic()):
                 self._ask(f"{lost}: put that right, then resume")
             case _:
-                self._handle(dataclasses.replace(event, now=self._cell.seconds()))
+                now = self._cell.seconds()
+                self._look_at_guard(time.monotonic(), now)  # what is said now answers its word of now
+                self._handle(dataclasses.replace(event, now=now))
 
     def _handle(self, event: m.Event) -> None:
         commands = self.sequence.handle(event)
@@ -207,8 +267,13 @@ class Runner:
                 self._cell.apply_load(command, self._load_answered(command.request))
             case m.AwaitSettled():
                 self._settling = (command.request, self._cell.seconds())
+            case m.BeginAttempt():
+                self._sound_since = None
+                self._cell.carry_out(command)
             case m.TakeReading():
                 self._reading[command.request] = command
+                if self._sound_since is None or command.configuration == REFERENCE_NUMBER:
+                    self._sound_since = time.monotonic()
                 request = command.request
                 self._cell.measure(lambda measured: self.post(MeasuredFor(request, measured)))
             case m.Finish():
@@ -218,7 +283,7 @@ class Runner:
 
     def _stop(self) -> None:
         self._motion = None
-        self._cell.stop_stage(self._stop_stages.begin(time.monotonic()))
+        self._stopper.begin(time.monotonic())
 
     def _load_answered(self, request: int) -> Callable[[bool, str], None]:
         def answered(success: bool, text: str) -> None:
@@ -237,22 +302,35 @@ class Runner:
             self._handle(m.ReadingFailed(now, event.request, event.measured.fault))
             return
         means = [*event.measured.points, *filter(None, [event.measured.wrench])]
+        steady = time.monotonic()
         behind = max(mean.end for mean in means) > self._joints.until or not self._cell.recorded(event.since)
-        if behind and time.monotonic() - event.since < PATIENCE:
-            self._behind = event  # joint states of the same window, or the recorder's word, are still on their way
+        if (behind or not self._watch.judged(event.since)) and steady - event.since < PATIENCE:
+            self._behind = (
+                event  # joint states of the same window, the recorder's word and the guard's are on their way
+            )
             return
         del self._reading[event.request]
         if not self._cell.recorded(event.since):
             self._handle(m.ReadingFailed(now, event.request, "the recorder gave no sign of life after it"))
             return
+        unsound = self._watch.unsound(steady if self._sound_since is None else self._sound_since, steady)
+        if not unsound and not self._watch.judged(event.since):
+            unsound = "the state of the robot was not heard after it"
+        if unsound:  # however short it was: nothing moves again before the operator says so
+            self._handle(m.PermissionChanged(now, permitted=False, reason=unsound, ready=False))
+            why = f"{unsound}: the configuration begins again"
+            self._handle(m.ReadingFailed(now, event.request, why, moved=True))
+            return
         try:
             self._cell.confirm(command, event.measured)
-        except PostureError as error:  # somebody or something has moved the robot: nobody knows what else
-            self._handle(m.Pause(now))
-            self._handle(m.ReadingFailed(now, event.request, str(error), moved=True))
-            self._ask(f"{error}: the robot has been moved; resume when it may move back")
+        except ReadingError as error:
+            if error.resume:  # somebody or something has moved robot, targets or tracker: nobody knows what else
+                self._handle(m.Pause(now))
+            self._handle(m.ReadingFailed(now, event.request, str(error), moved=bool(error.resume)))
+            if error.resume:
+                self._ask(f"{error}: {error.resume}")
             return
-        except (ReadingError, SessionError) as error:
+        except SessionError as error:
             self._handle(m.ReadingFailed(now, event.request, str(error)))
             return
         self._handle(m.ReadingConfirmed(now, event.request))
@@ -261,17 +339,12 @@ class Runner:
 
     def _look(self) -> None:
         steady, now = time.monotonic(), self._cell.seconds()
-        permitted, text = self._watch.at(steady)
-        if permitted and not self._prover.proven:
-            permitted, text = False, UNSEEN
-        ready = permitted or self._watch.ready(steady)
-        self._handle(m.PermissionChanged(now, permitted, text, ready))  # passed over where nothing has changed
-        self._handle(m.GuardHearing(now, self._watch.hears(steady)))
+        self._look_at_guard(steady, now)
         self._backend.tick(steady)
         self._prove(steady)
         self._cell.look(steady)
         self._look_at_equipment(steady)
-        self._advance_stop(steady)
+        self._stopper.advance(steady, self._joints.standing)
         behind, self._behind = self._behind, None
         if behind is not None:
             self._on_measured(behind)
@@ -286,13 +359,25 @@ class Runner:
                 self._handle(m.Settled(now, request))
         if steady - self._ticked >= TICK:
             self._ticked = steady
+            if self.sequence.about_to_move:
+                self._nothing_pulls(steady)
             self._handle(m.Tick(now))
             self._cell.progress()
+
+    def _look_at_guard(self, steady: float, now: float) -> None:
+        permitted, text = self._watch.at(steady)
+        if permitted and not self._prover.proven:
+            permitted, text = False, UNSEEN
+        ready = permitted or self._watch.ready(steady)
+        self._handle(m.PermissionChanged(now, permitted, text, ready))  # passed over where nothing has changed
+        self._handle(m.GuardHearing(now, self._watch.hears(steady)))
 
     def _prove(self, steady: float) -> None:
         """Have the guard prove that it can stop the robot, once a motion is wanted and nothing else is in its way."""
         prover = self._prover
-        waits = self.sequence.state is m.RunState.READY and not self.sequence.paused and not self._stop_stages.under_way
+        sequence = self.sequence
+        waits = sequence.state is m.RunState.READY and not sequence.paused and not self._stopper.under_way
+        rested = waits and sequence.about_to_move and not prover.proven and prover.rested(steady)
         if prover.running:
             prover.tick(steady)
         elif self._watch.unproven:
@@ -300,8 +385,23 @@ class Runner:
         if prover.fault:
             self.pause(f"the stop cannot be proven: {prover.fault}; resume to try again")
             prover.reset()
-        elif waits and not prover.proven and prover.rested(steady) and self._stands(steady):
-            prover.begin(steady)
+        elif rested and self._stands(steady) and self._nothing_pulls(steady):
+            self._goal.move(lambda: prover.begin(steady))
+
+    def _nothing_pulls(self, steady: float) -> bool:
+        """Tell whether, by the sensor, nothing pulls: else nothing moves, not even for the proof of the stop."""
+        if self.moving or self._prover.running:
+            return True  # it was seen before; a moving sensor feels the tool's inertia
+        pulls = self._cell.pulls()
+        if pulls is not None:
+            self._unsensed = math.inf
+            self._handle(m.LoadSensed(self._cell.seconds(), pulls))
+            return not pulls
+        self._unsensed = min(self._unsensed, steady)
+        if steady - self._unsensed > CALM and not self.sequence.paused:
+            self._unsensed = math.inf
+            self.pause("the force/torque sensor is silent, what pulls is not known: put that right, then resume")
+        return False
 
     def _stands(self, steady: float) -> bool:
         """Tell whether the robot stands, and nothing but a missing proof speaks against motion."""
@@ -316,11 +416,6 @@ class Runner:
         """Pause for what is lost, if anything is; in the runner's thread."""
         if lost and not self.sequence.paused:
             self.pause(f"{lost}: put that right, then resume")
-
-    def _advance_stop(self, steady: float) -> None:
-        stage = self._stop_stages.advance(steady, standing=self._joints.standing())
-        if stage is not None:
-            self._cell.stop_stage(stage)
 
     def _follow(self, motion: _Motion, now: float) -> None:
         """Begin the motion once the robot stands, and see how it goes."""
@@ -342,11 +437,11 @@ class Runner:
             self._handle(m.Blocked(now, motion.request, "the motion takes too long"))
 
     def _begin(self, motion: _Motion, now: float) -> None:
-        if not self._cell.ready(motion.asked.steady):
+        if not self._cell.ready(motion.asked.steady) or not self._nothing_pulls(time.monotonic()):
             return  # they are lost if this lasts
         where = self._joints.latest
         fresh = self._joints.reached(motion.asked.cell)  # older ones say where it stood
-        if where is None or not fresh or not self._joints.standing() or self._stop_stages.under_way:
+        if where is None or not fresh or self._stopper.under_way or not self._joints.standing():
             if motion.asked.longer(now, CALM):
                 self._unknown(motion, now, late=where is not None and not fresh)
             return
@@ -363,8 +458,11 @@ class Runner:
             pace = scaling if 0.0 < scaling <= 1.0 else 1.0
             motion.allowed = SLACK * motion.trajectory.duration / pace + SLACK_TIME
         motion.begun = Since(now)
-        request = motion.request
-        self._backend.move(motion.trajectory, lambda how, text: self.post(MotionEnded(request, how, text)))
+        path, request = motion.trajectory, motion.request
+        if not self._goal.move(
+            lambda: self._backend.move(path, lambda how, text: self.post(MotionEnded(request, how, text)))
+        ):
+            motion.trajectory = None
 
     def _unknown(self, motion: _Motion, now: float, *, late: bool) -> None:
         """Give a motion up that cannot begin: another try would fare no better where the joint states are late."""
@@ -383,6 +481,6 @@ class Runner:
         if self._prover.running:
             self._backend.stop()
         end = time.monotonic() + WIND_DOWN
-        while self._stop_stages.under_way and time.monotonic() < end:
-            self._advance_stop(time.monotonic())
+        while self._stopper.under_way and time.monotonic() < end:
+            self._stopper.advance(time.monotonic(), self._joints.standing)
             time.sleep(LOOK)

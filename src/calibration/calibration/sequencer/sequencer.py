@@ -7,6 +7,7 @@ the motion at once, and nothing moves again before the operator resumes motion b
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 import time
@@ -16,15 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from calibration_interfaces.action import RunPlan
-from calibration_interfaces.msg import MeasurementStep, Outcome, Permission, SessionEvent
+from calibration_interfaces.msg import MeasurementStep, MotionPulse, Outcome, Permission, SessionEvent
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from calibration.background import called
 from calibration.cell.clients import Instruments, LoadDevice
-from calibration.cell.conditions_watch import ConditionsWatch
+from calibration.cell.conditions_watch import HEARD, ConditionsWatch
 from calibration.cell.description_watch import DescriptionWatch
 from calibration.cell.equipment import Equipment
 from calibration.cell.permission import PermissionWatch
@@ -36,20 +38,17 @@ from calibration.conversions import joint_positions, stamp_ns, to_outcome
 from calibration.guard.guard import PULSE_DEADLINE
 from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import Joints
-from calibration.motion.calls import callers
+from calibration.motion.calls import callers, succeeded
 from calibration.motion.catalogue import make_backend
 from calibration.motion.prover import Prover
-from calibration.motion.stopper import STOP_STAGES, Stopper
+from calibration.motion.stop import Stopper
 from calibration.node import CalibrationNode, run
-from calibration.sequencer.client_watch import ClientWatch
 from calibration.sequencer.feedback import Feedback
+from calibration.sequencer.goal import ClientWatch, Goal, Request, RunAction, Stage
 from calibration.sequencer.operator_services import OperatorServices
-from calibration.sequencer.outcomes import OUTCOMES
 from calibration.sequencer.parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
 from calibration.sequencer.plan_markers import plan_markers
-from calibration.sequencer.preflight import guard_ready, joints_heard, missing, prepared, served
 from calibration.sequencer.provenance import provenance
-from calibration.sequencer.run_action import NAME, RunAction
 from calibration.sequencer.runner import Call, Runner
 from calibration.topics import (
     EVENT,
@@ -65,18 +64,26 @@ from calibration_core.cell import load_cell
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
 from calibration_core.measurement.session import Session
+from calibration_core.measurement.unloaded import LoadMemory, memory_file
 from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.planning.plans.plan_file import read_plan
 from calibration_core.recording.session_values import Decision, Event
-from calibration_core.timeseries import NANOSECONDS
+from calibration_core.timeseries import NANOSECONDS, Float1D
 
 PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way
 BAG = "bag"  # in the session's directory
 END_TIME = 1.6  # s of wall time, a run has to end when the process does
 ALONE = 1.0  # s, since another sequencer was heard
+OUTCOMES = {
+    m.Outcome.COMPLETED: Outcome.OK,
+    m.Outcome.INCOMPLETE: Outcome.BLOCKED,
+    m.Outcome.STOPPED: Outcome.STOPPED,
+    m.Outcome.FAULT: Outcome.FAULT,
+}
+AT_LEAST = 0.3  # s, that everything is looked for, however long the search for what came before took
 
 
 class SequencerNode(CalibrationNode):
@@ -99,11 +106,12 @@ class SequencerNode(CalibrationNode):
         Raises:
             InputError: A parameter or the cell file cannot be used, or a message package is not installed.
         """
+        self._counted = itertools.count()  # signs of life, through all transitions
         super().__init__("sequencer", PARAMETERS, **kwargs)
 
     def on_configure(self) -> None:
         """Connect to the cell."""
-        self.cell = load_cell(self.value("cell"))
+        self.cell = load_cell(self.value("cell"), live=True)
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell), tool_point(self.cell))
         self.runner: Runner | None = None
         self.port: CellPort | None = None
@@ -115,17 +123,17 @@ class SequencerNode(CalibrationNode):
             self.cell.robot.joints,
             interface=self.value("motion.interface"),
             rules=arrival_rules(self),
-            where=lambda: self._joints.latest,
+            course=self._course,
             ask=lambda text: self.diagnostics.report("operator", 1, text),
         )
-        self._prover = Prover(self, self._backend, self.cell.robot.joints, lambda: self._joints.latest)
+        self._prover = Prover(self, self._backend, self.cell.robot.joints, self._course)
         self._second = (-math.inf, "")  # when another sequencer was heard, s of the steady clock, and words about it
         self._prepare = callers(self, "motion.prepare_services")
         self.stopper = Stopper(
             self,
             self._backend,
             self.cell.robot.joints,
-            lambda: self._joints.latest,
+            self._course,
             hold_topic=self.value("motion.hold_topic"),
             calls=callers(self, "motion.stop_services"),
             trace=self.value("trace"),
@@ -153,8 +161,8 @@ class SequencerNode(CalibrationNode):
         self._markers = self.create_publisher(PLAN_MARKERS.message, PLAN_MARKERS.relative, PLAN_MARKERS.qos)
         self._pulse = self.create_publisher(MOTION_PULSE.message, MOTION_PULSE.relative, MOTION_PULSE.qos)
         OperatorServices(self)
-        self._client = ClientWatch(self, NAME)
-        self._action = RunAction(self, self._measure, self._backend.stop, self._against)
+        self._client = ClientWatch(self)
+        self.runs = RunAction(self, self._measure, self._against, self._stop_motion)
         self._recorder = Recorder(self, self.value("recorder"), self.value("recorder_age"))
         self._description = DescriptionWatch(self)
         self._equipment = Equipment(self._recorder, self._description, self.value("instrument_age"))
@@ -162,7 +170,7 @@ class SequencerNode(CalibrationNode):
     def _listen(self) -> None:
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
         joint_states = self.cell.topics.joint_states.lstrip("/")
-        subscribe_to_samples(self, JointState, joint_states, self._on_joints, newest)
+        subscribe_to_samples(self, JointState, joint_states, self._on_joints, newest, every=0.01)
         pulse = PERMISSION.qos
         pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
         silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
@@ -174,6 +182,9 @@ class SequencerNode(CalibrationNode):
         self._equipment.listen(self)
         if self._wrench is not None:
             self._wrench.listen()
+
+    def _course(self) -> tuple[Float1D, Float1D, float] | None:
+        return self._joints.course(self.now_ns())
 
     # --- what arrives ------------------------------------------------------------------------------------------------
 
@@ -199,16 +210,22 @@ class SequencerNode(CalibrationNode):
     def _halt(self, why: str) -> None:
         """Stop a motion for what the procedure hears at its next look."""
         runner = self.runner
-        if runner is not None and self.interrupt():
+        if runner is not None and self._interrupt():
             runner.post(m.PermissionChanged(0.0, False, why))
 
-    def interrupt(self) -> bool:
+    def _interrupt(self) -> bool:
         """Stop the motion under way without waiting for the runner's turn; return whether there is one to stop."""
         runner = self.runner
         if runner is None or not runner.moving or runner.stopping:
             return False
         self.stopper.take(0)
         return True
+
+    def _stop_motion(self) -> None:
+        """Stop whatever of ours moves the robot, again where it is being stopped, the proof of the stop included."""
+        runner = self.runner
+        if runner is not None and (runner.moving or runner.stage is Stage.PROVING):
+            self.stopper.take(0)
 
     def _store(self, message: Permission) -> None:
         runner, port = self.runner, self.port
@@ -230,10 +247,10 @@ class SequencerNode(CalibrationNode):
         runner = self.runner
         moving = runner is not None and runner.moving
         lost = self._equipment.fault(time.monotonic()) if moving else ""
-        if runner is not None and lost and not self._lost and self.interrupt():
+        if runner is not None and lost and not self._lost and self._interrupt():
             runner.post(Call(lambda: runner.lose(lost)))
         self._lost = lost
-        self._pulse.publish(MOTION_PULSE.message(data=moving))
+        self._pulse.publish(MotionPulse(identity=self.presence.identifier, count=next(self._counted), moving=moving))
 
     # --- what others want ---------------------------------------------------------------------------------------------
 
@@ -252,27 +269,45 @@ class SequencerNode(CalibrationNode):
 
     # --- a run -------------------------------------------------------------------------------------------------------
 
-    def _measure(self, goal: Any) -> Any:
-        """Measure a plan from beginning to end; runs in a thread of its own."""
-        request = goal.request
+    def _measure(self, goal: Goal) -> Any:
+        """Measure a plan from beginning to end; runs in a thread of its own.
+
+        Raises:
+            GoalEndedError: The goal was asked to end before the run began.
+        """
+        try:
+            return self._run(goal)
+        finally:
+            goal.end()
+            self._instruments.cancel()
+            if self._load_device is not None:
+                self._load_device.port.cancel()
+            self._recorder.close()
+
+    def _run(self, goal: Goal) -> Any:
+        request = goal.handle.request
         self._rules, self._limits = sequence_rules(self), motion_limits(self, self.cell)  # as they are set now
         plan = read_plan(request.plan, self.cell)
         self._markers.publish(plan_markers(plan, self.cell, *(self.value(f"markers.{name}") for name in LOOK)))
         directory = Path(request.session)
         text = Path(request.plan).read_text(encoding="utf-8")
-        absent = self._missing()
+        goal.enter(Stage.NODES)
+        absent = self._missing(goal)
         if absent:
             return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, absent))
         different = self._description.judged()
         if different:
             return RunPlan.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, different))
-        held = not guard_ready(self.watch, self.value("server_wait"))
+        goal.enter(Stage.GUARD)
+        goal.until(lambda: self.watch.ready(time.monotonic()) or self.watch.latched, self.value("server_wait"))
+        held = not self.watch.ready(time.monotonic())  # a latched fault does not go by itself
         wrong = self.conditions.begin(plan, self._limits.allowed, self._rules.startup_period, request.overrides)
         if wrong:
             return RunPlan.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, wrong))
         violated = "" if request.resume else self.conditions.violated()
         if violated:  # before there is a session that would have to be resumed
             return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
+        goal.enter(Stage.SESSION)
         open_session = Session.resume if request.resume else Session.create
         with open_session(directory, text, self.cell) as session:
             parameters = {name: self.value(name) for name in sorted(self._table)}
@@ -281,15 +316,18 @@ class SequencerNode(CalibrationNode):
             if violated:
                 return RunPlan.Result(outcome=to_outcome(Outcome.CONDITION_VIOLATED, violated))
             session.begin_run(self.now_ns(), provenance(self.cell, text, parameters))
-            lost = self._recorder.record(Wanted(directory.absolute() / BAG, session.plan_sha256, self.now_ns()))
+            goal.enter(Stage.RECORDER)
+            bag = Wanted(directory.absolute() / BAG, session.plan_sha256, self.now_ns(), session.identity)
+            lost = self._recorder.record(bag, goal.until)
             if lost:
                 return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, lost), session=str(directory))
-            runner = self._start(plan, session)
-            self.feedback.begin(goal, runner)
+            runner = self._start(goal, plan, session)
+            self.feedback.begin(goal.handle, runner)
             self._client.begin(time.monotonic())
             finish = runner.run(held=held)
             done, skipped = len(runner.sequence.queue.completed), len(runner.sequence.queue.given_up)
             readings = self.port.confirmed if self.port is not None else 0
+        goal.end()
         self._recorder.close()
         recorded, lost = self._recorder.recorded(directory, BAG)
         how = (Outcome.FAULT, f"{lost}; {finish.text}") if lost else (OUTCOMES[finish.outcome], finish.text)
@@ -302,7 +340,8 @@ class SequencerNode(CalibrationNode):
             readings=readings,
         )
 
-    def _start(self, plan: Plan, session: Session) -> Runner:
+    def _start(self, goal: Goal, plan: Plan, session: Session) -> Runner:
+        memory = LoadMemory(memory_file(self.cell, self.get_namespace(), self.value("load.memory")))
         given_up = session.given_up(self._rules.attempts)
         sequence = Sequence(
             plan,
@@ -310,7 +349,7 @@ class SequencerNode(CalibrationNode):
             completed=frozenset(session.completed),
             given_up=given_up,
             visits=session.reference_visits,
-            loaded=self._load_device is not None or session.left_open,
+            loaded=self._load_device is not None or memory.left != "",
         )
         self.port = CellPort(
             self,
@@ -318,14 +357,14 @@ class SequencerNode(CalibrationNode):
             self._joints,
             self._instruments,
             self._load_device,
-            ReadingChecks(self.cell, plan.tolerances, self._joints, self._wrench),
-            later=self._later,
+            ReadingChecks(self.cell, plan, self._joints, self._wrench, memory, self.now_ns),
             equipment=self._equipment,
             temperature=lambda: self.conditions.temperature,
             progress=self._progress,
             scaling=lambda: self.conditions.scaling,
         )
         self.runner = Runner(
+            goal,
             sequence,
             self.port,
             self._backend,
@@ -334,29 +373,38 @@ class SequencerNode(CalibrationNode):
             self.monitored,
             self._limits,
             self._prover,
+            self.stopper,
             settle_time=self.value("settle_time"),
-            stages=STOP_STAGES,
         )
         self._decided = ()  # what the guard says next is stored
+        goal.begin(self.runner)
         return self.runner
 
-    def _later(self, work: Callable[[], None]) -> None:
-        runner = self.runner
-        if runner is not None:
-            runner.post(Call(work))
-
-    def _missing(self) -> str:
-        """Look for everything that a run needs, before anything moves; return what is not there."""
+    def _missing(self, goal: Goal) -> str:
+        """Look for everything that a run needs, before anything moves; return all that is not there."""
+        wait = self.value("server_wait")
+        end = time.monotonic() + wait
         ports = [*self._instruments.ports.values(), *([self._load_device.port] if self._load_device else [])]
-        checks = [
-            prepared(self, self._prepare),
-            self._backend.prepare,
-            *map(served, ports),
-            joints_heard(self._joints, self.cell.topics.joint_states),
-            self.conditions.thermometer_heard,
-            self._recorder.missing,
+        topic = self.cell.topics.joint_states
+        checks: list[Callable[[], str]] = [
+            self._backend.missing,
+            *(port.missing for port in ports),
+            lambda: "" if self._joints.latest is not None else f"no joint states on {topic}",
         ]
-        return missing(checks, self.value("server_wait"))
+        absent = [self._prepared(goal, wait)]
+        goal.until(lambda: not any(check() for check in checks), left(end))
+        absent += [check() for check in checks]
+        goal.until(self.conditions.thermometer_heard, min(left(end), HEARD))
+        return "; ".join(filter(None, [*absent, self._recorder.missing(left(end), goal.until)]))
+
+    def _prepared(self, goal: Goal, wait: float) -> str:
+        """Call the driver's services in their order, up to the first that fails; return why it did."""
+        for client, request in self._prepare:
+            answer = called(client, request, wait, goal.until)
+            success, text = (False, "no answer") if answer is None else succeeded(answer)
+            if not success:
+                return f"{client.srv_name}: {text or 'refused'}"
+        return ""
 
     def _progress(self) -> None:
         runner, port = self.runner, self.port
@@ -368,19 +416,22 @@ class SequencerNode(CalibrationNode):
 
     def busy(self) -> str:
         """Say that a plan is being measured: what it is measured with does not change meanwhile."""
-        return self._action.busy
+        return self.runs.take(Request.GOAL).refusal
 
     def on_deactivate(self) -> None:
         """End the run: the motion is stopped, the session closed."""
-        runner = self.runner
-        if runner is not None:
-            runner.post(m.Stop(0.0))
-        if not self._action.wait(END_TIME):
+        self.runs.take(Request.END)
+        if not self.runs.wait(END_TIME):
             raise TransitionError(f"the run has not ended within {END_TIME:g} s")
 
     def on_cleanup(self) -> None:
         """End the process that works progress out."""
         self.feedback.close()
+
+
+def left(end: float) -> float:
+    """Return how long something may still be looked for until `end`, s of the steady clock."""
+    return max(end - time.monotonic(), AT_LEAST)
 
 
 def main(args: Arguments[str] | None = None) -> int:

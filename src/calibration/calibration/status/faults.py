@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from calibration_interfaces.msg import Condition, Fault, NodeHealth, Permission, ProcedureState, SampleCheck, State
 from lifecycle_msgs.msg import State as Lifecycle
 
+from calibration_core.measurement.target_check import PUT_RIGHT, TARGETS
+
 START = "start it again: ros2 run calibration {name}"
 MISSED = {
     "guard": "nothing may move, and only the hand on the pendant stops the robot",
@@ -19,12 +21,12 @@ MISSED = {
 }
 AGAIN = {
     "guard": "reset it by name if it asks for that, and resume motion by name",
-    "sequencer": "send the goal again with resume: true",
+    "sequencer": "go on with the session (in a terminal: the goal again with resume: true)",
 }
 NOT_PERMITTED = {
     Permission.STATE_ABSENT: "start the robot's driver, and choose the adapter that fits it",
     Permission.STATE_STALE: "look whether the robot's driver still publishes its state",
-    Permission.MODE_UNKNOWN: "confirm the mode by name (guard/confirm_mode)",
+    Permission.MODE_UNKNOWN: "confirm by name that the mode is manual at reduced speed (guard/confirm_mode)",
     Permission.MODE_NOT_ALLOWED: "turn the mode selector to manual reduced speed",
     Permission.DRIVES_UNKNOWN: "look whether the robot's driver tells whether the drives are on",
     Permission.DRIVES_OFF: "hold the enabling device, and switch the drives on",
@@ -32,7 +34,7 @@ NOT_PERMITTED = {
     Permission.MOTION_NOT_POSSIBLE: "start the driver's program at the controller",
     Permission.IN_ERROR: "acknowledge the error at the controller",
     Permission.JOINTS_ABSENT: "look whether joint states are published",
-    Permission.JOINTS_STALE: "look whether joint states are still published",
+    Permission.JOINTS_STALE: "look whether joint states still come in time; if its clock was set, restart the driver",
     Permission.JOINTS_NOT_FINITE: "look what the driver says about its encoders",
     Permission.CONFIRMATION_EXPIRED: "confirm the mode again by name (guard/confirm_mode)",
     Permission.SPEED_LIMIT_MISSING: "declare the controller's safety-rated speed limit in the cell file",
@@ -65,14 +67,33 @@ STREAM = {
 }
 
 
-def faults(state: State) -> list[Fault]:
-    """Return what is wrong, the gravest first; in the order of nodes, permission, streams and conditions else."""
+def faults(state: State, foreign: str = "") -> list[Fault]:
+    """Return what is wrong, the gravest first; in the order of nodes, permission, streams and conditions else.
+
+    Args:
+        state: Of the cell.
+        foreign: Another session than the one under way, of which readings are heard; empty: none is.
+    """
     found = [
         *_nodes(state.nodes),
         *_permission(state),
         *_streams(state.streams),
         *_conditions(state),
+        *_targets(state),
         *_progress(state),
+        *(
+            [
+                _fault(
+                    Fault.WARN,
+                    "foreign_session",
+                    "calibration/reading",
+                    f"readings of {foreign} are heard, which is not the session under way: they count for nothing",
+                    "end whoever plays a bag in this domain",
+                )
+            ]
+            if foreign
+            else []
+        ),
     ]
     return sorted(found, key=lambda one: -int(one.level))
 
@@ -103,7 +124,9 @@ def _permission(state: State) -> Iterator[Fault]:
                          START.format(name="guard"))  # fmt: skip
         return
     permission = state.permission
-    if permission.permitted:
+    running = state.procedure_known and state.procedure.state not in (ProcedureState.NO_RUN, ProcedureState.FINISHED)
+    unproven = list(permission.reasons) == [Permission.STOP_UNPROVEN]  # which a run does before its first motion
+    if permission.permitted or (unproven and not running):
         return
     code = "guard_latched" if permission.latched else "not_permitted"
     waited = state.procedure_known and state.procedure.waits_for in (ProcedureState.GUARD, ProcedureState.OPERATOR)
@@ -124,6 +147,13 @@ def _conditions(state: State) -> Iterator[Fault]:
             text = f"{one.name} ({one.clause}): found {one.value}, expected {one.limit}"
             remedy = "put it right, or override it by name (sequencer/override_condition)"
             yield _fault(Fault.ERROR if one.shall else Fault.WARN, "condition", one.name, text, remedy)
+
+
+def _targets(state: State) -> Iterator[Fault]:
+    """Name what is wrong with tracker or targets, which an override by name takes as it is."""
+    if state.procedure_known and state.procedure.question.endswith(PUT_RIGHT):
+        text = state.procedure.question.removesuffix(PUT_RIGHT).removesuffix(": ")
+        yield _fault(Fault.ERROR, "condition", TARGETS, text, PUT_RIGHT)
 
 
 def _progress(state: State) -> Iterator[Fault]:

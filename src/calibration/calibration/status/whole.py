@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 from calibration_interfaces.msg import NodeHealth, ProcedureState, SampleCheck, State
 
 from calibration.cell.permission import SILENT
+from calibration.lifecycle.heartbeat import FRESH
 from calibration.lifecycle.order import Order
 from calibration.status.faults import MISSED, faults
+
+FOREIGN = 10.0  # s, for which a reading of another session is told
 
 
 class Whole:
@@ -28,6 +32,7 @@ class Whole:
         self.health = {name: NodeHealth(name=name, level=NodeHealth.ABSENT) for name in names}
         self._permission_heard = -math.inf
         self._procedure_heard = False
+        self._foreign = (-math.inf, "")
 
     def hear(self, field: str, message: Any, now: float) -> None:
         """Take a message that one field of the state shows as it came."""
@@ -38,6 +43,12 @@ class Whole:
             self._procedure_heard = True
         elif field == "load":
             self._state.load_known = True
+
+    def hear_reading(self, message: Any, now: float) -> None:
+        """Take notice of a reading that is not of the session under way."""
+        own, procedure = str(message.session).rpartition("@")[0], self._state.procedure
+        if self._procedure_heard and own != (str(Path(procedure.session).absolute()) if procedure.session else ""):
+            self._foreign = (now, str(message.session) or "no session")
 
     def hear_stream(self, message: SampleCheck) -> None:
         """Take the health of one stream."""
@@ -54,9 +65,11 @@ class Whole:
             if not member.alive and member.process:
                 self.health[name].level = NodeHealth.SILENT
                 self.health[name].text = f"silent: {MISSED.get(name, '')}"
+            self.health[name].age = now - member.heard if member.process else math.nan
         state.nodes = list(self.health.values())
-        alive = {name: member.alive for name, member in order.members.items()}
-        state.procedure_known = alive.get("sequencer", False) and self._procedure_heard
+        sequencer = order.members.get("sequencer")
+        known = sequencer is not None and sequencer.alive and now - sequencer.heard <= FRESH
+        state.procedure_known = known and self._procedure_heard
         state.permission_known = now - self._permission_heard <= self._age
         state.streams = sorted(self._streams.values(), key=lambda one: (one.topic, one.name))
         if not state.permission_known:
@@ -70,7 +83,8 @@ class Whole:
             state.text, state.waiting = f"the sequencer is not heard{last}", "operator: start the sequencer again"
         elif procedure.waits_for == ProcedureState.GUARD and state.not_permitted:
             state.waiting = f"{procedure.waiting}: {state.not_permitted}"
-        state.faults = faults(state)
+        foreign = self._foreign[1] if now - self._foreign[0] <= FOREIGN else ""
+        state.faults = faults(state, foreign)
         return state
 
     def news(self, state: State) -> dict[str, object]:
@@ -83,6 +97,7 @@ class Whole:
             "reading": (procedure.reading_verdict, procedure.reading_configuration, procedure.reading_step),
             "known": (state.procedure_known, state.permission_known, state.load_known),
             "permission": (permission.permitted, permission.latched, tuple(permission.reasons)),
+            "fresh": [one.age <= FRESH for one in state.nodes],
             "nodes": [(one.process, one.lifecycle.id, one.level, one.text) for one in state.nodes],
             "faults": [(one.code, one.source, one.text) for one in state.faults],
             "streams": [(one.name, one.problem) for one in state.streams],

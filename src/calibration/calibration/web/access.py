@@ -1,13 +1,20 @@
 """Who may see the panel, and who holds control: one-time tokens, sessions, one operator at a time, rate limits.
 
-Times are s of a steady clock.  Nothing here knows about the network or about ROS.
+Times are s of a steady clock.  Nothing here knows about the network or about ROS.  Sessions outlive the process in a
+file that holds no secret: of a cookie its hash alone, and the page's own token follows from the cookie.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import hashlib
 import hmac
+import json
+import os
 import secrets
+import tempfile
+from pathlib import Path
 
 IDLE = 12 * 3600.0  # s, a shift: a session that nobody uses for so long has ended
 TOKEN_LIFE = 12 * 3600.0  # s, that a token which nobody has used is good for
@@ -20,8 +27,7 @@ class Session:
     """One page that has entered.
 
     Attributes:
-        cookie: Secret that the browser sends with every request.
-        token: Secret that the page sends with every request that changes something.
+        key: Hash of the cookie that the browser sends with every request.
         name: Of the operator, as entered.
         address: From where the page entered.
         used: When it was last used.
@@ -29,8 +35,7 @@ class Session:
         left: When the last one was closed.
     """
 
-    cookie: str
-    token: str
+    key: str
     name: str
     address: str
     used: float
@@ -38,12 +43,22 @@ class Session:
     left: float = 0.0
 
 
+def hashed(cookie: str) -> str:
+    """Return what is kept of a cookie."""
+    return hashlib.sha256(cookie.encode()).hexdigest()
+
+
+def page_token(cookie: str) -> str:
+    """Return the secret that a page sends with every request that changes something: its scripts see no cookie."""
+    return hmac.new(cookie.encode(), b"page", hashlib.sha256).hexdigest()
+
+
 class Access:
     """Tokens and sessions.
 
     Attributes:
         token: The present token; whoever enters with it uses it up, and the next one is drawn.
-        sessions: Those that have entered, by cookie.
+        sessions: Those that have entered, by key.
     """
 
     def __init__(self, now: float) -> None:
@@ -53,8 +68,8 @@ class Access:
     def _draw(self, now: float) -> None:
         self.token, self._drawn = secrets.token_urlsafe(24), now
 
-    def enter(self, token: str, name: str, address: str, now: float) -> Session | None:
-        """Return a new session, None where the token is not the present one; a token is good for one entry."""
+    def enter(self, token: str, name: str, address: str, now: float) -> tuple[str, Session] | None:
+        """Return cookie and session, None where the token is not the present one; a token is good for one entry."""
         right = hmac.compare_digest(token.encode(), self.token.encode())
         if now - self._drawn > TOKEN_LIFE:
             self._draw(now)
@@ -64,29 +79,68 @@ class Access:
         self._draw(now)
         if len(self.sessions) >= MOST_SESSIONS:
             oldest = min(self.sessions.values(), key=lambda one: (one.pages > 0, one.used))
-            del self.sessions[oldest.cookie]
-        session = Session(secrets.token_urlsafe(32), secrets.token_urlsafe(32), name, address, now, left=now)
-        self.sessions[session.cookie] = session
-        return session
+            del self.sessions[oldest.key]
+        cookie = secrets.token_urlsafe(32)
+        session = Session(hashed(cookie), name, address, now, left=now)
+        self.sessions[session.key] = session
+        return cookie, session
 
     def find(self, cookie: str, now: float) -> Session | None:
         """Return the session of a cookie, None where there is none, or it has ended."""
-        session = self.sessions.get(cookie)
-        if session is None:
+        return self.used(self.sessions.get(hashed(cookie)), now)
+
+    def used(self, session: Session | None, now: float) -> Session | None:
+        """Take notice that a session is used; return it, None where there is none, or it has ended."""
+        if session is None or self.sessions.get(session.key) is not session:
             return None
         if now - session.used > IDLE and not session.pages:
-            del self.sessions[cookie]
+            del self.sessions[session.key]
             return None
         session.used = now
         return session
 
     def leave(self, session: Session) -> None:
         """End a session."""
-        self.sessions.pop(session.cookie, None)
+        self.sessions.pop(session.key, None)
 
-    def may_change(self, session: Session, token: str) -> bool:
-        """Whether a request that changes something comes from the session's own page."""
-        return hmac.compare_digest(token.encode(), session.token.encode())
+    def kept(self, now: float, wall: float) -> str:
+        """Return the sessions as text, to be kept for the next process; `wall` is s of the clock on the wall."""
+        rows = [{"key": one.key, "name": one.name, "address": one.address,
+                 "used": wall if one.pages else wall - now + one.used} for one in self.sessions.values()]  # fmt: skip
+        return json.dumps(rows, indent=1)
+
+    def restore(self, text: str, now: float, wall: float) -> None:
+        """Take back the sessions that were kept, but those that have ended meanwhile.
+
+        Raises:
+            ValueError: The text is not what `kept` returns.
+        """
+        try:
+            for row in json.loads(text):
+                idle = max(wall - float(row["used"]), 0.0)
+                if idle <= IDLE and len(self.sessions) < MOST_SESSIONS:
+                    key = str(row["key"])
+                    self.sessions[key] = Session(key, str(row["name"]), str(row["address"]), now - idle, left=now)
+        except (KeyError, TypeError) as error:
+            raise ValueError(str(error)) from error
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file that its user alone can read, as a whole or not at all.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    number, name = tempfile.mkstemp(dir=path.parent, prefix=path.name)  # for its user alone from the beginning
+    try:
+        with os.fdopen(number, "w", encoding="utf-8") as file:
+            file.write(text)
+        Path(name).replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            Path(name).unlink()
+        raise
 
 
 class Control:

@@ -24,12 +24,11 @@ from calibration_interfaces.srv import (
     Tare,
 )
 from rclpy.action import ActionClient
-from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from calibration.background import in_executor, in_loop
-from calibration.topics import EVENT
+from calibration.topics import EVENT, Polled
 
 ANSWER = 5.0  # s of wall time, that a service may take
 ACCEPT = 10.0  # s of wall time, that an action may take to accept a goal
@@ -62,21 +61,6 @@ class Answer:
     done: bool
     text: str = ""
     message: Any = None
-
-
-class Polled(CallbackGroup):
-    """A group whose subscriptions never wake the executor: what they hold is taken when somebody looks."""
-
-    def can_execute(self, _entity: Any) -> bool:
-        """Nothing is ever due."""
-        return False
-
-    def beginning_execution(self, _entity: Any) -> bool:
-        """Nothing ever begins."""
-        return False
-
-    def ending_execution(self, _entity: Any) -> None:
-        """Nothing ever ends."""
 
 
 class Latest:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,7 @@ from calibration.web.link import Answer, CellLink
 from calibration.web.request_table import RequestError
 from calibration_core.errors import InputError, quoted
 
+BETWEEN_STOPS = 0.1  # s of wall time between two stops that are asked for: taps in between share the next one
 STEPS = {"add": SelfTest.Request.ADD, "evaluate": SelfTest.Request.EVALUATE, "clear": SelfTest.Request.CLEAR}
 Log = Callable[[str], None]
 
@@ -43,23 +45,44 @@ class Operator:
         self.control, self._cell = control, cell
         self._hold = 0.0
         self._chooser: Session | None = None
+        self._stop: asyncio.Task[Answer] | None = None  # the one that is yet to be asked for
+        self._stopped = -math.inf
+        self._overrides: dict[str, ConditionOverride] = {}  # conditions that are overridden in the next run
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def do(self, name: str, values: dict[str, Any], session: Session) -> Answer:
-        """Do what a session asks for; every request and its answer are logged."""
+        """Do what a session asks for; every request and its answer are logged.
+
+        A stop is never refused: each is followed by one that the sequencer is asked for, at most so many a second.
+        """
+        if name != "stop":
+            return await self._logged(name, values, session)
+        if self._stop is None:
+            self._stop = asyncio.get_running_loop().create_task(self._next_stop(session))
+        return await asyncio.shield(self._stop)
+
+    async def _next_stop(self, session: Session) -> Answer:
+        await asyncio.sleep(self._stopped + BETWEEN_STOPS - time.monotonic())
+        self._stopped, self._stop = time.monotonic(), None
+        return await self._logged("stop", {}, session)
+
+    async def _logged(self, name: str, values: dict[str, Any], session: Session) -> Answer:
+        who = f"{session.name} from {session.address}"
         given = ", ".join(f"{key} {value}" for key, value in values.items() if value not in ("", False))
         try:
             answer = await self._done(name, values, session)
         except Exception as error:  # noqa: BLE001  # whatever it is, whoever asked must learn of it
             answer = Answer(done=False, text=_words(error))
         outcome = "" if answer.done else f": refused: {answer.text}"
-        self._log(f"{name}{f' ({given})' if given else ''} by {session.name} from {session.address}{outcome}")
+        self._log(f"{name}{f' ({given})' if given else ''} by {who}{outcome}")
         return answer
 
     async def _done(self, name: str, values: dict[str, Any], session: Session) -> Answer:
         match name:
-            case "control_ask" | "control_release" | "control_answer":
+            case "control_ask" | "control_release" | "control_answer" | "operator":
                 return self._control(name, values, session)
+            case "override_condition":
+                return await self._override(name, values, session)
             case "hold_time":
                 self._hold, self._chooser = float(values["seconds"]), session
                 self._hub.show("hold", self.hold)
@@ -68,13 +91,23 @@ class Operator:
                 return await self._run(values)
             case "plan":
                 return self._aside("plan", self._plan(values))
-            case "identify":
-                return self._aside("evaluation", self._evaluate(str(values["what"]), str(values["session"])))
-            case "verify":
-                return self._aside("verification", self._verify(values))
+            case "identify" | "verify":
+                verifies = name == "verify"
+                work = self._verify(values) if verifies else self._evaluate(values)
+                return self._aside("verification" if verifies else "evaluation", work)
             case "cancel_evaluation":
                 return self._cancel("verification") or self._link.cancel_evaluation()
         return await self._link.ask(name, **_fields(name, values, session))
+
+    async def _override(self, name: str, values: dict[str, Any], session: Session) -> Answer:
+        """Have a condition overridden: in the run under way, or from the beginning of the next one."""
+        fields = _fields(name, values, session)
+        answer = await self._link.ask(name, **fields)
+        if answer.done or answer.message is None:
+            return answer
+        self._overrides[values["condition"]] = fields["override"]
+        self._hub.show("overrides", sorted(self._overrides))
+        return Answer(done=True, text=f"{values['condition']} is overridden from the beginning of the next run")
 
     # --- control ------------------------------------------------------------------------------------------------------
 
@@ -83,8 +116,9 @@ class Operator:
             given = self.control.ask(session, time.monotonic())
             holder = self.control.holder
             return Answer(given, "" if given or holder is None else f"{holder.name} is asked")
-        if name == "control_release":
+        if name != "control_answer":  # a new operator of the same device asks for control anew
             self.control.release(session)
+            session.name = str(values.get("name", session.name))
             return Answer(done=True)
         return Answer(self.control.answer(session, give=bool(values["give"])))
 
@@ -101,9 +135,14 @@ class Operator:
             "resume": values["resume"],
             "wanted_accuracy": float(values["wanted_accuracy"]),
             "stop_when_enough": values["stop_when_enough"],
+            "overrides": list(self._overrides.values()),
         }
         self._hub.show("ended", "")
-        return await self._link.begin_run(fields, lambda text: self._hub.show("ended", text))
+        answer = await self._link.begin_run(fields, lambda text: self._hub.show("ended", text))
+        if answer.done:
+            self._overrides.clear()
+            self._hub.show("overrides", [])
+        return answer
 
     async def _plan(self, values: dict[str, Any]) -> None:
         name, purpose = str(values["name"]), str(values["purpose"])
@@ -129,7 +168,8 @@ class Operator:
             raise RequestError("verification", "model", quoted(values["model"]), expected)
         return ["--model", str(model), "--tolerance", f"{float(values['tolerance']):.9g}"]
 
-    async def _evaluate(self, what: str, session: str) -> None:
+    async def _evaluate(self, values: dict[str, Any]) -> None:
+        what, session = str(values["what"]), str(values["session"])
         recording: Path = self._folder.session(session) / BAG
         loop = asyncio.get_running_loop()
 
@@ -201,16 +241,22 @@ class Operator:
             self._hold, self._chooser = 0.0, self.control.holder
         return self._hold
 
-    async def confirm_held(self, configuration: int, step: int) -> None:
-        """Confirm a load that has fitted for long enough, in the name of who holds control and has chosen so."""
+    @property
+    def present(self) -> bool:
+        """Whether the page of who holds control is open."""
+        return self.control.holder is not None and self.control.holder.pages > 0
+
+    async def confirm_held(self, configuration: int, step: int) -> bool:
+        """Confirm a load that has fitted for long enough, by the name of who chose so; return whether it counts."""
         session = self.control.holder
-        if session is None or not session.pages:
-            return
+        if session is None or not self.hold:
+            return False
         values = {"configuration": configuration, "step": step, "override": False, "reason": ""}
         answer = await self._link.ask("load_applied", **_fields("load_applied", values, session))
         outcome = "" if answer.done else f": refused: {answer.text}"
         place = f"configuration {configuration}, step {step}"
         self._log(f"load of {place} held for {self.hold:g} s, chosen by {session.name} from {session.address}{outcome}")
+        return answer.done
 
 
 def _words(error: BaseException) -> str:

@@ -86,6 +86,7 @@ class Kind:
     control: bool = True
 
 
+OPERATOR = Field(low=1, high=80)
 REASON = Field(low=3, high=500)
 COUNT = Field("integer", 0, 2**32 - 1)
 FOLDER = Field("name")
@@ -96,6 +97,7 @@ KINDS: Mapping[str, Kind] = {
     "control_ask": Kind(control=False),
     "control_release": Kind(control=False),
     "control_answer": Kind({"give": Field("flag")}),
+    "operator": Kind({"name": OPERATOR}, control=False),
     # the run
     "run": Kind(
         {
@@ -123,7 +125,7 @@ KINDS: Mapping[str, Kind] = {
     "override_condition": Kind({"condition": Field(low=1, high=100), "reason": REASON}),
     # the guard and the instruments
     "guard_reset": Kind(),
-    "confirm_mode": Kind({"valid_for": Field("number", 60.0, 12 * 3600.0)}),
+    "confirm_mode": Kind({"valid_for": Field("number", 60.0, 3600.0)}),
     "tare": Kind({"clear": Field("flag", default=False)}),
     "self_test": Kind({"step": Field(choices=("add", "evaluate", "clear")), "mass": Field("number", 0.0, 5000.0, 0.0)}),
     # evaluation

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import hmac
 import mimetypes
 import time
 from collections.abc import Awaitable, Callable, Mapping
@@ -16,23 +17,25 @@ from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from calibration.web.access import Access, Control, Rate, Session
+from calibration.web.access import Access, Control, Rate, Session, page_token, write_private
 from calibration.web.answers import REPORT_CSP, on_prepare, refused
 from calibration.web.folder import Folder
 from calibration.web.hub import BEAT, Hub, Page
 from calibration.web.link import Answer
 from calibration.web.origin import host_allowed, origin_allowed
-from calibration.web.request_table import KINDS, Field, RequestError, read
+from calibration.web.request_table import KINDS, OPERATOR, Field, RequestError, read
+from calibration.web.serving import Door
 from calibration_core.report.view3d import script
 
 STATIC = Path(__file__).parent / "static"
 LARGEST = 8192  # bytes of a request
+BODY = 5.0  # s of wall time, in which a request has to be there as a whole
 BLOCK = 1 << 20  # bytes of a file handed out at once
 LARGEST_MESSAGE = 256  # bytes of a message from a page
 PAGES_OF_SESSION = 4
 PAGES = 24
 ENTRIES = (0.2, 8.0)  # a second, and at once, from one address
-WHO = Field(low=1, high=80)
+KEPT = 600.0  # s between two writings of the sessions that are in use
 
 Do = Callable[[str, dict[str, Any], Session], Awaitable[Answer]]
 """Does what a session asks for: name of the request, its fields, the session."""
@@ -77,6 +80,7 @@ class Server:
         do: Do,
         entered: Callable[[Session | None, str], None],
         scene: Callable[[], dict[str, Any]],
+        door: Door,
     ) -> None:
         """Prepare.
 
@@ -86,14 +90,17 @@ class Server:
             hub: What is shown.
             control: Who holds control.
             do: Does what is asked for.
-            scene: Returns the cell in space, as `view3d` draws it; called in another thread.
             entered: Called when somebody has entered, or was refused (None), with words about it.
+            scene: Returns the cell in space, as `view3d` draws it; called in another thread.
+            door: Is told which connections have shown a session.
         """
         self.settings, self._folder, self._hub, self._do, self._entered = settings, folder, hub, do, entered
-        self._scene = scene
+        self._scene, self._door = scene, door
         self.access, self._control = Access(time.monotonic()), control
         self._entries = Rate(*ENTRIES)
-        self._requests, self._stops = Rate(10.0, 30), Rate(5.0, 10)
+        self._requests, self._reads = Rate(10.0, 30), Rate(5.0, 20)
+        self._kept, self._keeping, self._written = folder.root / f".panel-{settings.port}.json", asyncio.Lock(), 0.0
+        self._restore()
         self._files: Mapping[str, tuple[str, bytes]] = {
             **_files(STATIC),
             "scene.js": ("text/javascript", script().encode("utf-8")),
@@ -132,11 +139,19 @@ class Server:
                 return refused(403, "the request comes from another page")
             if request.content_type != "application/json":
                 return refused(415, "application/json")
+        if self._session(request) is not None:
+            self._door.known(request.transport)
+        try:
+            await asyncio.wait_for(request.read(), BODY)
+        except TimeoutError:
+            return refused(408, "the request does not come to its end")
         return await handler(request)
 
+    def _cookie(self, request: web.Request) -> str:
+        return request.cookies.get(self.settings.cookie, "")
+
     def _session(self, request: web.Request) -> Session | None:
-        cookie = request.cookies.get(self.settings.cookie, "")
-        return self.access.find(cookie, time.monotonic()) if cookie else None
+        return self.access.find(self._cookie(request), time.monotonic())
 
     def _changing(self, request: web.Request) -> Session:
         """Return the session of a request that changes something.
@@ -147,7 +162,8 @@ class Server:
         session = self._session(request)
         if session is None:
             raise web.HTTPUnauthorized(text='{"text":"enter first"}', content_type="application/json")
-        if not self.access.may_change(session, request.headers.get("X-Panel-Token", "")):
+        given = request.headers.get("X-Panel-Token", "")
+        if not hmac.compare_digest(given.encode(), page_token(self._cookie(request)).encode()):
             raise web.HTTPForbidden(text='{"text":"the token is missing"}', content_type="application/json")
         return session
 
@@ -156,35 +172,64 @@ class Server:
     async def _on_enter(self, request: web.Request) -> web.StreamResponse:
         address = request.remote or "unknown"
         if not self._entries.take(address, time.monotonic()):
-            return refused(429, "too many tries: wait a minute")
+            return refused(429, f"too many tries: one is free every {1.0 / ENTRIES[0]:.0f} s")
         try:
             given = await request.json()
-            name = str(WHO.read("enter", "name", given.get("name")))
+            name = str(OPERATOR.read("enter", "name", given.get("name")))
             token = str(Field(low=1, high=100).read("enter", "token", given.get("token")))
         except (ValueError, RecursionError, AttributeError, RequestError) as error:
             return refused(400, str(error))
-        session = self.access.enter(token, name, address, time.monotonic())
-        if session is None:
+        found = self.access.enter(token, name, address, time.monotonic())
+        if found is None:
             self._entered(None, f"{address} was refused: the token is not the present one")
             return refused(403, "this token is not good any more: take the one that the terminal shows now")
+        cookie, session = found
         self._entered(session, f"{name} has entered from {address}")
-        answer = web.json_response({"token": session.token, "name": name})
+        await self._keep()
+        answer = web.json_response({"token": page_token(cookie), "name": name})
         answer.set_cookie(
-            self.settings.cookie, session.cookie, httponly=True, samesite="Strict", secure=self.settings.tls, path="/"
+            self.settings.cookie, cookie, httponly=True, samesite="Strict", secure=self.settings.tls, path="/"
         )
         return answer
+
+    # --- sessions outlive the process --------------------------------------------------------------------------------
+
+    def _restore(self) -> None:
+        try:
+            self.access.restore(self._kept.read_text("utf-8"), time.monotonic(), time.time())
+        except FileNotFoundError:
+            return  # nobody has entered yet
+        except (OSError, ValueError) as error:
+            self._entered(None, f"{self._kept} cannot be used, every device has to enter anew: {error}")
+
+    async def _keep(self) -> None:
+        async with self._keeping:
+            self._written = time.monotonic()
+            try:
+                await asyncio.to_thread(write_private, self._kept, self.access.kept(self._written, time.time()))
+            except OSError as error:
+                self._entered(None, f"sessions do not outlive a restart of the panel: {error}")
+
+    async def keep_used(self) -> None:
+        """Write down now and then that sessions are in use."""
+        if time.monotonic() - self._written > KEPT and self.access.sessions:
+            await self._keep()
+
+    # --- who is here -------------------------------------------------------------------------------------------------
 
     async def _on_me(self, request: web.Request) -> web.StreamResponse:
         session = self._session(request)
         if session is None:
             return refused(401, "enter first")
-        return web.json_response({"token": session.token, "name": session.name})
+        return web.json_response({"token": page_token(self._cookie(request)), "name": session.name})
 
     async def _on_leave(self, request: web.Request) -> web.StreamResponse:
         session = self._changing(request)
         self._control.release(session)
         self.access.leave(session)
+        self._entered(None, f"{session.name} has left at {session.address}")
         self._hub.wake()
+        await self._keep()
         answer = web.json_response({"done": True})
         answer.del_cookie(self.settings.cookie, path="/")
         return answer
@@ -201,10 +246,9 @@ class Server:
 
     async def _on_request(self, request: web.Request) -> web.StreamResponse:
         session = self._changing(request)
-        name, now = request.match_info["name"], time.monotonic()
-        rate = self._stops if name == "stop" else self._requests
-        if not rate.take(session.cookie, now):
-            return refused(429, "too many requests")
+        name = request.match_info["name"]
+        if name != "stop" and not self._requests.take(session.key, time.monotonic()):
+            return refused(429, "too many requests: wait a second")
         try:
             values = read(name, await request.json())
         except (ValueError, RecursionError, RequestError) as error:
@@ -213,11 +257,17 @@ class Server:
             return refused(409, "this page does not hold control")
         answer = await self._do(name, values, session)
         self._hub.wake()
-        return web.json_response({"done": answer.done, "text": answer.text})
+        if name == "operator":
+            await self._keep()
+        heard = {"heard": answer.message is not None} if name == "stop" else {}
+        return web.json_response({"done": answer.done, "text": answer.text, **heard})
 
     async def _on_folder(self, request: web.Request) -> web.StreamResponse:
-        if self._session(request) is None:
+        session = self._session(request)
+        if session is None:
             return refused(401, "enter first")
+        if not self._reads.take(session.key, time.monotonic()):
+            return refused(429, "too many requests: wait a second")
         plans = list(await asyncio.to_thread(self._folder.plans))
         sessions = await asyncio.to_thread(self._folder.sessions)
         models = list(await asyncio.to_thread(self._folder.models))
@@ -293,7 +343,7 @@ class Server:
     async def _send(self, socket: web.WebSocketResponse, page: Page) -> None:
         session = page.session
         while not socket.closed:
-            if self.access.find(session.cookie, time.monotonic()) is not session:
+            if self.access.used(session, time.monotonic()) is None:
                 await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"the session has ended")
                 return
             await socket.send_str(self._hub.news(page, self._own(session)))

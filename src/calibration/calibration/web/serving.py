@@ -1,14 +1,19 @@
-"""The thread that serves: a loop of its own beside the executor, from the socket to the printed address."""
+"""The thread that serves: a loop of its own beside the executor, from the socket to the printed address.
+
+Connections that show no session are bounded in number and in time, whoever opens them and whatever they send.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import collections
 import errno
 import io
 import socket
 import ssl
 import threading
-from collections.abc import Awaitable, Callable, Coroutine
+import time
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from typing import Any
 
 from aiohttp import web
@@ -18,6 +23,15 @@ from calibration_core.errors import InputError
 
 NEXT = 20  # ports that are tried
 ENDING = 3.0  # s of wall time, that open connections have to end
+WAITING = 256  # connections that the system keeps until they are let in
+# Connections that show no session: a browser opens 6 to a server, and a process may usually hold 1,024 files.
+STRANGERS_OF_ADDRESS = 200
+STRANGERS = 400
+STRANGER = 15.0  # s of wall time, that one may stay: the whole page (0.4 MB) comes in 4 s at 1 Mbit/s
+IDLE = 75.0  # s, that a connection with a session may wait for its next request
+LOOK = 1.0  # s between two looks at those that have stayed too long
+REPORTED = 60.0  # s between two lines in the log about them
+QUIETLY = 20  # closed between two lines: a browser opens some that it never uses
 
 
 def listening(host: str, port: int) -> socket.socket:
@@ -33,7 +47,7 @@ def listening(host: str, port: int) -> socket.socket:
         try:
             one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             one.bind((host, port))
-            one.listen(64)
+            one.listen(WAITING)
         except OSError as error:
             one.close()
             if error.errno != errno.EADDRINUSE or port >= last:
@@ -75,6 +89,106 @@ def printed(url: str) -> str:
     )
 
 
+class _Connection:
+    """One connection: from where it comes, since when it is open, and whether a request of it has shown a session."""
+
+    def __init__(self, address: str, opening: asyncio.Task[Any]) -> None:
+        self.address, self.since, self.known = address, time.monotonic(), False
+        self.transport: asyncio.Transport | None = None
+        self._opening, self._failed = opening, False
+        opening.add_done_callback(self._opened)
+
+    def _opened(self, opening: asyncio.Task[Any]) -> None:
+        if opening.cancelled() or opening.exception() is not None:  # the handshake failed, or it has gone again
+            self._failed = True
+        else:
+            self.transport = opening.result()[0]
+
+    @property
+    def closed(self) -> bool:
+        """Whether it is open no more."""
+        return self._failed or (self.transport is not None and self.transport.is_closing())
+
+    def close(self) -> None:
+        """Close it at once."""
+        self._opening.cancel()
+        if self.transport is not None:
+            self.transport.abort()
+
+
+class Door:
+    """Lets connections in.  A newcomer is never refused: the oldest that has shown no session makes room for it."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        """Prepare.
+
+        Args:
+            say: Takes a line for the log, one in `REPORTED` seconds; called in the loop's thread.
+        """
+        self._say = say
+        self._connections: list[_Connection] = []
+        self._shut: collections.Counter[str] = collections.Counter()  # by address, since the last line
+        self._reported = time.monotonic()
+
+    def known(self, transport: asyncio.BaseTransport | None) -> None:
+        """Take notice that a request of a connection has shown a session."""
+        for one in self._connections:
+            if one.transport is transport:
+                one.known = True
+
+    async def serve(self, taken: socket.socket, protocol: Callable[[], Any], tls: ssl.SSLContext | None) -> None:
+        """Let connections in until this is cancelled; the socket is closed then."""
+        loop = asyncio.get_running_loop()
+        watching = loop.create_task(self._watch())
+        taken.setblocking(False)
+        try:
+            while True:
+                try:
+                    one, peer = await loop.sock_accept(taken)
+                except OSError:  # no file is left for it, or it has gone again
+                    self._close(self._strangers()[:1])
+                    await asyncio.sleep(LOOK)
+                    continue
+                wait = None if tls is None else STRANGER
+                opening = loop.connect_accepted_socket(protocol, one, ssl=tls, ssl_handshake_timeout=wait)
+                self._connections.append(_Connection(str(peer[0]), loop.create_task(opening)))
+                if len(self._connections) > STRANGERS_OF_ADDRESS:
+                    self._make_room(str(peer[0]))
+                await asyncio.sleep(0.0)  # a connection that waits already is taken without a turn for the open pages
+        finally:
+            watching.cancel()
+            taken.close()
+
+    def _strangers(self) -> list[_Connection]:
+        """Return those that have shown no session, the oldest first."""
+        self._connections = [one for one in self._connections if not one.closed]
+        return [one for one in self._connections if not one.known]
+
+    def _make_room(self, address: str) -> None:
+        strangers = self._strangers()
+        near = [one for one in strangers if one.address == address]
+        self._close(near[: max(len(near) - STRANGERS_OF_ADDRESS, 0)] or strangers[: max(len(strangers) - STRANGERS, 0)])
+
+    def _close(self, connections: Iterable[_Connection]) -> None:
+        for one in connections:
+            one.close()
+            self._shut[one.address] += 1
+
+    async def _watch(self) -> None:
+        while True:
+            await asyncio.sleep(LOOK)
+            now = time.monotonic()
+            self._close(one for one in self._strangers() if now - one.since > STRANGER)
+            if now - self._reported < REPORTED:
+                continue
+            if self._shut.total() > QUIETLY:
+                address, most = self._shut.most_common(1)[0]
+                closed = f"closed {self._shut.total()} connections that showed no session"
+                self._say(f"{closed}, {most} of them from {address}: look at what opens them there")
+            self._shut.clear()
+            self._reported = now
+
+
 class Serving:
     """Serves an application in a thread of its own."""
 
@@ -84,16 +198,19 @@ class Serving:
         taken: socket.socket,
         tls: ssl.SSLContext | None,
         ending: Callable[[], Awaitable[None]],
+        door: Door,
     ) -> None:
         """Prepare.
 
         Args:
             application: What is served.
-            taken: The socket that listens.
+            taken: The socket that listens; it is closed at the end.
             tls: How TLS is spoken; None: it is not.
             ending: Called in the thread when it ends.
+            door: Lets connections in.
         """
         self._application, self._socket, self._tls, self._ending = application, taken, tls, ending
+        self._door = door
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name="panel", daemon=True)
         self._stop = asyncio.Event()
@@ -129,11 +246,12 @@ class Serving:
 
     async def _until_stopped(self) -> None:
         runner = web.AppRunner(
-            self._application, access_log=None, handle_signals=False, shutdown_timeout=0.5, handler_cancellation=True
-        )
+            self._application, access_log=None, handle_signals=False, shutdown_timeout=0.5, handler_cancellation=True,
+            keepalive_timeout=IDLE, lingering_time=LOOK,
+        )  # fmt: skip
         await runner.setup()
-        site = web.SockSite(runner, self._socket, ssl_context=self._tls)
-        await site.start()
+        assert runner.server is not None  # noqa: S101 - it was set up
+        self.begin(self._door.serve(self._socket, runner.server, self._tls))
         self._ready.set()
         await self._stop.wait()
         await self._ending()

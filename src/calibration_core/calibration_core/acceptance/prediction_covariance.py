@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.identification.statistics.distributions import beyond_noise
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import with_values
@@ -15,6 +16,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.covariance import wrench_covariance
 from calibration_core.timeseries import Float2D, Float3D, Readings
 
+OFF = 2.0  # times the uncertainty: positions that are off in half of the configurations, not in one that was disturbed
 SAME_LOAD = 0.02  # of the largest load: steps so near to each other repeat a load
 
 
@@ -102,3 +104,51 @@ def repeatability(readings: Readings, error: Float2D, tracker: Float3D) -> Float
     scatter = float(np.sum((error - mean[group])[repeated] ** 2)) / (3 * freedom)
     noise = float(np.mean(np.trace(tracker[repeated], axis1=1, axis2=2))) / 3
     return none + max(scatter - noise, 0.0) * np.eye(3)
+
+
+def less_offsets(readings: Readings, error: Float2D, columns: Float3D) -> tuple[Float2D, Float3D, int]:
+    """Return errors and columns less their means over each configuration and point, and how many of these there are."""
+    _, group = np.unique(np.column_stack([readings.configuration, readings.point]), axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    count = int(group.max()) + 1
+    share = np.zeros((count, len(group)))
+    share[group, np.arange(len(group))] = 1.0 / np.bincount(group)[group]
+    return error - (share @ error)[group], columns - np.einsum("gm,mak->gak", share, columns)[group], count
+
+
+def weighted_square(error: Float2D, noise: Float3D, known: GaussianEstimate, columns: Float3D) -> float:
+    """Return e' S^-1 e of errors (m, 3) m with S = noise + columns covariance columns' (matrix inversion lemma)."""
+    weight = np.linalg.inv(noise)
+    weighted = np.einsum("mab,mb->ma", weight, error)
+    square = float(np.sum(weighted * error))
+    if not known.names:
+        return square
+    scale = known.std
+    scaled = columns * scale
+    gradient = np.einsum("mak,ma->k", scaled, weighted)
+    normal = np.einsum("mak,mab,mbl->kl", scaled, weight, scaled, optimize=True)
+    correlation = known.covariance / np.outer(scale, scale)
+    taken = np.linalg.solve(np.eye(len(scale)) + correlation @ normal, correlation @ gradient)
+    return max(square - float(gradient @ taken), 0.0)
+
+
+def only_positions_off(
+    readings: Readings, error: Float2D, noise: Float3D, known: GaussianEstimate, columns: Float3D
+) -> bool:
+    """Say whether positions are off in most configurations, while the differences within each are as they should be.
+
+    Args:
+        readings: The recording.
+        error: (m, 3) m, of the positions.
+        noise: (m, 3, 3) m^2 of one reading.
+        known: What is known of the model with limits.
+        columns: (m, 3, p): how the predictions move with it.
+    """
+    allowed = np.einsum("maa->m", noise + propagated(known, columns, lambda _: True))
+    _, place = np.unique(readings.configuration, return_inverse=True)
+    square = np.bincount(place, np.sum(error**2, axis=1)) / np.bincount(place, allowed)
+    error, columns, groups = less_offsets(readings, error, columns)
+    freedom = 3 * (len(readings) - groups)
+    if readings.wrench is None or not readings.wrench.any() or freedom < 1 or np.median(square) < OFF**2:
+        return False
+    return not beyond_noise(float(np.sqrt(weighted_square(error, noise, known, columns) / freedom)), freedom, 1.0)[1]

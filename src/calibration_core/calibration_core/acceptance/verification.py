@@ -8,10 +8,17 @@ from typing import Literal
 import numpy as np
 
 from calibration_core.acceptance.decision import Decision, decide, overall
-from calibration_core.acceptance.prediction_covariance import by_wrench, model_columns, propagated, repeatability
+from calibration_core.acceptance.prediction_covariance import (
+    by_wrench,
+    model_columns,
+    only_positions_off,
+    propagated,
+    repeatability,
+)
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError
 from calibration_core.identification.stiffness.predict import predict_readings, references, require_differences
+from calibration_core.model.chain import aligned
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -43,6 +50,8 @@ class Verification:
         elsewhere: Root mean square of the error if it were fitted, m; None where it was, or cannot be.
         outside: (m,) whether the model's valid range ends before this reading.
         with_intervals: Whether the model states a covariance.
+        only_positions: Whether the differences under load are within noise and intervals, while the positions are not.
+        nominal_geometry: Whether the model's geometry is as the cell file states it.
     """
 
     readings: Readings
@@ -58,6 +67,8 @@ class Verification:
     elsewhere: float | None
     outside: Bool1D
     with_intervals: bool
+    only_positions: bool
+    nominal_geometry: bool
 
     @property
     def least_certain(self) -> int:
@@ -132,7 +143,12 @@ def verify(
         fitted=fit_tracker,
         elsewhere=None if fit_tracker or displacement or places < FEWEST else refitted_rms(readings, cell, parameters),
         outside=_outside(readings, model)[keep],
-        with_intervals=model.estimate is not None and bool(model.estimate.names),
+        with_intervals=model.estimate is not None,
+        only_positions=not displacement
+        and only_positions_off(
+            readings, error, total - both, *model_columns(readings, cell, parameters, model.estimate, None)
+        ),
+        nominal_geometry=not parameters.geometry.any(),
     )
 
 
@@ -140,8 +156,7 @@ def with_fitted_tracker(readings: Readings, cell: Cell, parameters: ModelParamet
     """Return the model with the tracker's pose that fits absolute positions best, all weighted alike (Kabsch, 1976)."""
     seen, measured = predict_readings(readings, cell, parameters), readings.position
     centres = seen.mean(axis=0), measured.mean(axis=0)
-    u, _, vt = np.linalg.svd((measured - centres[1]).T @ (seen - centres[0]))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt  # from what the model's tracker sees to what was seen
+    turn = aligned(measured, seen)  # from what the model's tracker sees to what was seen
     pose = np.eye(4)
     pose[:3, :3] = parameters.tracker[:3, :3] @ turn.T
     pose[:3, 3] = parameters.tracker[:3, 3] + parameters.tracker[:3, :3] @ centres[0] - pose[:3, :3] @ centres[1]

@@ -20,7 +20,7 @@ from calibration_core.timeseries import Float1D
 FASTEST = 700.0  # per year: the exponential of more is beyond what floating point holds
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class WeightedLine:
     """A straight line through values over time.
 

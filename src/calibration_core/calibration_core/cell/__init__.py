@@ -1,4 +1,4 @@
-"""The cell file: robot, frames, instruments, and how a recording is to be read (contract, section 2).
+"""The cell file: robot, frames, instruments, and how a recording is to be read.
 
 `load_cell` turns YAML into frozen, validated values; whatever is wrong with the file is a `CellError` that names the
 field.  Angles are rad, lengths m, masses kg, as in the file.
@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from calibration_core.cell.certificate import Certificate
-from calibration_core.cell.surroundings import Box, EndEffector
+from calibration_core.cell.surroundings import Box, EndEffector, Surroundings
 from calibration_core.cell.urdf import MOST_RADIANS, RADIANS, urdf_joint_types
 from calibration_core.cell.values import (
     Angle,
@@ -49,6 +49,7 @@ __all__ = ["Box", "Cell", "Certificate", "EndEffector", "Pose", "load_cell"]
 MAX_BYTES = 1 << 18
 MAX_FAULTS = 100
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
+MOST_CONDITION = 1e6  # of the coupling of joints
 REDUCED_SPEED = 0.25  # m/s, safety-rated reduced speed (CWA 17384, 5.1; ISO 10218-1)
 
 
@@ -85,6 +86,7 @@ class Robot(Strict):
     inertials_known: bool = True
     rated_load: Annotated[Positive, Field(ge=1e-3, le=1e5)]
     joint_types: tuple[Literal["revolute", "prismatic"], ...] | None = None
+    joint_coupling: Mapping[Name, Mapping[Name, Number]] = Field(default_factory=dict)
     stiffness: tuple[Stiffness, ...] | None = None
     gravity: Gravity = STANDARD_GRAVITY
 
@@ -115,6 +117,27 @@ class Robot(Strict):
                 raise field_error(f"joint_limits.{i}", f"[{low:g}, {high:g}]", RADIANS)
         return self
 
+    @model_validator(mode="after")
+    def _check_coupling(self) -> Self:
+        for name, others in self.joint_coupling.items():
+            for other in (name, *others):
+                if other not in self.joints or name in others:
+                    expected = f"two of {', '.join(self.joints)}, and a factor"
+                    raise field_error(f"joint_coupling.{name}", quoted(other), expected)
+        if np.linalg.cond(self.coupling) > MOST_CONDITION:
+            raise field_error("joint_coupling", "couplings that undo each other", "factors that leave every joint free")
+        object.__setattr__(self, "joint_coupling", MappingProxyType(dict(self.joint_coupling)))
+        return self
+
+    @property
+    def coupling(self) -> NDArray[np.float64]:
+        """(n, n) what takes angles as recordings state them to those of the chain: FANUC's J3 is held against J2."""
+        matrix = np.eye(len(self.joints))
+        for name, others in self.joint_coupling.items():
+            for other, factor in others.items():
+                matrix[self.joints.index(name), self.joints.index(other)] = factor
+        return matrix
+
 
 class Frames(Strict):
     """Frames and points that the measurement needs; nominal values."""
@@ -125,6 +148,7 @@ class Frames(Strict):
     wrench_point: Vector | None = None
     measurement_points: Mapping[Name, Vector]
     target_normals: Mapping[Name, Vector] = Field(default_factory=dict)
+    sigma_points: Length | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -212,7 +236,7 @@ class Safety(Strict):
 
 
 class Topics(Strict):
-    """Names of the topics; the defaults are the contract's.
+    """Names of the topics; the defaults are those of recordings.
 
     In the file, a key is either the role (`joint_states`, `wrench`, ...) or the default topic that is replaced
     (`/joint_states`, `/force_torque/wrench`, `/tracker/mp1`, ...).
@@ -274,11 +298,20 @@ class Cell(Strict):
     topics: Topics = Field(default_factory=Topics)
     measurements: Measurements = Field(default_factory=Measurements)
     safety: Safety | None = None
+    surroundings: Surroundings = Field(default_factory=Surroundings)
     boxes: tuple[Box, ...] = ()
     end_effector: EndEffector | None = None
     certificate: Certificate = Field(default_factory=Certificate)
     path: Path = Path("cell.yaml")
     sha256: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        tool = self.end_effector
+        if tool is not None and tool.mass >= self.robot.rated_load:
+            expected = f"less than robot.rated_load, {self.robot.rated_load:g} kg"
+            raise field_error("end_effector.mass", f"{tool.mass:g} kg", expected)
+        return self
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -290,6 +323,14 @@ class Cell(Strict):
         """(3,) m/s^2, base axes."""
         return np.array(self.robot.gravity)
 
+    @property
+    def floor(self) -> float | None:
+        """Height of the floor over the base frame's origin, against gravity, m; None: no floor."""
+        stated = self.surroundings.floor
+        if stated == "none":
+            return None
+        return -float(stated) if self.gravity[2] > 0.0 else float(stated)
+
     @functools.cached_property
     def prismatic(self) -> tuple[bool, ...]:
         """Per joint, whether it slides; as the URDF says, or `robot.joint_types`, else all turn.
@@ -300,13 +341,18 @@ class Cell(Strict):
         robot, path = self.robot, self.urdf_path
         if path is None:
             return tuple(kind == "prismatic" for kind in robot.joint_types or ("revolute",) * len(robot.joints))
-        kinds = urdf_joint_types(path, robot.joints if robot.joint_limits is not None else ())
+        kinds = urdf_joint_types(path)
         return tuple(kinds.get(name) == "prismatic" for name in robot.joints)
 
     @property
     def urdf_path(self) -> Path | None:
         """The URDF, resolved relative to the cell file."""
         return None if self.robot.urdf is None else (self.path.parent / self.robot.urdf).resolve()
+
+    @property
+    def tool_weight(self) -> NDArray[np.float64]:
+        """(3,) N, base axes: what tool and sensor pull besides the load; zero where their mass is not stated."""
+        return np.asarray((0.0 if self.end_effector is None else self.end_effector.mass) * self.gravity)
 
     def missing(self, place: str, purpose: str) -> CellError:
         """Return the error for an optional field that this recording makes necessary.
@@ -318,11 +364,12 @@ class Cell(Strict):
         return CellError(self.path, place, "nothing", f"a value, needed for {purpose}")
 
 
-def load_cell(path: str | Path) -> Cell:
+def load_cell(path: str | Path, *, live: bool = False) -> Cell:
     """Read and validate a cell file.
 
     Args:
         path: The file, YAML; its values are m, rad, N, N*m, kg and degrees Celsius.
+        live: Whether the robot is moved with it: `robot.joint_coupling`, which is for recordings, is refused.
 
     Raises:
         CellError: The file is missing, not YAML, or a field is missing, unknown, of wrong length or not finite; it
@@ -333,6 +380,8 @@ def load_cell(path: str | Path) -> Cell:
     given: object = path
     if not isinstance(given, str | os.PathLike) or not str(given):
         raise CellError("load_cell", "path", quoted(given), "the path of a cell file")
+    if not isinstance(live, bool):
+        raise CellError("load_cell", "live", quoted(live), "true or false")
     path = Path(path)
     file = read_yaml(path, MAX_BYTES, "cell file (YAML)", CellError)
     if not isinstance(file.data, dict):
@@ -344,9 +393,14 @@ def load_cell(path: str | Path) -> Cell:
         if "schema" in file.data:  # which models, plans and populations have, and no cell file
             raise CellError(path, "schema", "a model, plan or other result", f"a cell file, its keys {_choices(Cell)}")
     try:
-        return Cell.model_validate({**file.data, "path": path, "sha256": hashlib.sha256(file.raw).hexdigest()})
+        cell = Cell.model_validate({**file.data, "path": path, "sha256": hashlib.sha256(file.raw).hexdigest()})
     except ValidationError as error:
         raise _all_faults(file, error) from None
+    if live and cell.robot.joint_coupling:
+        expected = "no coupling where a robot moves: its driver's angles are those of the robot file"
+        with file.locating():
+            raise CellError(path, "robot.joint_coupling", "a coupling", expected)
+    return cell
 
 
 def _all_faults(file: YamlFile, error: ValidationError) -> CellError:

@@ -22,9 +22,11 @@ def robot_sha256(cell: Cell) -> str:
         CellError: The URDF cannot be read.
     """
     robot = cell.robot
-    content = {key: value for key, value in robot.model_dump(mode="python").items() if key not in BELIEFS}
+    content = robot.model_dump(mode="python", exclude={*BELIEFS, "joint_coupling"})
+    if robot.joint_coupling:  # a robot without one keeps the digest that it had before there were any
+        content["joint_coupling"] = {name: dict(others) for name, others in robot.joint_coupling.items()}
     content["rigid"] = [stiffness == math.inf for stiffness in robot.stiffness or ()]
     digest = hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode())
     if cell.urdf_path is not None:
-        digest.update(urdf_bytes(cell.urdf_path, robot.joints if robot.joint_limits is not None else ()))
+        digest.update(urdf_bytes(cell.urdf_path))
     return digest.hexdigest()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration_core.cell import Cell
-from calibration_core.cell.urdf import urdf_travels
+from calibration_core.cell.urdf import urdf_limits
 
 
 def farthest(cell: Cell) -> NDArray[np.float64]:
@@ -22,8 +22,9 @@ def farthest(cell: Cell) -> NDArray[np.float64]:
     if robot.joint_limits is not None:
         limits = dict(zip(robot.joints, robot.joint_limits, strict=True))
     else:
-        limits = urdf_travels(path) if path is not None and any(slides) else {}
+        sliding = [name for name, one in zip(robot.joints, slides, strict=True) if one]
+        limits = urdf_limits(path, sliding) if path is not None and sliding else {}
     return np.array([
-        max(map(abs, limits.get(name, (np.inf,)))) if sliding else np.nan
-        for name, sliding in zip(robot.joints, slides, strict=True)
+        max(map(abs, limits.get(name, (np.inf,)))) if one else np.nan
+        for name, one in zip(robot.joints, slides, strict=True)
     ])  # fmt: skip

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import cast
 from xml.etree import ElementTree as ET
@@ -25,6 +25,8 @@ MAX_ELEMENTS = 50_000
 MAX_LINKS = 300  # a robot with tool, cables and cell has a few dozen; a chain of thousands stops the solvers
 MAX_DEPTH = 32
 MOST_RADIANS = 4 * math.pi * 1.001  # two turns either way; more is what degrees look like
+UNLIMITED = 3600.0  # ten turns in degrees; a larger limit, such as 999999 or inf, is none: the joint turns endlessly
+WORLD = "world"  # the frame that Drake and Gazebo let a URDF hang on without a link of that name
 RADIANS = "radians, at most two turns (12.57) either way: are these degrees? Divide by 57.29578"
 FORBIDDEN = re.compile(rb"<!\s*(DOCTYPE|ENTITY|ELEMENT|ATTLIST|NOTATION)", re.IGNORECASE)
 ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([^\"']*)[\"']", re.IGNORECASE)
@@ -37,12 +39,16 @@ COUNT = {"xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3)}  # all others 
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 
-def urdf_bytes(path: Path, own_limits: tuple[str, ...] = ()) -> bytes:
+XACRO = re.compile(rb"<xacro:\w+")
+COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+
+
+def urdf_bytes(path: Path, limited: Collection[str] = ()) -> bytes:
     """Return the content of a URDF that can be read without harm.
 
     Args:
         path: The file.
-        own_limits: Joints whose limits the cell file states; those of the URDF are not looked at.
+        limited: Joints whose limits are needed; a gripper's, or those that the cell file states, are not looked at.
 
     Raises:
         CellError: The file cannot be used; file, place, what was found and what was expected.
@@ -55,26 +61,42 @@ def urdf_bytes(path: Path, own_limits: tuple[str, ...] = ()) -> bytes:
     named = ENCODING.match(raw)
     if named is not None and named.group(1).lower() not in {b"utf-8", b"us-ascii", b"ascii"}:
         raise CellError(path, "line 1", f"encoding {quoted(named.group(1).decode())}", "UTF-8")
+    macro = XACRO.search(COMMENT.sub(lambda text: b"\n" * text.group().count(b"\n"), raw))
+    if macro is not None:
+        text = f"{quoted(macro.group().decode() + '>')}, an element of xacro"
+        raise CellError(path, "", text, "a URDF; this makes one: xacro FILE > robot.urdf")
     forbidden = FORBIDDEN.search(raw)
     if forbidden is not None:
         line = raw.count(b"\n", 0, forbidden.start()) + 1
         raise CellError(path, f"line {line}", quoted(forbidden.group().decode()), "a URDF without document type")
-    _check(path, _tree(path, raw), frozenset(own_limits))
+    root = _tree(path, raw)
+    if any(parent.get("link") == WORLD for parent in root.iterfind("joint/parent")) and not any(
+        link.get("name") == WORLD for link in root.iterfind("link")
+    ):
+        head, end, tail = raw.rpartition(b"</robot")
+        raw = b"".join((head, f'<link name="{WORLD}"/>'.encode(), end, tail))
+        root = _tree(path, raw)
+    _check(path, root, limited)
     return raw
 
 
-def urdf_joint_types(path: Path, own_limits: tuple[str, ...] = ()) -> dict[str, str]:
-    """Return the types of a URDF's joints by their names; arguments and errors as `urdf_bytes`."""
-    root = ET.fromstring(urdf_bytes(path, own_limits))
+def endless(kind: str, low: float, high: float) -> bool:
+    """Tell whether a joint of a type and with these limits turns without end."""
+    return kind == "continuous" or (kind == "revolute" and max(abs(low), abs(high)) > UNLIMITED)
+
+
+def urdf_joint_types(path: Path) -> dict[str, str]:
+    """Return the types of a URDF's joints by their names; errors as `urdf_bytes`."""
+    root = ET.fromstring(urdf_bytes(path))
     return {str(joint.get("name")): str(joint.get("type")) for joint in root.findall("joint")}
 
 
-def urdf_travels(path: Path) -> dict[str, tuple[float, float]]:
-    """Return the limits, m, of a URDF's joints that slide and drive themselves, by their names; errors as above."""
+def urdf_limits(path: Path, joints: Collection[str]) -> dict[str, tuple[float, float]]:
+    """Return the limits, rad or m, that a URDF states of some joints, by their names; errors as `urdf_bytes`."""
     return {
-        str(joint.get("name")): (float(str(limit.get("lower"))), float(str(limit.get("upper"))))
-        for joint in ET.fromstring(urdf_bytes(path)).findall("joint")
-        if joint.get("type") == "prismatic" and joint.find("mimic") is None
+        str(joint.get("name")): (float(limit.get("lower", "nan")), float(limit.get("upper", "nan")))
+        for joint in ET.fromstring(urdf_bytes(path, joints)).findall("joint")
+        if joint.get("name") in joints
         for limit in joint.findall("limit")[:1]
     }
 
@@ -102,12 +124,10 @@ def _tree(path: Path, raw: bytes) -> ET.Element:
         raise CellError(path, "", "an empty file", "a URDF")
     if root.tag != "robot":
         raise CellError(path, "", quoted(f"<{root.tag}>"), "<robot> as the outermost element")
-    if not root.get("name"):
-        raise CellError(path, "robot", "no name", 'an attribute name="..."')
     return root
 
 
-def _check(path: Path, root: ET.Element, own_limits: frozenset[str]) -> None:
+def _check(path: Path, root: ET.Element, limited: Collection[str]) -> None:
     links, joints = root.findall("link"), root.findall("joint")
     if len(links) > MAX_LINKS or len(joints) > MAX_LINKS:
         found = f"{len(links)} links and {len(joints)} joints"
@@ -134,7 +154,7 @@ def _check(path: Path, root: ET.Element, own_limits: frozenset[str]) -> None:
     for link in links:
         _mass(path, link)
     for joint in joints:
-        if joint.get("name") not in own_limits:
+        if joint.get("name") in limited:
             _limits(path, joint)
 
 
@@ -174,7 +194,7 @@ def _numbers(path: Path, owner: ET.Element) -> None:
             if len(parts) not in wanted:
                 expected = " or ".join(str(count) for count in wanted)
                 raise CellError(path, f"{place}, {key}", quoted(text), f"{expected} number{'s' * (wanted != (1,))}")
-            values = [_number(path, f"{place}, {key}", part) for part in parts]
+            values = [_number(path, f"{place}, {key}", part, open_ended=element.tag == "limit") for part in parts]
             if key == "rpy" and max(map(abs, values)) > TURN:
                 raise CellError(path, f"{place}, {key}", quoted(text), IN_DEGREES)
 
@@ -189,12 +209,12 @@ def _below(owner: ET.Element) -> Iterator[tuple[str, ET.Element]]:
         rest += [(here, child) for child in reversed(element)]
 
 
-def _number(path: Path, place: str, text: str) -> float:
+def _number(path: Path, place: str, text: str, *, open_ended: bool = False) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    if math.isnan(value) or (math.isinf(value) and not open_ended):
         raise CellError(path, place, quoted(text), "a finite number")
     return value
 
@@ -219,7 +239,9 @@ def _limits(path: Path, joint: ET.Element) -> None:
     cure = "; or state robot.joint_limits in the cell file"
     if limit is None or limit.get("lower") is None or limit.get("upper") is None:
         raise CellError(path, place, "no lower and upper", f"both, in {'rad' if kind == 'revolute' else 'm'}{cure}")
-    low, high = (_number(path, place, str(limit.get(key))) for key in ("lower", "upper"))
+    low, high = (float(str(limit.get(key))) for key in ("lower", "upper"))  # numbers, as looked at above
+    if endless(str(kind), low, high):
+        return
     if not low < high:
         raise CellError(path, place, f"[{low:g}, {high:g}]", f"lower < upper{cure}")
     if kind == "revolute" and max(abs(low), abs(high)) > MOST_RADIANS:

@@ -10,11 +10,9 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.model.chain import Chain, pose_matrix
 from calibration_core.model.effects import effects_with
-from calibration_core.model.effects.applied import REFERENCE, restored, side_springs
-from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.side_torques import with_side_torques
+from calibration_core.model.effects.applied import REFERENCE, restored, side_springs, with_side_torques
+from calibration_core.model.effects.candidate import Candidate, Trait
 from calibration_core.model.effects.state import State, state_of
-from calibration_core.model.effects.traits import Trait
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import cross, turned
 from calibration_core.model.parameters import AppliedEffect, ModelParameters

@@ -1,4 +1,4 @@
-"""A task as a table (contract, section 7): target places of the tool, or joint angles, and the process wrench there."""
+"""A task as a table: target places of the tool, or joint angles, and the process wrench there."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ class Task:
         rate: (m, n) rad/s, m/s where a joint slides: rates of the nominal joints; None where the task has none.
         source: What the task is called in messages: the file, or who asks.
         labels: Where each row stands there; empty: by its number.
+        load_source: Who states one wrench for all rows; empty: each row its own.
         remarks: What of the file was not used, in sentences.
     """
 
@@ -56,6 +57,7 @@ class Task:
     rate: Float2D | None = None
     source: str | Path = "task"
     labels: tuple[str, ...] = ()
+    load_source: str = ""
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -69,7 +71,7 @@ class Task:
         """Return the number of rows."""
         return len(self.wrench)
 
-    def with_wrench(self, wrench: Sequence[float]) -> Task:
+    def with_wrench(self, wrench: Sequence[float], source: str = "") -> Task:
         """Return the task under one wrench for all rows, (6,) N and N*m, with a remark where its own were others."""
         load = np.tile(np.asarray(wrench, dtype=float), (len(self), 1))
         others = int(np.any(load != self.wrench, axis=1).sum()) if WRENCH[0] in self.header else 0
@@ -78,10 +80,13 @@ class Task:
             f"The wrenches of {self.source} (columns fx ... tz) were not used in {others} of {len(self)} rows: the one "
             f"that was given for all rows, {numbers}, holds."
         )
-        return dataclasses.replace(self, wrench=load, remarks=(*self.remarks, *([remark] if others else [])))
+        remarks = (*self.remarks, *([remark] if others else []))
+        return dataclasses.replace(self, wrench=load, load_source=source, remarks=remarks)
 
-    def fault(self, row: int, found: str, expected: str) -> TaskError:
-        """Return the error for a row, counted from 0, that cannot be used."""
+    def fault(self, row: int, found: str, expected: str, *, of_load: bool = False) -> TaskError:
+        """Return the error for a row, counted from 0, that cannot be used, or for its load."""
+        if of_load and self.load_source:
+            return TaskError(self.load_source, "", found, expected)
         place = self.labels[row] if self.labels else f"row {row + 1}"
         return TaskError(self.source, place, found, expected)
 

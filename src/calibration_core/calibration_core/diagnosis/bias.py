@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.result.estimate import Identification, JointStiffness
-from calibration_core.identification.result.stiffness_interval import TWO_SIDED, at_least, joint_stiffness
+from calibration_core.identification.result.observability import TWO_SIDED, at_least, joint_stiffness
 
 PROBABILITY = 0.95
 ROUNDING = 1e-12  # of a quantile
@@ -44,11 +44,12 @@ def with_bias(found: Identification, searched: Diagnosis) -> Identification:
         return found
     variances = np.clip(np.diag(covariance), 0.0, None)
     left_out = bool(searched.findings)
-    rows = (
+    rows = [
         _widened(joint, float(value), float(np.sqrt(variance)), beside=left_out)
         for joint, value, variance in zip(found.stiffness, searched.compliance, variances, strict=True)
-    )
-    return dataclasses.replace(found, stiffness=tuple(rows))
+    ]
+    std = {f"compliance.{row.joint}": row.compliance_std for row in rows if row.identifiable}
+    return dataclasses.replace(found, stiffness=tuple(rows), estimate=found.estimate.with_std(std))
 
 
 def _widened(joint: JointStiffness, compliance: float, std: float, *, beside: bool) -> JointStiffness:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -13,18 +13,20 @@ from calibration_core.diagnosis.bias import with_bias
 from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.location import locate
 from calibration_core.diagnosis.proposals.candidates import Offers
-from calibration_core.diagnosis.result.finding import Diagnosis, Rest
+from calibration_core.diagnosis.result.finding import HANDED_OUT, Diagnosis, Rest
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.geometry.named_estimate import with_known_effects
 from calibration_core.identification.identify import with_given
 from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.result.tested import PARTS, PartKind
+from calibration_core.identification.statistics.distributions import beyond_noise
 from calibration_core.identification.stiffness.end_effector import accounted
 from calibration_core.identification.stiffness.known_effects import in_own_set_up, without_effects
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.observations.kinds import holds_single_steps, is_loaded
-from calibration_core.timeseries import Bool1D, Readings
+from calibration_core.timeseries import Bool1D, Float2D, Note, Readings
 
 NO_PHYSICS = Rest(
     0.0,
@@ -35,6 +37,7 @@ NO_PHYSICS = Rest(
 )
 NOT_NOISE = 1.25  # times the noise: a residual of this size in the middle of the readings is none
 MEDIAN = 1.4826  # standard deviation over median size, normal distribution
+EFFICIENCY = 0.37  # of that estimate: as sure as one from so large a share of the numbers (Rousseeuw and Croux 1993)
 
 
 def diagnose(
@@ -71,28 +74,92 @@ def diagnose(
     given = accounted(cell, given) if is_loaded(readings) else given
     given = None if given is None else in_own_set_up(given, readings, cell)
     if simulation is None:
-        return _judged(_with_location(readings, cell, options, test, offers, given, identified))
-    from calibration_core.diagnosis.simulated import compare_checked  # slow to load, and seldom needed
+        return _judged(_with_location(readings, cell, options, test, offers, given, identified), readings)
+    # slow to load, and seldom needed
+    from calibration_core.diagnosis.simulated import compare_checked
+    from calibration_core.diagnosis.waterfall import with_waterfall
 
     compared = [compare_checked(readings, simulation, cell)]
     with mixed_up(compared):
         found = _with_location(readings, cell, options, test, offers, given, identified)
-    return beside(_judged(found), compared)
+    return with_waterfall(beside(_judged(found, readings), compared), readings, cell, test)
 
 
-def _judged(found: Diagnosis) -> Diagnosis:
+def _judged(found: Diagnosis, readings: Readings) -> Diagnosis:
     """Call no model consistent whose residual is not noise, and give Table 2 the bias of what is left out."""
-    found = _not_noise(found)
+    found = _best_predicting(_tested(_not_noise(found), readings))
+    if found.compliance_covariance is not None:
+        variance = np.clip(np.diag(found.compliance_covariance), 0.0, None)
+        joints = found.identification.model.joints
+        known = {f"compliance.{joint}": float(v) ** 0.5 for joint, v in zip(joints, variance, strict=True)}
+        known = {name: std for name, std in known.items() if 0 < std < np.inf}
+        found = dataclasses.replace(found, estimate=found.estimate.with_std(known))
     return dataclasses.replace(found, identification=with_bias(found.identification, found))
+
+
+def _best_predicting(found: Diagnosis) -> Diagnosis:
+    """Hand out the standard's model where nothing was found, unless the extended one predicts blocks left out better.
+
+    Under load the two differ by what is fitted together; at rest the extended one has every stiffness that is stated.
+    """
+    if found.physics:
+        return found
+    better = found.held_out_after < found.identification.fit.held_out_rms_after
+    if found.identification.kind == "absolute" and (better or found.verdict == "consistent"):
+        return found
+    if found.verdict == "consistent":
+        return dataclasses.replace(found, model=None)
+    return _with_standard(found, "nothing was found that predicts configurations left out better")
+
+
+def _with_standard(found: Diagnosis, why: str) -> Diagnosis:
+    """Return the answer with the standard's model as the one that is written for use."""
+    note = Note(HANDED_OUT, "model.yaml", f"it holds the standard's model, not the extended one: {why}")
+    noted = dataclasses.replace(found.identification, notes=(*found.identification.notes, note))
+    return dataclasses.replace(found, identification=noted, model=None)
+
+
+def _tested(found: Diagnosis, readings: Readings) -> Diagnosis:
+    """Let a recording that was not fitted have the last word on verdict and extended model.
+
+    Where any part of it is predicted worse than by the standard's model, that is the one that is handed out; where more
+    than noise is left of what the fitted recording speaks of, the extended model does not explain the robot.
+    """
+    standard = found.identification.test
+    if found.test is None or standard is None:
+        return found
+    loaded, single = is_loaded(readings), holds_single_steps(readings)
+    spoken: Mapping[PartKind, bool] = {"loaded": loaded, "at_rest": single or not loaded}
+    kinds = [kind for kind, there in spoken.items() if there]
+    noise = min(found.noise_known, found.held_out_after)  # an instrument that is better than its claim
+    worse, left = found.test.worse(standard, noise), found.test.beyond(noise, kinds)
+    if worse is None and left is None:
+        return found
+    excess, texts = 0.0, []
+    if worse is not None:
+        one, other = worse
+        figures = f"{1e6 * one.rms:.1f} against {1e6 * other.rms:.1f} µm per coordinate"
+        why = f"the extended model predicts the second recording ({PARTS[one.kind]}) worse, {figures}"
+        found, excess = _with_standard(found, why), float(np.sqrt(one.rms**2 - other.rms**2))
+        texts.append(f"T{why[1:]}.")
+    if left is not None:
+        texts.append(
+            f"Of the second recording, which was not fitted, the model leaves {1e6 * left.rms:.1f} µm per coordinate "
+            f"({PARTS[left.kind]}), the noise is {1e6 * noise:.1f} µm."
+        )
+        excess = float(np.sqrt(left.rms**2 - noise**2))
+    rest = found.rest.also(" ".join(texts), found.rest.where, excess)
+    return dataclasses.replace(found, verdict=rest.verdict(found=bool(found.findings)), rest=rest)
 
 
 def _not_noise(found: Diagnosis) -> Diagnosis:
     """Call a residual that is more than noise unexplained; compliances are then as much more uncertain."""
-    residual = found.residual[_of_firm_targets(found)]
+    residual, freedom = _beside_offsets(found)
+    residual = residual[_of_firm_targets(found)]
     seen = MEDIAN * float(np.median(np.abs(residual))) if len(residual) else 0.0
-    known = max((a.magnitude for a in found.anomalies if a.kind == "noise_understated"), default=found.noise)
-    noise = max(found.noise, known)
-    if found.verdict != "consistent" or seen <= NOT_NOISE * noise:
+    noise = max(found.noise, found.noise_known)
+    chance = not beyond_noise(seen, EFFICIENCY * freedom, noise)[1]
+    if found.verdict != "consistent" or seen <= NOT_NOISE * noise or chance:
         return found
     excess = float(np.sqrt(seen**2 - noise**2))
     text = (
@@ -106,6 +173,20 @@ def _not_noise(found: Diagnosis) -> Diagnosis:
         rest=Rest(excess, True, {}, text),
         compliance_covariance=None if covariance is None else covariance * (seen / noise) ** 2,
     )
+
+
+def _beside_offsets(found: Diagnosis) -> tuple[Float2D, int]:
+    """Return residuals as large as the noise in them, (m, 3) m, and their number less that of the offsets taken out.
+
+    Differences under load have an offset of their own for every configuration and point; positions have none.
+    """
+    readings, residual = found.identification.readings, found.residual
+    if found.blocks or len(residual) != len(readings):
+        return residual, residual.size
+    keys = np.column_stack([readings.configuration, readings.point])
+    _, group, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    left = 1 - 1 / np.maximum(count, 2)[group.reshape(-1)]
+    return residual / np.sqrt(left)[:, None], 3 * (len(residual) - len(count))
 
 
 def _of_firm_targets(found: Diagnosis) -> Bool1D:

@@ -19,13 +19,9 @@ from calibration_core.diagnosis.data_checks.outlier_readings import (
     readings_to_use,
     whole_steps,
 )
-from calibration_core.diagnosis.data_checks.step_direction import Jumps, jumps_along_a_joint
-from calibration_core.diagnosis.empirical.law import empirical_law
-from calibration_core.diagnosis.empirical.open_law import with_open_laws
-from calibration_core.diagnosis.empirical.wording import law_findings, law_sentence
+from calibration_core.diagnosis.empirical.law import empirical_law, law_findings, law_sentence, with_open_laws
 from calibration_core.diagnosis.evidence.aliases import aliases
 from calibration_core.diagnosis.evidence.alternatives import with_alternatives
-from calibration_core.diagnosis.evidence.block_scatter import scattered_covariance
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import (
     ExtendedLoadedModel,
@@ -35,16 +31,24 @@ from calibration_core.diagnosis.evidence.extended import (
     extended_model,
     loaded_state,
 )
-from calibration_core.diagnosis.evidence.left_out_errors import held_out_lengths
-from calibration_core.diagnosis.evidence.residual import held_out_error, weighted_rest, what_remains
+from calibration_core.diagnosis.evidence.residual import (
+    Jumps,
+    held_out_error,
+    held_out_lengths,
+    held_out_ratio,
+    jumps_along_a_joint,
+    scattered_covariance,
+    weighted_rest,
+    what_remains,
+)
 from calibration_core.diagnosis.evidence.selection import LoadedSelection, select
-from calibration_core.diagnosis.findings.loaded import findings_of
-from calibration_core.diagnosis.findings.registration import registration_findings
-from calibration_core.diagnosis.findings.rejected_candidates import (
+from calibration_core.diagnosis.findings.loaded import (
     RejectedCandidate,
+    findings_of,
     rejected_candidates,
     rejection_sentence,
 )
+from calibration_core.diagnosis.findings.registration import registration
 from calibration_core.diagnosis.model_estimate import loaded_estimate
 from calibration_core.diagnosis.proposals.candidates import Offers
 from calibration_core.diagnosis.proposals.choose import NONE_ASKED, choose
@@ -52,6 +56,7 @@ from calibration_core.diagnosis.proposals.loaded import LoadedKnowledge
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest, by_size
 from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.result.estimate import Anomaly, Identification
+from calibration_core.identification.result.tested import MISFIT
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
 from calibration_core.identification.statistics.sizes import rms
 from calibration_core.identification.stiffness.loaded import (
@@ -64,8 +69,8 @@ from calibration_core.identification.stiffness.loaded import (
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects import candidates, effects_with
-from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.traits import Trait
+from calibration_core.model.effects.candidate import Candidate, Trait
+from calibration_core.observations.covariance import coordinate_std
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
 ROUNDS = 3
@@ -114,6 +119,7 @@ def diagnose_loaded(
             else "The residual is no larger than noise, but it follows something, which noise does not."
         )
         rest = dataclasses.replace(rest, significant=True, text=f"{size} {sentences}")
+    rest = _with_left_out(rest, attempt)
     rest = _with_whole_steps(rest, extended, checked)
     law = empirical_law(extended) if rest.significant else None
     jumps = _jumps(prepared, extended, seen)
@@ -122,8 +128,9 @@ def diagnose_loaded(
     findings = findings_of(extended, selection, identification, readings)
     if not {anomaly.kind for anomaly in checked.anomalies} & FRAMES_SPOILED:
         frames = _frames_beside(prepared, extended, cell)
-        registered = registration_findings(prepared, extended.state, readings, frames)
+        registered, notes = registration(prepared, extended.state, readings, frames, cell.frames.sigma_points)
         findings = by_size((*findings, *registered))
+        identification = dataclasses.replace(identification, notes=(*identification.notes, *notes))
     verdict = rest.verdict(found=bool(findings))
     if law is not None:
         fitted = law_findings(law, prepared.problem.chain.joints, prepared.problem.readings)
@@ -132,7 +139,7 @@ def diagnose_loaded(
     extended = with_open_laws(extended, selection, law)
     unit = identification.noise.claimed * seen.total  # of one whitened row
     joints = prepared.problem.chain.joints
-    model = extended_model(prepared.parameters, extended)
+    model = extended_model(prepared.parameters, extended) if extended.accepted else None
     proposals = NONE_ASKED
     if offers is not None:
         known = LoadedKnowledge(extended, selection, offers, cell, seen, prepared.frames)
@@ -161,9 +168,11 @@ def diagnose_loaded(
         shift=extended.shift,
         compliance=extended.compliance,
         compliance_covariance=scattered_covariance(extended) if rest.significant else extended.compliance_covariance,
-        test=None if test is None else tested_on(test, cell, model, prepared.parameters, with_frames=False),
+        test=None
+        if test is None
+        else tested_on(test, cell, model or prepared.parameters, prepared.parameters, with_frames=False),
         model=model,
-        estimate=loaded_estimate(extended, identification, model, cell),
+        estimate=identification.estimate if model is None else loaded_estimate(extended, identification, model, cell),
         aliases=aliases(extended.state, differences=True),
         further_figures=_held_out_lengths(extended, cell),
     )
@@ -179,6 +188,18 @@ def _frames_beside(prepared: PreparedLoaded, extended: ExtendedLoadedModel, cell
     several = ((extended.design.candidates[k], extended.values_of(k)[0]) for k in extended.accepted)
     moved = sum((one.columns(extended.state) @ value for one, value in several), np.zeros((extended.state.m, 3)))
     return refitted_frames(prepared, cell, extended.compliance, moved, extended.used)
+
+
+def _with_left_out(rest: Rest, attempt: Attempt) -> Rest:
+    """Say of configurations left out that the model predicts them worse than noise and usual errors would have it."""
+    seen, noise = attempt.seen, attempt.rows.noise
+    ratio = held_out_ratio(attempt.extended.design, attempt.selection.accepted)
+    times = ratio if seen.freedom else ratio * seen.total  # what a model leaves is no noise
+    if rest.significant or times <= MISFIT:
+        return rest
+    size = coordinate_std(noise) * (1.0 if seen.freedom else 1 / seen.total)
+    text = f"Configurations left out are predicted {times:.2f} times as badly as noise explains."
+    return rest.also(text, rest.where, size * float(np.sqrt(times**2 - 1)))
 
 
 def _with_whole_steps(rest: Rest, extended: ExtendedLoadedModel, checked: Checked) -> Rest:

@@ -19,7 +19,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import load_torque
-from calibration_core.observations.load_levels import levels_of
+from calibration_core.observations.kinds import levels_of
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 PERMUTATIONS = 400
@@ -28,6 +28,7 @@ MOST = 1500  # configurations that are looked at, evenly taken
 FEWEST = 6  # configurations
 UNLOADED = 0.02
 AS_WELL = 0.03  # share by which a joint may explain less than the best and still be said to do as well
+MAIN, MAIN_TILT = 0.5, 0.75  # shares that make a pattern the main one; turns about any axis explain a third of noise
 STAYS = 0.25  # share of the full load's residual that stays without load, beyond which no law of the load is read
 
 
@@ -70,7 +71,7 @@ class Level:
     along: float
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Located:
     """What can be said without a hypothesis.
 
@@ -95,6 +96,23 @@ class Located:
     memory: float
     memory_chance: float
     sentences: tuple[str, ...]
+
+    @property
+    def strongest(self) -> str:
+        """The strongest pattern in one sentence; empty where none is more than chance."""
+        found = [
+            (one.share, f"follows {one.on}") for one in self.dependences if one.chance < CERTAIN and one.share > MAIN
+        ]
+        own = max(self.shares, key=lambda one: one.own_axis, default=None)
+        if own is not None and own.own_axis > MAIN:
+            found.append((own.own_axis, f"is a turn about the axis of {own.joint}"))
+        alike = [one for one in self.shares if one.any_axis > self.shares[0].any_axis - AS_WELL]
+        if not found and len(alike) == 1 and alike[0].any_axis > MAIN_TILT:
+            found.append((alike[0].any_axis, f"is a tilt at {alike[0].joint}, not about its axis alone"))
+        if not found:
+            return ""
+        share, words = max(found)
+        return f"Where: {100 * share:.0f} % of the difference {words}."
 
 
 def locate(readings: Readings, residual: Float2D, cell: Cell, model: ModelParameters) -> Located | None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.data_checks.adequacy import what_remains
+from calibration_core.diagnosis.data_checks.adequacy import shift_anomalies, what_remains
 from calibration_core.diagnosis.data_checks.loaded_anomalies import (
     Checked,
     check_each,
@@ -16,8 +16,7 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
     outlier_readings,
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter
-from calibration_core.diagnosis.data_checks.shift_anomalies import shift_anomalies
-from calibration_core.diagnosis.empirical.open_law import with_open_joints
+from calibration_core.diagnosis.empirical.law import with_open_joints
 from calibration_core.diagnosis.evidence.aliases import aliases
 from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.diagnosis.findings.geometry import geometry_findings
@@ -136,7 +135,7 @@ def diagnosis_of(
     return Diagnosis(
         verdict=rest.verdict(found=bool(findings)),
         findings=findings,
-        anomalies=(*identification.anomalies, *anomalies, *shift_anomalies(found, readings)),
+        anomalies=(*_beside_findings(identification, rest, physics), *anomalies, *shift_anomalies(found, readings)),
         rest=rest,
         next_measurements=proposals.measurements,
         next_text=proposals.text,
@@ -160,6 +159,12 @@ def diagnosis_of(
         model=model,
         estimate=positions_estimate(extended, model, effects, cell),
     )
+
+
+def _beside_findings(null: Identification, rest: Rest, physics: Sequence[int]) -> tuple[Anomaly, ...]:
+    """Return what the null model says of the data, without noise that its misfit alone shows and physics explains."""
+    explained = physics and not rest.significant and null.noise.seen_without_model is None
+    return tuple(one for one in null.anomalies if not (explained and one.kind == "noise_understated"))
 
 
 def _effects(extended: Extended, physics: Sequence[int]) -> tuple[int, ...]:

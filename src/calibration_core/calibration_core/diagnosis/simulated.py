@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.comparison.recordings import compare
+from calibration_core.diagnosis.comparison.recordings import compare, put_right, with_loads
 from calibration_core.diagnosis.comparison.result import Comparison, Difference, OwnFaults
 from calibration_core.diagnosis.data_checks.loaded_anomalies import (
     find_shifts,
@@ -20,9 +21,8 @@ from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.estimation.rows import state_at
 from calibration_core.identification.absolute.evaluate import evaluate_absolute, identification_of
-from calibration_core.identification.checks.noise_audit import MODEL_FREE
 from calibration_core.identification.geometry.problem import absolute_problem, start_parameters
-from calibration_core.identification.result.estimate import Anomaly, Identification, NoiseAudit
+from calibration_core.identification.result.estimate import MODEL_FREE, Anomaly, Identification, NoiseAudit
 from calibration_core.identification.stiffness.loaded import (
     MIN_CONFIGURATIONS,
     Options,
@@ -40,6 +40,7 @@ NOT_COMPARED = {
     "target_moved": " The readings of this target are not compared.",
     "tracker_moved": " The configurations before or after it, whichever are fewer, are not compared.",
 }
+AS_RIGHT = "It is read as if this were put right."
 WILD, NEARLY_ALL = 6.0, 0.95  # times what nearly all readings have: no physics does that to single ones
 
 
@@ -53,12 +54,21 @@ def compare_checked(recorded: Readings, simulated: Readings, cell: Cell) -> Comp
         simulated: What a simulation says of the same measurement.
         cell: The cell file, by which both are read.
     """
-    found = compare(recorded, simulated, cell)
+    simulated, described = with_loads(recorded, simulated, cell)
+    found = compare(recorded, simulated, cell, described=described)
+    wrong = [one for one in found.differences if one.spoils]
+    if wrong and all(one.side == "simulation" for one in wrong):
+        right = put_right(recorded, simulated, cell, wrong)
+        if right is not None:
+            described += tuple(dataclasses.replace(d, text=f"{d.sentence} {AS_RIGHT}", spoils=False) for d in wrong)
+            again = compare(recorded, right, cell, described=described)
+            if not any(one.spoils for one in again.differences):
+                simulated, found = right, again
     mixed_up = any(d.spoils and (d.kind != "wrong_robot_file" or "joint" in d.location) for d in found.differences)
     if mixed_up or not found.readings:
         return found
     own = own_faults(simulated, cell)
-    return found if own.nothing else compare(recorded, simulated, cell, own)
+    return found if own.nothing else compare(recorded, simulated, cell, own, described)
 
 
 def own_faults(simulated: Readings, cell: Cell) -> OwnFaults:

@@ -22,7 +22,7 @@ PATIENCE = 60.0  # s until a worker has to be there
 CONNECT = 10.0  # s until a scheduler has to answer
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), 1)
 ADDRESS = re.compile(r"(tcp|tls|ucx|ws|wss)://[^/\s]+:\d{1,5}")
-INSTALL = "pip install 'calibration_core[fleet]'"
+INSTALL = "make setup-fleet in the checkout, or pip install './src/calibration_core[fleet]' there"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,4 +157,5 @@ def dashboard_of(client: Any, address: str) -> str:
 
 def default_jobs() -> int:
     """Return the number of cores that this process may use."""
-    return max(1, len(os.sched_getaffinity(0)))
+    affinity = getattr(os, "sched_getaffinity", None)  # which macOS does not have
+    return os.cpu_count() or 1 if affinity is None else max(1, len(affinity(0)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import datetime as dt
 import difflib
 import math
 import re
@@ -13,18 +14,40 @@ from typing import Any, NoReturn
 from calibration_core.errors import InputError
 
 
+class _Help(argparse.HelpFormatter):
+    """States every default, and an example as it is typed."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text = action.help or ""
+        stated = "default" in text or action.nargs == 0 or action.default in (None, "", [], argparse.SUPPRESS)
+        return text if stated else f"{text} (default %(default)s)"
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return text if text.startswith(EXAMPLE) else super()._fill_text(text, width, indent)
+
+
+EXAMPLE = "example:"
+
+
 class OneLineParser(argparse.ArgumentParser):
     """Says in one line what is wrong with the arguments; a command's own parser answers for its arguments."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         """Take the arguments of `argparse.ArgumentParser`; an option that holds one value may stand once."""
-        super().__init__(*args, **kwargs)
+        super().__init__(*args, **{"formatter_class": _Help, **kwargs})
+        self._negative_number_matcher = re.compile(r"-[\d.]")  # "-0.1,0.3" is a value, too
         self.register("action", None, _StoreOnce)
         self.register("action", "store", _StoreOnce)
 
     def error(self, message: str) -> NoReturn:
         """End the process with exit code 2 and one line on stderr."""
         self.exit(2, f"{_fault(self.prog, message)}\n")
+
+    def _get_nargs_pattern(self, action: argparse.Action) -> str:
+        """Take as many values as an option wants, and no other option for one, as Python 3.13 does."""
+        if action.option_strings and isinstance(action.nargs, int):
+            return f"({'A' * action.nargs})"
+        return str(super()._get_nargs_pattern(action))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse as usual, but refuse what is not known here, where `--help` lists what is."""
@@ -35,6 +58,11 @@ class OneLineParser(argparse.ArgumentParser):
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return options, unknown
+
+
+def group(parser: argparse.ArgumentParser, title: str) -> argparse._ArgumentGroup:
+    """Return the group of options that the help lists under a title."""
+    return next((one for one in parser._action_groups if one.title == title), None) or parser.add_argument_group(title)
 
 
 class _StoreOnce(argparse._StoreAction):
@@ -73,18 +101,12 @@ def _fault(program: str, message: str) -> InputError:
         found = f"'{unknown.group(1)}'"
     elif ", expected " in text:  # by a type or an action of this module
         found, _, expected = text.partition(", expected ")
-    else:
-        found = _with_suggestion(text)
+    elif choice := re.fullmatch(r"invalid choice: (.*) \(choose from (.*)\)", text, re.DOTALL):
+        names = re.findall(r"[\w-]+", choice.group(2))  # Python 3.12 and later quote none of them
+        near = difflib.get_close_matches(choice.group(1).strip("'"), names, n=1)
+        found = choice.group(1) + (f" (did you mean {near[0]}?)" if near else "")
+        expected = f"one of {', '.join(names)}"
     return InputError(program, place, found, f"{expected} as in {program} --help")
-
-
-def _with_suggestion(message: str) -> str:
-    """Add the nearest choice to what argparse says of a wrong one."""
-    wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
-    if wrong is None:
-        return message
-    near = difflib.get_close_matches(wrong.group(1), re.findall(r"[\w-]+", wrong.group(2)), n=1)
-    return f"{message}: did you mean {near[0]}?" if near else message
 
 
 def stated_options(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> frozenset[str]:
@@ -155,6 +177,19 @@ def path(text: str) -> Path:
         msg = "an empty name, expected a path"
         raise argparse.ArgumentTypeError(msg)
     return Path(text)
+
+
+def day(text: str) -> str:
+    """Return a day as it is written in ISO 8601.
+
+    Raises:
+        argparse.ArgumentTypeError: It is none.
+    """
+    try:
+        return dt.date.fromisoformat(text).isoformat()
+    except ValueError:
+        msg = f"{text!r}, expected a day, for example 2026-05-31"
+        raise argparse.ArgumentTypeError(msg) from None
 
 
 def whole(least: int) -> Callable[[str], int]:

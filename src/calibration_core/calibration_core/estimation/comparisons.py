@@ -54,8 +54,8 @@ class Demands:
     narrow: int
 
 
-POSITIONS = Demands(least=CHANCE, first=20.0, further=20.0, draws=60, levels=NONE, by_density=False, narrow=24)
-STEPS = Demands(least=5.0, first=5.0, further=8.0, draws=240, levels=LEVELS, by_density=True, narrow=48)
+POSITIONS: Demands = Demands(least=CHANCE, first=20.0, further=20.0, draws=60, levels=NONE, by_density=False, narrow=24)
+STEPS: Demands = Demands(least=5.0, first=5.0, further=8.0, draws=240, levels=LEVELS, by_density=True, narrow=48)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -23,10 +23,9 @@ from calibration_core.estimation.springs.compensator_geometry import SPRING, one
 from calibration_core.estimation.springs.relief import Relief, Weighed, without_springs
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
-from calibration_core.model.effects.candidate import Candidate, number_of
+from calibration_core.model.effects.candidate import Candidate, Trait, number_of
 from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
 from calibration_core.model.effects.structure.gravity_compensator import OPEN, OPEN_ORDERS
-from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep

@@ -12,28 +12,36 @@ from calibration_core.estimation.alternatives.covariance import with_alternative
 from calibration_core.estimation.blocks import Blocks, posture_blocks, time_blocks
 from calibration_core.estimation.controls import controls
 from calibration_core.estimation.field import Accepted, Field
-from calibration_core.estimation.hypotheses import SAG, Hypothesis, Offered, is_axial, offer, physics
-from calibration_core.estimation.noise.strata import fit_whitening, strata_of
-from calibration_core.estimation.noise.usual import usual_errors
+from calibration_core.estimation.hypotheses import (
+    SAG,
+    Hypothesis,
+    Offered,
+    high_orders,
+    is_axial,
+    offer,
+    physics,
+    typical_sizes,
+)
+from calibration_core.estimation.noise.strata import fit_whitening, strata_of, usual_errors
 from calibration_core.estimation.noise.whitening import Whitening, whiten
-from calibration_core.estimation.outliers import settled
 from calibration_core.estimation.refit import Extended, Part, refit
 from calibration_core.estimation.rows import NullModel, sample, state_at, weighted
 from calibration_core.estimation.search import Search, Selection
 from calibration_core.estimation.shifts import FAMILY, shifts, spacing
 from calibration_core.estimation.springs.compensator_geometry import (
+    IMITATING,
     SPRING,
     fit_compensator_geometry,
     gears_beside_springs,
 )
-from calibration_core.estimation.springs.in_question import spring_in_question
 from calibration_core.identification.absolute.evaluate import Evaluated
 from calibration_core.identification.absolute.prediction_error import compare
 from calibration_core.identification.geometry.problem import absolute_problem
 from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm
+from calibration_core.identification.statistics.distributions import FINEST, chi2_limit
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
-from calibration_core.model.effects.candidate import Candidate, Parameter, number_of
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.applied import Acting
+from calibration_core.model.effects.candidate import Candidate, Parameter, number_of, typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.robot import chain_of
@@ -232,10 +240,10 @@ def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
     null = refit(_rigid(model), whiten(strata_of(model, everything), 0.0, 2.0), (), covariance_blocks)
     if not model.springs and (model.fitted_compliances or not np.any(model.parameters.compliance)):
         model = null.model
-    catalogue = physics(null.model.state, sag=not model.fitted_compliances)
+    catalogue = (*physics(null.model.state, sag=not model.fitted_compliances), *high_orders(model, sample_rows(model)))
     own = {one.key for one in catalogue}
     catalogue = (*(one for one, _ in model.springs if one.key not in own), *catalogue)
-    field, whitening = _field(model, offer((*catalogue, *shifts(readings))))
+    field, whitening = _field(model, offer((*catalogue, *shifts(readings, model.state.chain))))
     control = controls(model, sample_rows(model), whitening, catalogue)
     limit = None if known is None else known.search.limit
     search = Search(field, control, limit=limit)
@@ -254,7 +262,8 @@ def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
         limit = search.limit
         del search  # hundreds of megabytes beside the next one
         field = field.offering(
-            offer((*more, *catalogue, *shifts(readings, fine))), lambda new: _whitened(model, new, whitening)
+            offer((*more, *catalogue, *shifts(readings, model.state.chain, fine))),
+            lambda new: _whitened(model, new, whitening),
         )
         kept = [one for i, one in physical.items() if i in gears or one.location.get("joint") not in helped]
         begin = [_find(field.offered, one) for one in kept]
@@ -369,3 +378,49 @@ def _parts(field: Field, selection: Selection) -> tuple[tuple[Part, ...], dict[i
     order = list(variance)
     parts = tuple(Part(field.offered.candidates[k], float(np.sqrt(variance[k]))) for k in order)
     return parts, {i: tuple(order.index(k) for k in field.offered.hypotheses[i].members) for i in selection.accepted}
+
+
+GROSS = 0.01  # probability that a clean recording has any reading beyond the limit
+MOST_SHARE = 0.05  # of the readings
+
+
+def settled(extended: Extended) -> Bool1D:
+    """Return (m,) which readings are to be used, judged by what the extended model leaves of them."""
+    squares = np.sum(extended.rest.reshape(-1, 3) ** 2, axis=1)
+    used = extended.model.used
+    scale = float(np.median(squares[used])) / chi2_limit(0.5, 3)
+    limit = max(scale, extended.variance, FINEST**2) * chi2_limit(GROSS / len(squares), 3)
+    keep = squares < limit
+    if np.mean(~keep) > MOST_SHARE:
+        return used
+    return np.asarray(keep)
+
+
+ALIKE = 0.75  # share of what all effects of the joint explain, in nats, that a spring must explain alone
+
+
+def spring_in_question(search: Search, selection: Selection) -> Acting:
+    """Return the spring that explains most of what several effects of one joint explain, and its size; else nothing."""
+    hypotheses, candidates = search.field.offered.hypotheses, search.field.offered.candidates
+    at_joint: dict[object, list[int]] = {}
+    for i in selection.accepted:
+        if set(hypotheses[i].location) == {"joint"}:
+            at_joint.setdefault(hypotheses[i].location["joint"], []).append(i)
+    for joint, several in at_joint.items():
+        effects = {hypotheses[i].effect for i in several}
+        if len(effects) < 2 or SPRING in effects or not effects & IMITATING:
+            continue
+        others = tuple(i for i in selection.accepted if i not in several)
+        springs = [
+            i for i in search.judged if hypotheses[i].effect == SPRING and hypotheses[i].location["joint"] == joint
+        ]
+        explained = search.sizes(selection.accepted).value - search.sizes(others).value
+        for index in sorted(springs, key=lambda i: -search.score(others, i)[0]):
+            if search.score(others, index)[0] < ALIKE * explained:
+                break
+            trial = search.trial(others, index)
+            if not search.objection(trial):
+                (member,) = hypotheses[index].members
+                value = trial.posterior((member,))[0] * typical_sizes(candidates[member])
+                return ((candidates[member], np.asarray(value)),)
+    return ()

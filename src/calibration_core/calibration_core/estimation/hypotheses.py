@@ -9,19 +9,20 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from calibration_core.estimation.rows import NullModel
+from calibration_core.estimation.shifts import FAMILY
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.absolute import joint_elasticity, transmission_error
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
-from calibration_core.model.effects.candidate import Candidate, number_of
+from calibration_core.model.effects.candidate import Candidate, Trait, number_of
 from calibration_core.model.effects.recordings import in_each_recording
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.traits import Trait
 from calibration_core.model.effects.words import effect_sentence
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
 WAVE, SAG = transmission_error.EFFECT.name, joint_elasticity.EFFECT.name
 LAW = "joint law"  # family
-SINGLE_ORDERS = 64  # of transmission errors, offered one by one
+SINGLE_ORDERS = 64  # of transmission errors, offered one by one; of higher ones
+STRONGEST = 6  # at each joint are: a gear ratio, its half and double, and what leaks beside the strongest of them
 BANDS = ((1, 4), (1, 8), (1, 16), (1, 32), (33, 64))  # orders of transmissions that share one size
 ALL = "all"
 FEWEST = 3  # joints that make a family
@@ -37,8 +38,8 @@ class Hypothesis:
     """Candidates that share one size.
 
     Attributes:
-        effect: Name of the contract, section 6.
-        family: Family of the contract, section 6.
+        effect: Name in the catalogue of effects.
+        family: Family in the catalogue of effects.
         location: Where; `{"joints": "all"}` for every joint.
         variant: Form of the law.
         members: Indices of its candidates.
@@ -156,11 +157,37 @@ def physics(state: State, *, sag: bool) -> tuple[Candidate, ...]:
     return in_each_recording(tuple(found.values()), state)
 
 
+def high_orders(model: NullModel, rows: Int1D) -> tuple[Candidate, ...]:
+    """Return the transmission errors of more than `SINGLE_ORDERS` cycles a turn that a recording may show.
+
+    A strain-wave gear errs once and twice a turn of its wave generator: 50 to 320 times a turn of the joint.  All that
+    the angles resolve would be thousands of columns: those are offered that take most off the squares that the null
+    model leaves (the periodogram of Lomb 1976 and Scargle 1982, through the null model).
+    """
+    state, found = model.state, list[Candidate]()
+    top = {j: transmission_error.distinguishable_orders(state.q[rows, j]) for j in state.chain.revolute}
+    if max(top.values(), default=0) <= SINGLE_ORDERS:
+        return ()
+    flat, residual = model.flat(rows)
+    basis = np.linalg.qr(flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300))[0]
+    residual = residual - basis @ (basis.T @ residual)
+    for joint, highest in top.items():
+        orders = range(SINGLE_ORDERS + 1, highest + 1)
+        waves = [transmission_error.harmonic(joint, state.chain.joints[joint], k, state.rated_load) for k in orders]
+        columns = model.moves(waves, rows)
+        columns -= basis @ (basis.T @ columns)
+        pairs = columns.reshape(len(residual), -1, 2)  # sine and cosine
+        square, shown = np.einsum("rka,rkb->kab", pairs, pairs), np.einsum("rka,r->ka", pairs, residual)
+        taken = np.einsum("ka,ka->k", shown, np.linalg.solve(square, shown[:, :, None])[:, :, 0])
+        found += [waves[k] for k in np.argsort(-taken)[:STRONGEST]]
+    return tuple(found)
+
+
 def _families(candidates: Sequence[Candidate], blocks: Sequence[slice]) -> Iterable[Hypothesis]:
     laws: dict[tuple[str, str], list[int]] = {}
     waves: dict[str, list[int]] = {}
     for index, candidate in enumerate(candidates):
-        if set(candidate.location) != {"joint"}:
+        if set(candidate.location) != {"joint"} or candidate.family == FAMILY:  # a zero is lost at one joint
             continue
         if candidate.effect == WAVE:
             waves.setdefault(str(candidate.location["joint"]), []).append(index)

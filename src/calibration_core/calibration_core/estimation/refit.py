@@ -26,9 +26,9 @@ from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import Linear, NullModel, unweighted
 from calibration_core.identification.geometry.fit import moved
 from calibration_core.identification.geometry.terms import names_of
+from calibration_core.model.effects.applied import Acting, acting
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.possible import nearest
-from calibration_core.model.effects.side_torques import Acting, acting
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D
 

@@ -1,7 +1,7 @@
-"""A target or the tracker that moved part-way through a recording: hypotheses like all others, but no physics.
+"""A target, the tracker or a joint's zero that moved part-way through a recording: hypotheses, but no physics.
 
-Each is a step at one configuration: of a target in the flange frame, or of the tracker in the base frame (six
-parameters).  What is constant after the change tells which of the two it is.
+Each is a step at one configuration: of a target in the flange frame, of the tracker in the base frame (six parameters),
+or of a joint's angle.  What is constant after the change tells which of them it is.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from calibration_core.model.chain import Chain
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
@@ -23,11 +24,12 @@ EDGE = 3  # configurations at either end that show no change
 AXES = ("x", "y", "z")
 
 
-def shifts(readings: Readings, near: Int1D | None = None) -> tuple[Candidate, ...]:
+def shifts(readings: Readings, chain: Chain, near: Int1D | None = None) -> tuple[Candidate, ...]:
     """Return the steps to be tried: evenly over the configurations, or at the given ones.
 
     Args:
         readings: The recording, in the order of time.
+        chain: The robot.
         near: Positions (index of the first configuration after the change, in the order of time).
     """
     order = in_time(readings.configuration)
@@ -42,6 +44,7 @@ def shifts(readings: Readings, near: Int1D | None = None) -> tuple[Candidate, ..
         after, points = inside & (order >= k), np.unique(readings.point[inside])
         found += [_target(readings.points[p], k, after & (readings.point == p)) for p in points]
         found.append(_tracker(k, after))
+        found += [_zero(j, chain.joints[j], k, after) for j in chain.revolute]
     return tuple(found)
 
 
@@ -77,12 +80,21 @@ def _tracker(position: int, after: Bool1D) -> Candidate:
     return Candidate("tracker_moved", FAMILY, place, _words(position), several, columns, shape=position)
 
 
+def _zero(joint: int, name: str, position: int, after: Bool1D) -> Candidate:
+    columns, parameters = partial(_zero_columns, joint=joint, after=after), (Parameter("offset", "rad", TURNED),)
+    return Candidate("zero_moved", FAMILY, {"joint": name}, _words(position), parameters, columns, shape=position)
+
+
 def _words(position: int) -> str:
     return f"from position {position}"
 
 
 def _target_columns(state: State, after: Bool1D) -> Float3D:
     return stacked(*((axis * after).T for axis in state.at.flange))
+
+
+def _zero_columns(state: State, joint: int, after: Bool1D) -> Float3D:
+    return stacked(state.joint_column(joint, after.astype(float)))
 
 
 def _tracker_columns(state: State, after: Bool1D) -> Float3D:

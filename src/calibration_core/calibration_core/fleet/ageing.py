@@ -58,7 +58,7 @@ class Life:
     known: bool
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class History:
     """A quantity of a robot over its dates.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from calibration_core.fleet.recordings.rows import Row
 from calibration_core.model.effects import effects_with
-from calibration_core.model.effects.traits import Trait
+from calibration_core.model.effects.candidate import Trait
 from calibration_core.model.effects.words import effect_sentence
 
 COMMON = 0.25  # share of a type's robots: an effect of more of them is how the type is, and no damage

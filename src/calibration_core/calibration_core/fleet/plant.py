@@ -24,7 +24,7 @@ LAW_SHOWN = 1e-4  # rad: the share of robots beyond it is stated
 CONSPICUOUS, INCONSPICUOUS, UNKNOWN = "conspicuous", "inconspicuous", "unknown"
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class JointState:
     """One quantity of one robot: raw and pooled side by side.
 

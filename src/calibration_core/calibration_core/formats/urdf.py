@@ -93,9 +93,8 @@ def _of_urdf(robot: ExportedRobot, folder: Path) -> tuple[ET.Element, dict[str, 
     cell = robot.cell
     path = cell.urdf_path
     assert path is not None  # noqa: S101 - asked for only where the cell has a URDF
-    own = cell.robot.joints if cell.robot.joint_limits is not None else ()
     parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
-    root = ET.fromstring(urdf_bytes(path, own), parser)
+    root = ET.fromstring(urdf_bytes(path), parser)
     tree = tree_of(cell)
     elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
     nominal, calibrated = joint_frames(robot.nominal), joint_frames(robot.chain)

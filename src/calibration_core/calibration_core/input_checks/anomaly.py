@@ -1,4 +1,4 @@
-"""An input that is not what it claims to be: which word of the contract, what shows it, and how to put it right."""
+"""An input that is not what it claims to be: of which kind it is, what shows it, and how to put it right."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import dataclasses
 from typing import Any
 
 ROBOT = "robot"
-OF_ROBOT = frozenset({"wrong_robot_file", "joint_order", "no_relation", "angle_unit"})
+OF_ROBOT = frozenset({"wrong_robot_file", "joint_order", "no_relation", "angle_unit", "joint_coupling"})
 
 
 @dataclasses.dataclass(frozen=True)
 class InputAnomaly:
-    """One thing about the input that has to be put right (contract, section 7).
+    """One thing about the input that has to be put right.
 
     Attributes:
-        kind: A word of the contract, e.g. `wrench_sign`.
+        kind: One of the kinds, e.g. `wrench_sign`.
         text: One sentence: what is seen, with the figures as recorded and with the fault put right.
         remedy: What to do, in words.
         magnitude: Share of the motion that the recording as it stands leaves unexplained, or the size of what is wrong.

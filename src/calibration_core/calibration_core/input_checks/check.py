@@ -7,11 +7,10 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.explained import Motion, Reading, centred
-from calibration_core.input_checks.lengths import check_lengths
 from calibration_core.input_checks.loaded import check_loaded
 from calibration_core.input_checks.placed import PositionRecording, check_positions
-from calibration_core.input_checks.units import CellSizes, unit_words
-from calibration_core.model.chain import Chain, pose_matrix
+from calibration_core.input_checks.units import CellSizes, check_lengths, unit_words
+from calibration_core.model.chain import Chain, nearest_rotation, pose_matrix
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.observe import CLAIMS_BASE_AXES
@@ -148,9 +147,9 @@ def _tracker(readings: Readings, cell: Cell, rigid: Float2D) -> Float2D:
     """Return the (3, 3) orientation of the tracker in the base frame: from the points where they tell, else stated."""
     if cell.measurements.points == "absolute":
         a, b = rigid - rigid.mean(axis=0), readings.position - readings.position.mean(axis=0)
-        u, values, vt = np.linalg.svd(a.T @ b)
+        values = np.linalg.svd(a.T @ b, compute_uv=False)
         if values[1] > 1e-3 * values[0]:
-            return np.asarray((u * np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])) @ vt)
+            return nearest_rotation(a.T @ b)
     stated = _stated_axes(cell)
     return np.eye(3) if stated is None else stated
 

@@ -14,13 +14,13 @@ from calibration_core.input_checks.explained import (
     Explanation,
     Motion,
     Reading,
+    centred,
     columns_of,
     fit,
     posture_of,
     without_wild,
 )
-from calibration_core.input_checks.physics import fit_with_physics
-from calibration_core.input_checks.point_orders import other_points
+from calibration_core.input_checks.placed import best_zero, other_points
 from calibration_core.input_checks.tracker_axes import LEAST_TURN, turned_axes
 from calibration_core.input_checks.units import (
     SEEN_BY_PRIOR,
@@ -32,8 +32,10 @@ from calibration_core.input_checks.units import (
     unit_anomaly,
 )
 from calibration_core.input_checks.wrench_axes import other_axes
-from calibration_core.input_checks.zeros import best_zero
-from calibration_core.timeseries import Float1D
+from calibration_core.model.effects.joint_law.hysteresis import stop
+from calibration_core.model.kinematics import cross, dot, linear_jacobian
+from calibration_core.model.statics import Load, load_torque
+from calibration_core.timeseries import Float1D, Float2D
 
 FAR = 0.5  # what is meant leaves less than this share of the rest that stands
 STATED = 0.95  # the same between the ways of reading a wrench that a cell file can state
@@ -49,6 +51,7 @@ BENT = 20.0  # times the claimed noise: loads of which no robot moves less
 BENT_STATED = 5.0  # the same where the cell file states the stiffness
 STANDARD_ACCELERATION = 9.80665  # m/s^2
 OVERSTATED = 0.3  # times the claimed noise
+COMPUTED = 1e-3  # times it: less than the last digit that an instrument shows
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -311,9 +314,60 @@ def _overstated(motion: Motion, stands: Explanation) -> list[InputAnomaly]:
     rms = float(np.sqrt(stands.rest / freedom))
     if rms > OVERSTATED * motion.sigma:
         return []
-    text = (
-        f"joint springs leave {1e6 * rms:.2g} µm per coordinate of readings that claim {1e6 * motion.sigma:.2g} µm of "
-        "noise: these readings are not independent measurements of this, or the claim is too large"
-    )
-    remedy = "use the readings of the instrument, not computed ones; or state its real standard deviation"
+    text, remedy = overstated_words("joint springs leave", rms, motion.sigma)
     return [InputAnomaly("noise_overstated", text, remedy, rms, unit="m")]
+
+
+def overstated_words(what: str, rms: float, claimed: float) -> tuple[str, str]:
+    """Say that readings scatter far less than is claimed, and what to do; no instrument's scatter vanishes."""
+    text = f"{what} {1e6 * rms:.2g} µm per coordinate of readings that claim {1e6 * claimed:.2g} µm of noise: "
+    if rms < COMPUTED * claimed:
+        return f"{text}they are computed, not measured", "use the readings of the instrument"
+    remedy = "state the real standard deviation; or leave more time between readings than the noise lasts"
+    return f"{text}the claim is too large, or readings that follow each other share their noise", remedy
+
+
+RADII = (0.1, 0.4)  # strengths of the elements, of the largest torque of the joint
+
+
+def fit_with_physics(motion: Motion, given: Reading) -> Explanation:
+    """Fit springs, friction and bearings of every joint, none negative, in this order.
+
+    Args:
+        motion: What is explained; the readings of a group stand in the order in which they were taken.
+        given: How the cell file says that the wrench is to be read.
+    """
+    springs = columns_of(motion, posture_of(motion), motion.force, motion.torque, given)
+    return fit(motion, np.column_stack([springs, -_lag(motion, given), _tilt(motion, given)]))
+
+
+def _tilt(motion: Motion, given: Reading) -> Float2D:
+    """Return the (3 m, 2 n) m that the points move per unit compliance about x and y of the frame before each joint.
+
+    That of the first joint is the base, which rocks.
+    """
+    at = posture_of(motion)
+    target = at.point(motion.points[motion.point].T)
+    force, torque, where = Load(motion.force.T, motion.torque.T, given.point, given.rotation).in_base(at)
+    columns = []
+    for origin, axis in ((at.origin[joint], at.before[joint, k]) for joint in range(len(at.origin)) for k in range(2)):
+        moment = dot(axis, torque + cross(where - origin, force))
+        columns.append(centred((cross(axis, target - origin) * moment).T, motion.group).reshape(-1))
+    return np.column_stack(columns)
+
+
+def _lag(motion: Motion, given: Reading) -> Float2D:
+    """Return the (3 m, 2 n) m that the friction of every joint moves the points, per its strength."""
+    at = posture_of(motion)
+    turning = load_torque(at, Load(motion.force.T, motion.torque.T, given.point, given.rotation))
+    lever = linear_jacobian(at, at.point(motion.points[motion.point].T))
+    groups = [np.flatnonzero(motion.group == g) for g in range(int(motion.group.max()) + 1)]
+    columns = []
+    for torque, column in zip(turning, lever, strict=True):
+        largest = float(np.abs(torque).max())
+        for radius in RADII:
+            friction = np.zeros(len(torque))
+            for rows in groups:
+                friction[rows] = stop(torque[None, rows], radius * largest, 0.0)[0]
+            columns.append(centred((column * friction).T, motion.group).reshape(-1) / max(largest, 1e-300))
+    return np.column_stack(columns)

@@ -186,7 +186,7 @@ def deflect(
     Args:
         cell: The cell.
         model: A model file, or the result of `identify` or `diagnose`.
-        task: Joint angles (m, n) or (n,), rad (m where a joint slides), or a file with places (contract, section 7).
+        task: Joint angles (m, n) or (n,), rad (m where a joint slides), or a file with places.
         wrench: (6,) or (m, 6) N and N*m of the environment on the robot, at the wrench point; None: as the file says.
         axes: Axes of the wrench.
         payload: Mass (kg) and centre of gravity (m, flange frame) of what hangs on the flange before the load pulls:
@@ -227,7 +227,7 @@ def compensate(
         cell: The cell.
         model: A model file, or the result of `identify` or `diagnose`.
         task: Joint angles (m, n) or (n,), rad (m where a joint slides): the target is where the nominal robot has its
-            tool there; or a file with places, angles, wrenches, temperatures, times and paths (contract, section 7).
+            tool there; or a file with places, angles, wrenches, temperatures, times and paths.
         wrench: (6,) or (m, 6) N and N*m of the environment on the robot, at the wrench point; None: as the file says.
         axes: Axes of the wrench.
         payload: Mass (kg) and centre of gravity (m, flange frame) of what the robot carries; None: nothing.

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from calibration_core.commands.evaluation.diagnose import Diagnosed, evaluate_all
 from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.library.arguments import checked
@@ -18,6 +19,7 @@ from calibration_core.library.result import Columns, Judged, Picture, columns_of
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.timeseries import Readings
 
+WATERFALL = ("name", "what", "rms", "held_out_rms", "test_rms", "share")
 FINDING = ("effect", "family", "location", "magnitude", "held_out_gain", "log_bayes_factor", "explanation")
 
 
@@ -41,9 +43,10 @@ class DiagnosisResult(Judged):
 
     @property
     def tables(self) -> Mapping[str, Columns]:
-        """`findings` (magnitude in m), `parameters` of the findings, `stiffness`, `anomalies`; SI units."""
+        """`findings` (magnitude in m), their `parameters`, `stiffness`, `anomalies`, `waterfall`; SI units."""
         parameters = [{**vars(one), "effect": f.effect} for f in self.findings for one in f.parameters]
         stiffness = {} if isinstance(self.answer, Refusal) else self.answer.diagnosis.stiffness
+        steps = () if self._compared is None else self._compared.waterfall
         return {
             "findings": columns_of([vars(finding) for finding in self.findings], FINDING),
             "parameters": columns_of(parameters, ("effect", "name", "value", "std", "unit")),
@@ -53,13 +56,24 @@ class DiagnosisResult(Judged):
                 "std": [std for _, std in stiffness.values()],
             },
             "anomalies": columns_of(self._contents["anomalies"], ANOMALY),
+            "waterfall": columns_of([vars(step) for step in steps], WATERFALL),
         }
 
+    @property
+    def _compared(self) -> Comparison | None:
+        compared = () if isinstance(self.answer, Refusal) else self.answer.diagnosis.comparisons
+        return compared[0] if len(compared) == 1 and compared[0].waterfall else None
+
     def plot(self) -> Picture:
-        """Draw the residuals (µm or mm) of every configuration without and with the findings."""
-        from calibration_core.report.figures.diagnosis import before_after_figure
+        """Draw what the steps from a simulation to the noise leave; without one the residuals of the configurations.
+
+        In µm or mm; of the configurations without and with the findings.
+        """
+        from calibration_core.report.figures.diagnosis import before_after_figure, waterfall_figure
         from calibration_core.report.figures.identification import prediction_figure
 
+        if self._compared is not None:
+            return Picture(waterfall_figure(self._compared), "From the simulation to the noise")
         found = self.diagnosis
         null, before = found.identification, found.residual_before
         if before is None or not before.shape == found.residual.shape == null.readings.position.shape:

@@ -11,6 +11,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.cli import parse
+from calibration_core.commands.planning.arguments import LOAD_SHARE
 from calibration_core.commands.planning.plan import Planned, make
 from calibration_core.library.arguments import Seed, checked, differing
 from calibration_core.library.models import HoldsModel, given_model
@@ -82,7 +83,7 @@ def plan(
     criterion: Criterion = "D",
     phases: bool = False,
     load_levels: Sequence[float] | None = None,
-    load_share: float = 1.0,
+    load_share: float = LOAD_SHARE,
     largest_force: float | None = None,
     largest_torque: float | None = None,
     box: Sequence[float] | None = None,
@@ -99,7 +100,7 @@ def plan(
         criterion: Determinant, mean or worst variance, or one of the indices of the standard.
         phases: Plan also what finds base frame, geometry, wrist centre and points before.
         load_levels: Load steps as shares of the full pull, the first 0; None: nine steps up and down.
-        load_share: Full pull as a share of the rated load.
+        load_share: Full pull and end effector as a share of the rated load.
         largest_force: Range of the force sensor, N.
         largest_torque: Range of the torque sensor, N*m.
         box: Operating space: x, y and z in the base frame, lower and upper end of each, six numbers in m.

@@ -78,7 +78,7 @@ class Recording(Tables):
 
     @property
     def tables(self) -> Mapping[str, Columns]:
-        """`measurements`: the columns of the measurement table (contract, section 4), SI units."""
+        """`measurements`: the columns of the measurement table, SI units."""
         r = self.readings
         columns: dict[str, Any] = {"configuration": r.configuration, "step": r.step}
         columns |= {name: getattr(r, name) for name in ("time", "temperature")}
@@ -147,4 +147,5 @@ def load_recording(
     if isinstance(source, str | Path):
         return Recording(observe(Path(source), cell), cell)
     keys: Iterable[Any] = source if isinstance(source, Mapping) else source.columns
-    return Recording(readings_of_columns({str(key): source[key] for key in keys}, cell, name), cell)
+    readings = readings_of_columns({str(key): source[key] for key in keys}, cell, name)
+    return Recording(dataclasses.replace(readings, q=readings.q @ cell.robot.coupling.T), cell)

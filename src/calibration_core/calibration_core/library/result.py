@@ -142,7 +142,7 @@ class Result(Tables):
         return self._content()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content of `result.json`, SI units (contract, section 5)."""
+        """Return the content of `result.json`, SI units."""
         return dict(self._contents)
 
     def save(self, directory: str | Path, *, report: bool = True) -> Path:
@@ -217,7 +217,7 @@ class Judged(ResultWithLight):
 
     @property
     def verdict(self) -> str:
-        """`consistent`, `missing_physics`, `partly_explained` or `unexplained` (contract, section 5)."""
+        """`consistent`, `missing_physics`, `partly_explained` or `unexplained`."""
         return str(self._contents["verdict"])
 
 

@@ -39,7 +39,7 @@ class SimulationResult(Result):
 
     @property
     def tables(self) -> Mapping[str, Columns]:
-        """`measurements`: the columns of the measurement table (contract, section 4), SI units."""
+        """`measurements`: the columns of the measurement table, SI units."""
         return self.recording.tables
 
     @property

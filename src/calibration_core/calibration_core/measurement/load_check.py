@@ -47,16 +47,10 @@ class LoadCheck:
 
     Attributes:
         floor: N, difference of force that never matters.
-
-    Raises:
-        CellError: The cell file does not say where the wrench point is.
     """
 
     def __init__(self, cell: Cell, tolerances: Tolerances) -> None:
         self._cell, self._chain, self._parameters = cell, chain_of(cell), nominal_parameters(cell)
-        if self._parameters.wrench_point is None:
-            raise cell.missing("frames.wrench_point", "holding a load against the plan")
-        self._wrench_point = self._parameters.wrench_point
         self._tolerances, self.floor = tolerances, tolerances.floor(cell)
         sensor = cell.instruments.force_torque
         self._torque_floor = DEVIATIONS * (0.5 if sensor is None else sensor.sigma_torque)
@@ -67,11 +61,18 @@ class LoadCheck:
         return cell.frames.wrench_point is not None and cell.frames.force_torque is not None
 
     def pulls(self, felt: Felt) -> Float1D:
-        """Return what the sensor says, (6,) N and N*m, in base axes and about the wrench point."""
+        """Return what the sensor says, (6,) N and N*m, in base axes and about the wrench point.
+
+        Raises:
+            CellError: The cell file does not say where the wrench point is.
+        """
+        wrench_point = self._parameters.wrench_point
+        if wrench_point is None:
+            raise self._cell.missing("frames.wrench_point", "holding a load against the plan")
         load = recorded_load(felt.wrench[None, :], self._cell, self._parameters)
         at = posture(self._chain, felt.q[None, :])
         force, torque, point = (one[:, 0] for one in load.in_base(at))
-        lever = point - at.point(self._wrench_point)[:, 0]
+        lever = point - at.point(wrench_point)[:, 0]
         return np.concatenate([force, torque + np.cross(lever, force)])
 
     def acting_load(self, felt: Felt, unloaded: Felt) -> Float1D:

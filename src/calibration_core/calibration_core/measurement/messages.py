@@ -57,6 +57,17 @@ class GuardHearing:
 
 
 @dataclasses.dataclass(frozen=True)
+class LoadSensed:
+    """What the sensor says while nothing should pull, before a motion begins.
+
+    `pulls` says what does, or why nobody knows it; empty: nothing pulls.  Nothing moves before it was released.
+    """
+
+    now: float
+    pulls: str
+
+
+@dataclasses.dataclass(frozen=True)
 class Arrived:
     """The robot stands where `Move` sent it, checked against its joint states."""
 
@@ -110,7 +121,8 @@ class ReadingConfirmed:
 class ReadingFailed:
     """No reading could be taken: a target not seen, too few samples, never at rest, not what was planned.
 
-    Where the robot was `moved` from its posture, another try there tells nothing: it has to be sent there again.
+    Where the robot was `moved` from its posture, its brakes were on, or tracker or targets were moved, another try
+    there tells nothing: the configuration begins again, which counts for no failure of it.
     """
 
     now: float
@@ -155,9 +167,10 @@ class Redo:
 
 @dataclasses.dataclass(frozen=True)
 class Stop:
-    """The operator wants an end."""
+    """Somebody wants an end; the reason says who."""
 
     now: float
+    reason: str = "stopped by the operator"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,8 +191,8 @@ class Enough:
 
 Answer = Arrived | Blocked | LoadReached | LoadFailed | Settled | ReadingConfirmed | ReadingFailed
 Event = (
-    Start | Tick | PermissionChanged | GuardHearing | Arrived | Blocked | LoadReached | LoadFailed | Settled
-    | ReadingConfirmed | ReadingFailed | Pause | Resume | ResumeMotion | Redo | Stop | Fault | Enough
+    Start | Tick | PermissionChanged | GuardHearing | LoadSensed | Arrived | Blocked | LoadReached | LoadFailed
+    | Settled | ReadingConfirmed | ReadingFailed | Pause | Resume | ResumeMotion | Redo | Stop | Fault | Enough
 )  # fmt: skip
 
 
@@ -204,7 +217,7 @@ class RequestLoad:
     """Apply `wrench` (6,) N and N*m, base axes, at the wrench point; answered by `LoadReached` or `LoadFailed`.
 
     Attributes:
-        unknown: Another run may have left a load on: nothing is known against which the sensor could be held.
+        unknown: Nobody knows what pulls, or something does that should not: it is released before anything moves.
     """
 
     request: int

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.errors import apart
-from calibration_core.planning.plans.tolerances import Tolerances
+from calibration_core.errors import apart, beyond
+from calibration_core.planning.plans.tolerances import DEFAULT_TOLERANCES, Tolerances
 from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Int1D
 
 SILENCE = 0.5  # s, joint states may be missing within a window, and at most half of it
@@ -56,6 +56,19 @@ def posture_fault(
         if not off[row, joint] <= tolerance:  # what is not finite is elsewhere
             found, wanted = apart(float(stood.q[row, joint]), float(expected[joint]), tolerance, 5)
             return f"{joints[joint]}: found {found} rad, expected {wanted} ± {tolerance:.5f} rad {what}"
+    return ""
+
+
+def movement_fault(stood: Stood, joints: tuple[str, ...]) -> str:
+    """Say that the robot did not stand still, or that nobody knows; empty if it stood."""
+    missing = _missing(stood)
+    if missing:
+        return missing
+    moved = np.ptp(stood.q, axis=0)
+    joint = int(np.argmax(moved))
+    if not moved[joint] <= DEFAULT_TOLERANCES.hold:
+        found = beyond(float(moved[joint]), DEFAULT_TOLERANCES.hold, 4)
+        return f"{joints[joint]} moved by {found} rad meanwhile, expected at most {DEFAULT_TOLERANCES.hold:g} rad"
     return ""
 
 

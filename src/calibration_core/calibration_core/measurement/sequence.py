@@ -2,9 +2,10 @@
 
     move unloaded -> settle -> read -> (load -> settle -> read) for every step -> unload -> next
 
-It moves only while it has the permission and the guard hears that it lives, and only without load.  A motion that lost
-its permission is stopped, and nothing moves again before the operator says so.  What cannot be reached or read is tried
-again a few times, then left out, and a spare takes its place.
+It moves only while it has the permission and the guard hears that it lives, and only without load: neither one of its
+own nor, before every motion, one that the sensor tells of.  A motion that lost its permission is stopped, and nothing
+moves again before the operator says so.  What cannot be reached or read is tried again a few times, then left out, and
+a spare takes its place.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class Sequence:
         completed: Configurations measured in an earlier run of the same session.
         given_up: Configurations given up then.
         visits: Visits to the reference then.
-        loaded: A load may be on, for nobody has seen it released: it is released before anything moves.
+        loaded: A load may be on, for nobody has seen it released: it is released before anything moves, the proof of
+            the stop included.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class Sequence:
         self._given_up_for = ""  # why the present attempt is being given up; it has to be unloaded first
         self._load: Float1D | None = None if loaded else np.zeros(6)  # None: under way, failed, or not known
         self._wanted = np.zeros(6)
+        self._pulls = ""  # what pulls although nothing should
         self._readings: set[int] = set()  # requests for the present reading
         self._request, self._deadline, self._now = 0, math.inf, math.nan
         self._phase: tuple[int, int, Phase] | None = None
@@ -77,6 +80,12 @@ class Sequence:
     def held(self) -> bool:
         """Whether the operator has to resume motion by name, for the permission was lost."""
         return self._held
+
+    @property
+    def about_to_move(self) -> bool:
+        """Whether nothing but permission, operator or standstill is between it and a motion."""
+        waits = self._state in (RunState.READY, RunState.MOVING)
+        return waits and not self._at_item and not self._may_be_loaded
 
     @property
     def position(self) -> tuple[int, int, Phase] | None:
@@ -108,6 +117,8 @@ class Sequence:
                 self._permission(event)
             case m.GuardHearing() if event.hears != self._heard:
                 self._hearing(event)
+            case m.LoadSensed() if event.pulls != self._pulls:
+                self._sensed(event)
             case m.Pause() if not self._paused and self._state is not RunState.IDLE:
                 self._paused, self._asked = True, False
                 self._say(Kind.PAUSED, "")
@@ -119,11 +130,8 @@ class Sequence:
             case m.Enough():
                 self.queue.enough(self._item)
                 self._say(Kind.ENOUGH, event.text)
-            case m.Stop():
-                self._end(Outcome.STOPPED, "stopped by the operator")
-            case m.Fault():
-                self._say(Kind.FAULT, event.reason)
-                self._end(Outcome.FAULT, event.reason)
+            case m.Stop() | m.Fault():
+                self._stopped(event)
             case _ if isinstance(event, m.Answer):
                 self._answer(event)
 
@@ -142,7 +150,7 @@ class Sequence:
                 self._say(Kind.LOAD_APPLIED, f"{np.linalg.norm(self._wanted[:3]):.0f} N")
                 self._advance()
             case m.LoadReached(), RunState.UNLOADING:
-                self._load = self._wanted
+                self._load, self._pulls = self._wanted, ""
                 self._unloaded() if self._at_item else self._advance()
             case m.LoadFailed(), RunState.LOADING:
                 self._give_up(f"load: {event.reason}")
@@ -185,6 +193,19 @@ class Sequence:
         if event.hears and self._permitted and not self.paused:  # nothing else stood in the way: ask anew next time
             self._asked = False
             self._go_on()
+
+    def _sensed(self, event: m.LoadSensed) -> None:
+        """Have released what pulls; a motion that has not begun waits for it."""
+        self._pulls = event.pulls
+        if event.pulls:
+            self._interrupt(event.pulls)
+
+    def _stopped(self, event: m.Stop | m.Fault) -> None:
+        if isinstance(event, m.Stop):
+            self._end(Outcome.STOPPED, event.reason)
+            return
+        self._say(Kind.FAULT, event.reason)
+        self._end(Outcome.FAULT, event.reason)
 
     def _resume(self, event: m.Resume | m.ResumeMotion) -> None:
         if not self._ready if isinstance(event, m.ResumeMotion) else self._held:
@@ -229,7 +250,7 @@ class Sequence:
                 return
             self._step, self._attempt, self._tries, self._granted = 0, 0, 0, 0.0
         done = self._at_item and (bool(self._given_up_for) or self._step == len(self._item.steps))
-        release = self._may_be_loaded and (done or not self._at_item)
+        release = (self._may_be_loaded or bool(self._pulls)) and (done or not self._at_item)
         if not self._may_begin(moving=not self._at_item and not release):
             return
         if release:
@@ -280,11 +301,11 @@ class Sequence:
         self._request_load(wanted, RunState.LOADING, Phase.LOADING if rising else Phase.UNLOADING)
 
     def _request_load(self, wrench: Float1D, state: RunState, phase: Phase) -> None:
-        self._mark(phase)
         self._wait(state)
         self._load, self._wanted = None, np.array(wrench)
         place = (self._present.number, self._number)
         self._out.append(m.RequestLoad(self._new(), *place, self._wanted, unknown=not self._at_item))
+        self._mark(phase)  # whoever hears of it may confirm the load at once
 
     def _settle(self) -> None:
         self._mark(Phase.SETTLING)
@@ -308,6 +329,7 @@ class Sequence:
         """Try the reading again, or give the attempt up."""
         self._tries += 1
         self._say(Kind.READING_REJECTED, reason)
+        self._granted += moved  # whoever did that is not the configuration's failure
         if moved or self._tries >= self._rules.readings:
             self._give_up(reason)
         elif self.paused:

@@ -64,6 +64,7 @@ class Session:
         self.directory = directory
         self._database = database
         self._lock = lock
+        self._left = self._found()
 
     # --- opening -----------------------------------------------------------------------------------------------------
 
@@ -79,25 +80,21 @@ class Session:
         Raises:
             SessionError: There is a session already, or the directory cannot be written to.
         """
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            lock = _locked(directory)
-        except OSError as error:
-            raise SessionError(directory, "", *storage_fault(directory, error, WRITABLE)) from None
+        lock = _locked(directory)
         if (directory / DATABASE).exists():
             lock.close()
             raise SessionError(directory, "", "a session", "an empty directory, or to resume this session")
         # under another name until it is whole: a process killed here leaves no half-made session
         unfinished = directory / f".{DATABASE}"
         try:
-            _write_durably(directory / PLAN, plan_text)
+            write_durably(directory / PLAN, plan_text)
             unfinished.unlink(missing_ok=True)
             with contextlib.closing(sqlite3.connect(unfinished, isolation_level=None)) as database:
                 database.executescript(f"PRAGMA synchronous = FULL; BEGIN; {TABLES} {LATER} COMMIT;")
                 row = (SCHEMA, _digest(plan_text), cell.sha256, cell.robot.name, json.dumps(cell.points))
                 database.execute("INSERT INTO session VALUES (?, ?, ?, ?, ?)", row)
             unfinished.rename(directory / DATABASE)
-            _sync(directory)
+            sync_directory(directory)
         except (OSError, sqlite3.OperationalError) as error:
             lock.close()
             raise SessionError(directory, "", *storage_fault(directory, error, WRITABLE)) from None
@@ -121,8 +118,9 @@ class Session:
         except SessionError:
             lock.close()
             raise
-        session._database.executescript(LATER)
         with session._transaction():
+            for table in filter(str.strip, LATER.split(";")):
+                session._database.execute(table)
             session._database.execute("UPDATE attempt SET outcome = 'interrupted' WHERE outcome = 'open'")
         return session
 
@@ -233,12 +231,6 @@ class Session:
         rows = self._all("SELECT id, configuration, outcome, reason FROM attempt ORDER BY id")
         return tuple((int(row[0]), int(row[1]), str(row[2]), str(row[3])) for row in rows)
 
-    @property
-    def left_open(self) -> bool:
-        """Whether the last attempt did not come to its end, so that its load may still be on."""
-        outcomes = [outcome for _, _, outcome, _ in self.attempts]
-        return bool(outcomes) and outcomes[-1] != "completed"
-
     def given_up(self, attempts: int) -> frozenset[int]:
         """Return the configurations that were given up so many times, and never measured."""
         tried: dict[int, int] = {}
@@ -288,22 +280,49 @@ class Session:
         )
         return tuple(unpacked(*row) for row in rows)
 
+    @property
+    def identity(self) -> str:
+        """The session's directory and when its first run began, ns: as readings carry it."""
+        return f"{self.directory.absolute()}@{self._one('SELECT COALESCE(MIN(time), 0) FROM run')[0]}"
+
+    def fault(self) -> str:
+        """Say that its database is not as this process has left it: moved, deleted or written by others; else empty."""
+        if self._found() == self._left:
+            return ""
+        gone = not (self.directory / DATABASE).is_file()
+        what = "is gone" if gone else "was changed by another program"
+        return f"{self.directory / DATABASE} {what}: put it back as it was, or begin a new session"
+
+    def _found(self) -> tuple[object, ...]:
+        """Return what tells whether somebody else has touched the database: its files, sizes and times."""
+        found: list[object] = []
+        for file in (self.directory / DATABASE, self.directory / f"{DATABASE}-wal"):
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                at = file.stat()
+                found.append((at.st_dev, at.st_ino, at.st_size, at.st_mtime_ns))
+        return tuple(found)
+
     # --- the database ------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:
         if self._lock is None:
             raise SessionError(self.directory, "", "a session opened to be read", "one created or resumed")
+        if wrong := self.fault():
+            raise SessionError(self.directory, "", wrong, "the database as it was left")
         try:
             self._database.execute("BEGIN IMMEDIATE")
             yield
             self._database.execute("COMMIT")
-        except sqlite3.OperationalError as error:
+        except sqlite3.IntegrityError:
+            raise
+        except sqlite3.DatabaseError as error:
             file = self.directory / DATABASE
             raise SessionError(file, "", *storage_fault(file, error, "a database that can be written")) from None
         finally:
             if self._database.in_transaction:  # not committed: SQLite itself may have rolled back already
                 self._database.execute("ROLLBACK")
+            self._left = self._found()
 
     def _insert(self, statement: str, row: tuple[object, ...]) -> int:
         with self._transaction():
@@ -350,7 +369,11 @@ def _expect(directory: Path) -> None:
 
 def _locked(directory: Path) -> IO[str]:
     """Take the directory for this process; the system gives it free when the process ends, however that happens."""
-    lock = (directory / LOCK).open("w", encoding="utf-8")
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        lock = (directory / LOCK).open("w", encoding="utf-8")
+    except OSError as error:
+        raise SessionError(directory, "", *storage_fault(directory, error, WRITABLE)) from None
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -363,14 +386,16 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _write_durably(path: Path, text: str) -> None:
+def write_durably(path: Path, text: str) -> None:
+    """Write a file; when this returns, its content is on the disk."""
     with path.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
 
 
-def _sync(directory: Path) -> None:
+def sync_directory(directory: Path) -> None:
+    """Bring the names in a directory onto the disk."""
     descriptor = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -17,11 +17,47 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from calibration_core.model.mimic import Mimic
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, read_only
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Mimic:
+    """One mimic joint, in the form of `Chain`.
+
+    Attributes:
+        name: Its name.
+        behind: Number of the robot's own joints that stand before it in the chain.
+        driver: Index of the robot's own joint that moves it.
+        multiplier: Its rad, m where it slides, per rad of the driver, m where that slides.
+        offset: rad, m where it slides: where it stands while its driver stands at zero.
+        rotation: (3, 3) orientation of the frame before it in the body frame of the link before, z along its axis.
+        translation: (3,) m, the origin of that frame there.
+        prismatic: Whether it slides.
+        mass: kg, of the link that it carries; None where the masses are not known.
+        com: (3,) m, centre of gravity of that link in its body frame; None as `mass`.
+    """
+
+    name: str
+    behind: int
+    driver: int
+    multiplier: float
+    offset: float
+    rotation: Float2D
+    translation: Float1D
+    prismatic: bool
+    mass: float | None = None
+    com: Float1D | None = None
+
+    def __post_init__(self) -> None:
+        """Copy to read-only arrays."""
+        for name in ("rotation", "translation", "com"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -237,6 +273,18 @@ def rotation_z(angle: float) -> Float2D:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def nearest_rotation(moment: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+    """Return the rotations (..., 3, 3) nearest to matrices (Kabsch, 1976; Umeyama, 1991)."""
+    u, _, vt = np.linalg.svd(moment)
+    u[..., 2] *= np.where(np.linalg.det(u @ vt) < 0.0, -1.0, 1.0)[..., None]
+    return np.asarray(u @ vt)
+
+
+def aligned(target: Float2D, source: Float2D) -> Float2D:
+    """Return the (3, 3) rotation that brings points (m, 3) nearest to others, (m, 3), both about their means."""
+    return nearest_rotation((target - target.mean(axis=0)).T @ (source - source.mean(axis=0)))
+
+
 def rotation_xyz(rx: float, ry: float, rz: float) -> Float2D:
     """Return Rx(rx) Ry(ry) Rz(rz), angles in rad."""
     return rotation_x(rx) @ rotation_y(ry) @ rotation_z(rz)
@@ -261,7 +309,7 @@ def rotation_vector(rotation: Float2D) -> Float1D:
 
 
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> Float2D:
-    """Return Rz(yaw) Ry(pitch) Rx(roll), fixed axes (contract, section 2), angles in rad."""
+    """Return Rz(yaw) Ry(pitch) Rx(roll), fixed axes, angles in rad."""
     return rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)
 
 

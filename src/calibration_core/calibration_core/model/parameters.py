@@ -13,7 +13,7 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, read_o
 
 @dataclasses.dataclass(frozen=True)
 class AppliedEffect:
-    """An effect of the catalogue (contract, section 6) that the model contains.
+    """An effect of the catalogue that the model contains.
 
     Attributes:
         effect: Its name.

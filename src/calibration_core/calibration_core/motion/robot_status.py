@@ -88,12 +88,12 @@ TEXT = {
     Reason.JOINTS_ABSENT: "no joint states have arrived",
     Reason.JOINTS_STALE: "the joint states are out of date",
     Reason.JOINTS_FROZEN: "the joint states repeat although the robot is in motion",
-    Reason.JOINTS_NOT_FINITE: "a joint state is missing or not a finite number",
+    Reason.JOINTS_NOT_FINITE: "a joint state is not a finite number",
     Reason.JOINTS_JUMPED: "the joint states jumped",
     Reason.OVER_SPEED: "a monitored point is too fast",
     Reason.PLANNED_OVER_SPEED: "the planned motion is too fast",
     Reason.CLOCK_JUMPED: "the clock jumped",
-    Reason.CONFIRMATION_EXPIRED: "the operator's confirmation of the mode has run out",
+    Reason.CONFIRMATION_EXPIRED: "the operator's confirmation of the mode has ended",
     Reason.SPEED_LIMIT_MISSING: "no safety-rated speed limit is known for this mode",
     Reason.SPEED_SCALING_ZERO: "the controller has paused the motion",
     Reason.LATCHED: "an earlier fault waits for the operator's reset",
@@ -108,7 +108,7 @@ TEXT = {
 
 @dataclasses.dataclass(frozen=True)
 class RobotStatus:
-    """One state of the robot.
+    """One state of the robot.  States are compared: what is unknown is None.
 
     Attributes:
         operating_mode: Mode.
@@ -117,10 +117,10 @@ class RobotStatus:
         motion_possible: None where the source does not say; `in_motion` and `in_error` likewise.
         in_motion: Whether it moves.
         in_error: Whether the controller reports an error.
-        speed_scaling: Share of the programmed speed, 0 ... 1; NaN: unknown.
-        speed_limit: m/s, Cartesian limit that the controller monitors; NaN: unknown.
+        speed_scaling: Share of the programmed speed, 0 ... 1; a number that is not finite is unknown, here and below.
+        speed_limit: m/s, Cartesian limit that the controller monitors.
         operator_confirmed: The mode was confirmed by a person and is not reported by the controller.
-        confirmed_until: s, end of that confirmation, by the guard's clock; NaN: none.
+        confirmed_until: s, end of that confirmation, by the guard's clock.
     """
 
     operating_mode: OperatingMode = OperatingMode.UNKNOWN
@@ -129,7 +129,13 @@ class RobotStatus:
     motion_possible: bool | None = None
     in_motion: bool | None = None
     in_error: bool | None = None
-    speed_scaling: float = math.nan
-    speed_limit: float = math.nan
+    speed_scaling: float | None = None
+    speed_limit: float | None = None
     operator_confirmed: bool = False
-    confirmed_until: float = math.nan
+    confirmed_until: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("speed_scaling", "speed_limit", "confirmed_until"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                object.__setattr__(self, name, None)

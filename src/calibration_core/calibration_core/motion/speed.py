@@ -2,6 +2,12 @@
 
 Monitored are the flange, the tool, the wrench point, the sensor, every measurement point and every joint's origin
 (CWA 17384, 7.1: the Cartesian speed shall not exceed 250 mm/s).  Joints that mimic others move with them and count.
+
+A speed that is measured as a path divided by a time is wrong by at most `path_error` divided by that time, at any rate
+of the joint states.  `SPEED_ERROR` is what that may come to: a measured speed is a mean over as long as that takes.
+Below the limit there is room for it twice: motions are planned for no more than `limit * (1 - 2 * SPEED_ERROR)`, and
+stopped where more than `limit * (1 - SPEED_ERROR)` is measured.  Whatever is faster than the limit is then stopped, and
+no planned motion is.
 """
 
 from __future__ import annotations
@@ -17,6 +23,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, FloatND, Int1D, read_only
 
 SAFETY_RATED_SPEED = 0.25  # m/s (CWA 17384, 7.1)
+SPEED_ERROR = 0.02  # share of the limit by which a measured speed may be wrong
 REFINED = (1, 4, 16, 64, 256)  # pieces per interval, as long as a bound is too large
 CHUNK = 500  # intervals at once
 
@@ -107,6 +114,20 @@ class Monitored:
         return np.asarray(
             (self._moving(slope, largest=True) + self._pairs(self._moving(fastest, largest=True))) @ self._each.T
         )
+
+    def path_error(self, joint_error: float, time_error: float, speed: float) -> Float1D:
+        """Bound how far the path of every point between two joint states may be measured wrongly, (k,) m.
+
+        The difference of two joint states is wrong by at most one step of their quantisation, or by their noise; every
+        joint adds that times its lever.  The time between them is wrong by what their stamps are, and the path by what
+        the robot moves meanwhile.  A path of T s is thus a mean speed within `path_error / T`.
+
+        Args:
+            joint_error: rad, m where a joint slides: of the difference of two joint states, at most.
+            time_error: s, of the time between two joint states, at most.
+            speed: m/s, of the fastest point.
+        """
+        return np.asarray(self.lever.sum(axis=1) * joint_error + speed * time_error)
 
     def _pairs(self, size: FloatND) -> FloatND:
         """Return, per outer joint j, |r_j| times the sum of |r_i| over all inner joints that turn, j counted once.

@@ -105,7 +105,8 @@ class StopProof:
         if against:
             self.void(against)
         elif self._moved > rules.moved:
-            self.void(f"a joint moved by {MILLIRADIANS * self._moved:.3g} mrad while the robot was to stand")
+            found, allowed = MILLIRADIANS * self._moved, MILLIRADIANS * rules.moved
+            self.void(f"a joint moved by {found:.3g} mrad while the robot was to stand: {allowed:.3g} is its bound")
         elif math.isnan(self._stopped):
             if now - self._began >= rules.before and self._q is not None:
                 self._stopped = now

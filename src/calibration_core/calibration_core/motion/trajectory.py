@@ -16,13 +16,17 @@ import math
 import numpy as np
 
 from calibration_core.errors import TrajectoryError, beyond, rounded_down
-from calibration_core.motion.speed import SAFETY_RATED_SPEED, Monitored, hermite_bound
+from calibration_core.motion.speed import SAFETY_RATED_SPEED, SPEED_ERROR, Monitored, hermite_bound
 from calibration_core.timeseries import Float1D, Float2D, read_only
 
 POINT_SPACING = 0.02  # rad of the joint that moves most, between points, where the number of points allows
 SHORTEST_MOTION = 0.2  # s
 SLACK = 0.01  # wanted relative slack of the bound on one piece of the line
 MOST_PIECES = 6000
+HALT_TIME = 0.1  # s, that a controller has at least to take the point at which a robot is held
+# rad/s^2, of the fastest joint: the default of `stopj` of Universal Robots' URScript.  At 250 mm/s joints 1 to 3 stand
+# after less than 0.1 s, wrist joints at 0.8 rad/s after 0.4 s, before the next stage of the stop is due (0.5 s).
+HALT_DECELERATION = 2.0
 LIMIT_TOLERANCE = 1e-3  # rad, by which a measured start may lie beyond a joint limit
 
 
@@ -32,7 +36,8 @@ class MotionLimits:
 
     Attributes:
         speed: m/s, of every monitored point.
-        margin: Share of `speed` that is kept free, for what the controller adds.
+        margin: Share of `speed` that is kept free: twice what the guard may measure too much (`speed.SPEED_ERROR`), and
+            what the controller adds.
         joint_speed: rad/s, one for all joints or one per joint.
         joint_acceleration: rad/s^2, likewise.
         max_points: Points of one trajectory that the controller takes (MotoROS2 takes 200).
@@ -50,8 +55,9 @@ class MotionLimits:
             raise TrajectoryError(
                 "limits", "speed", f"{self.speed:g} m/s", f"above 0, at most {SAFETY_RATED_SPEED} m/s"
             )
-        if not 0.01 <= self.margin < 1:
-            raise TrajectoryError("limits", "margin", f"{self.margin:g}", "a share of the speed limit, 0.01 to below 1")
+        if not 2.0 * SPEED_ERROR <= self.margin < 1:
+            expected = f"a share of the speed limit, {2.0 * SPEED_ERROR:g} to below 1"
+            raise TrajectoryError("limits", "margin", f"{self.margin:g}", expected)
         for name in ("joint_speed", "joint_acceleration"):
             values = np.atleast_1d(getattr(self, name))
             if not (np.isfinite(values).all() and (values > 0).all()):
@@ -63,6 +69,23 @@ class MotionLimits:
     def allowed(self) -> float:
         """Speed that trajectories are timed for, m/s."""
         return self.speed * (1.0 - self.margin)
+
+
+def halt(q: Float1D, rate: Float1D, age: float) -> tuple[Float1D, float]:
+    """Return where a moving robot can come to rest, and the time in which it does: it slows down along its way.
+
+    A controller that lays a cubic polynomial from where the robot is to that point, at rest, decelerates evenly.
+
+    Args:
+        q: (n,) rad, where it was seen.
+        rate: (n,) rad/s, how fast it was.
+        age: s, since then; what lies outside 0 to `HALT_TIME` says nothing of the robot, but of clocks.
+
+    Returns:
+        (n,) rad, and s from now on.
+    """
+    seconds = max(float(np.abs(rate).max(initial=0.0)) / HALT_DECELERATION, HALT_TIME)
+    return q + rate * (min(max(age, 0.0), HALT_TIME) + 0.5 * seconds), seconds
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

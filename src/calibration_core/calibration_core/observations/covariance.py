@@ -3,7 +3,9 @@
 The cell file states the standard deviation of one averaged reading.  That claim contains what does not average out
 within a window (refraction, bearing errors, sensor drift), so it is a floor: a quiet window does not make a reading
 better than its instrument.  Where a window scatters more than the claim allows - vibration, a bad line of sight - the
-reading is worse, and its covariance is inflated to what was seen, in the directions in which it was seen.
+reading is worse, and its covariance is inflated to what was seen, in the directions in which it was seen.  The scatter
+of few samples is uncertain itself: windows that scatter as much as the others, within chance, are pooled before they
+are compared with the claim.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import numpy as np
 
 from calibration_core.cell import Cell, Tracker
 from calibration_core.errors import CellError
-from calibration_core.timeseries import Float2D, Float3D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
 STEEPEST = 0.1  # cosine of elevation; closer to the vertical the azimuth is not trusted to be better
 
@@ -38,7 +40,7 @@ def position_covariance(readings: Readings, cell: Cell) -> Float3D:
         raise CellError(cell.path, "instruments.tracker", "sigma_range and sigma_angle", expected)
     else:
         claim = spherical_covariance(readings.position, tracker)
-    return _larger(claim, readings.position_covariance)
+    return _larger(claim, readings.position_covariance, readings.samples)
 
 
 def coordinate_std(covariance: Float3D) -> float:
@@ -84,15 +86,15 @@ def wrench_covariance(readings: Readings, cell: Cell) -> Float3D:
     if readings.wrench is None:
         return np.zeros((len(readings), 6, 6))
     if readings.wrench_claim is not None:
-        return _larger(readings.wrench_claim, readings.wrench_covariance)
+        return _larger(readings.wrench_claim, readings.wrench_covariance, readings.samples)
     sensor = cell.instruments.force_torque
     if sensor is None:
         raise cell.missing("instruments.force_torque", "the recorded wrench")
     claim = np.diag(np.repeat([sensor.sigma_force**2, sensor.sigma_torque**2], 3))
-    return _larger(np.broadcast_to(claim, (len(readings), 6, 6)), readings.wrench_covariance)
+    return _larger(np.broadcast_to(claim, (len(readings), 6, 6)), readings.wrench_covariance, readings.samples)
 
 
-def _larger(claim: Float3D, seen: Float3D | None) -> Float3D:
+def _larger(claim: Float3D, seen: Float3D | None, samples: Int1D | None) -> Float3D:
     """Smallest inflation of the claim along the principal axes of what was seen, relative to the claim.
 
     In coordinates in which the claim is the unit matrix, the eigenvalues of what was seen are raised to at least one.
@@ -105,7 +107,31 @@ def _larger(claim: Float3D, seen: Float3D | None) -> Float3D:
     floor = 1e-12 * np.maximum(trace, np.trace(seen, axis1=1, axis2=2)[:, None, None]) + 1e-30
     root = np.linalg.cholesky(claim + floor * np.eye(k))
     whitened = np.linalg.solve(root, np.swapaxes(np.linalg.solve(root, seen), 1, 2))
-    values, vectors = np.linalg.eigh((whitened + np.swapaxes(whitened, 1, 2)) / 2)
+    whitened = (whitened + np.swapaxes(whitened, 1, 2)) / 2
+    if samples is not None:
+        whitened = _pooled(whitened, np.maximum(samples - 1, 0).astype(float))
+    values, vectors = np.linalg.eigh(whitened)
     excess = np.maximum(values - 1.0, 0.0)
     extra = root @ (vectors * excess[:, None, :]) @ np.swapaxes(vectors, 1, 2) @ np.swapaxes(root, 1, 2)
     return np.asarray(claim + (extra + np.swapaxes(extra, 1, 2)) / 2)
+
+
+def _pooled(seen: Float3D, freedom: Float1D) -> Float3D:
+    """Return what windows scatter, (m, k, k) in units of the claim, as the mean of all that chance alone tells apart.
+
+    Source: largest eigenvalue of a sample covariance, (1 + sqrt(k / f))^2 of the true one (Marchenko and Pastur 1967).
+
+    Args:
+        seen: Of each window.
+        freedom: (m,) f, degrees of freedom of each; 0: nothing was seen.
+    """
+    k, several = seen.shape[-1], freedom > 0
+    if not several.any():
+        return seen
+    level = max(1.0, float(np.median(np.trace(seen[several], axis1=1, axis2=2))) / k)
+    limit = level * (1 + np.sqrt(k / np.maximum(freedom, 1.0))) ** 2
+    alike = several & (np.linalg.eigvalsh(seen)[:, -1] <= limit)
+    if not alike.any():
+        return seen
+    mean = np.einsum("m,mij->ij", freedom[alike], seen[alike]) / freedom[alike].sum()
+    return np.where((alike | ~several)[:, None, None], mean, seen)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import IdentificationError
+from calibration_core.errors import IdentificationError, RecordingError
 from calibration_core.timeseries import Bool1D, Float1D, Readings
 
 SLACK = 0.02  # of the largest force: less is none
@@ -13,7 +15,7 @@ FEWEST = 12  # unloaded postures from which on they alone fix frames and geometr
 
 
 def is_loaded(readings: Readings) -> bool:
-    """Say whether a recording carries loaded-minus-unloaded information (contract, section 4)."""
+    """Say whether a recording carries loaded-minus-unloaded information."""
     keys = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)
     return readings.wrench is not None and len(keys) > len(np.unique(readings.configuration))
 
@@ -112,3 +114,66 @@ def _standing(readings: Readings) -> Bool1D:
     unloaded = first & (force < SLACK * force.max())
     enough = len(np.unique(readings.configuration[unloaded])) >= FEWEST
     return unloaded if enough else first
+
+
+LEAST = 0.02  # of the largest load: levels closer than this are the same
+
+
+def levels_of(readings: Readings) -> tuple[float, ...]:
+    """Return the load levels of a recording's steps, as shares of the full load, the first being none.
+
+    Of the configurations with as many readings as most have, the one of the largest load stands for all (a reference
+    that is measured again and again is not loaded, nor are postures at rest beside loaded configurations); a load
+    against the first full one is negative.
+    """
+    if is_loaded(readings):
+        readings = readings.select(~single_steps(readings))
+    assert readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
+    numbers, counts = np.unique(readings.configuration, return_counts=True)
+    usual, often = np.unique(counts, return_counts=True)
+    size = np.linalg.norm(readings.wrench[:, :3], axis=1)
+    among = np.isin(readings.configuration, numbers[counts == usual[np.argmax(often)]])
+    inside = readings.configuration == readings.configuration[np.argmax(np.where(among, size, -1.0))]
+    steps, first = np.unique(readings.step[inside], return_index=True)
+    wrench = readings.wrench[inside][first][np.argsort(steps)]
+    size = np.linalg.norm(wrench[:, :3], axis=1)
+    full = wrench[int(np.argmax(size >= (1 - LEAST) * size.max())), :3]
+    power = float(full @ full)
+    if power == 0.0:
+        return (0.0,)
+    levels = np.round(wrench[:, :3] @ full / power, 2)
+    levels[np.abs(levels) < LEAST] = 0.0
+    return tuple(float(level) for level in np.clip(levels, -1.0, 1.0))
+
+
+def largest_force(readings: Readings) -> float:
+    """Return the largest force of a recording, N."""
+    assert readings.wrench is not None  # noqa: S101 - a loaded recording has a wrench
+    return float(np.linalg.norm(readings.wrench[:, :3], axis=1).max())
+
+
+SAME = 0.5  # of the readings: more in common is the same recording
+DIGITS = 6  # of m and rad: readings that agree to so many are the same, for noise is larger
+
+
+def reading_keys(readings: Readings) -> set[bytes]:
+    """Return every reading by its angles and position; formats differ in how a wrench is averaged."""
+    values = np.round(np.column_stack([readings.q, readings.position]), DIGITS) + 0.0  # no negative zeros
+    return {row.tobytes() for row in values}
+
+
+def refuse_same(recordings: Iterable[Readings]) -> None:
+    """Refuse recordings of which one holds, for the most part, the readings of another.
+
+    Raises:
+        RecordingError: There are two such; names the later one.
+    """
+    before: list[tuple[str, set[bytes]]] = []
+    for readings in recordings:
+        path, own = readings.provenance.path, reading_keys(readings)
+        for other, theirs in before:
+            same = len(own & theirs)
+            if same > SAME * min(len(own), len(theirs)):
+                found = f"{same} of {len(own)} readings that are those of {other}"
+                raise RecordingError(path, "", found, "every recording once")
+        before.append((path, own))

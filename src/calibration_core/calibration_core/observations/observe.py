@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,14 @@ from calibration_core.cell import Cell
 from calibration_core.errors import ObservationError
 from calibration_core.observations.average import average, mean_of
 from calibration_core.observations.clock import clock_offset, corrected, on_one_base
-from calibration_core.observations.conditions import worst
+from calibration_core.observations.faulty_streams import refuse_frozen, without_faults
 from calibration_core.observations.plateaus import USUAL_SIGMA, Window, found_windows, marked_windows
-from calibration_core.observations.settling import settled_from
+from calibration_core.observations.window import settled_from
 from calibration_core.recording.bags.bag import read_bag
 from calibration_core.recording.session import read_session
 from calibration_core.recording.source import recording_kind
 from calibration_core.recording.tables.table import read_table
-from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Note, Readings, Streams, TimeSeries
+from calibration_core.timeseries import NANOSECONDS, Condition, Float1D, Float2D, Note, Readings, Streams, TimeSeries
 
 POSITION_DRIFT = 3.0  # claimed standard deviations over a window do not matter
 WRENCH_DRIFT = 5.0
@@ -37,7 +38,7 @@ def observe(path: Path, cell: Cell) -> Readings:
         cell: The cell it was recorded in.
 
     Returns:
-        The readings; `notes` tell what was lost, repaired or set aside.
+        The readings, their angles those of the chain; `notes` tell what was lost, repaired or set aside.
 
     Raises:
         RecordingError: The recording cannot be used.
@@ -46,11 +47,16 @@ def observe(path: Path, cell: Cell) -> Readings:
     path = Path(path)
     kind = recording_kind(path)
     if kind == "table":
-        return read_table(path, cell)
-    if kind == "session":
+        readings = read_table(path, cell)
+    elif kind == "session":
         readings, conditions = read_session(path, cell)
-        return dataclasses.replace(readings, conditions=worst(conditions))
-    return observe_recording(read_bag(path, cell), cell)
+        readings = dataclasses.replace(readings, conditions=worst(conditions))
+    else:
+        readings = observe_recording(read_bag(path, cell), cell)
+    refuse_frozen(readings, cell)
+    return (
+        dataclasses.replace(readings, q=readings.q @ cell.robot.coupling.T) if cell.robot.joint_coupling else readings
+    )
 
 
 def observe_recording(recording: Streams, cell: Cell) -> Readings:
@@ -61,8 +67,9 @@ def observe_recording(recording: Streams, cell: Cell) -> Readings:
 
     Raises:
         ObservationError: No window, or none with a settled point.
+        RecordingError: A topic carries messages of two publishers, or nothing but zeros.
     """
-    recording = on_one_base(recording)
+    recording = on_one_base(without_faults(recording, cell))
     windows, notes = _windows(recording, cell)
     recording, clock = corrected(recording, clock_offset(recording, windows, cell))
     rows: list[_Row] = []
@@ -249,3 +256,21 @@ def _temperature(recording: Streams, begin: int, end: int) -> float:
         return float(inside.values.mean())
     near = _between(recording.temperature, begin, end, NEAREST_TEMPERATURE)
     return float("nan") if near is None else float(near[0])
+
+
+def worst(history: Sequence[Sequence[Condition]]) -> tuple[Condition, ...]:
+    """Sum up what was seen of every condition over a measurement.
+
+    A violation stays, with the value of the first one, whatever came before or after; otherwise the last known value
+    counts.  An override that was given at any time stays.
+    """
+    summed: dict[str, Condition] = {}
+    for conditions in history:
+        for one in conditions:
+            before = summed.get(one.name)
+            if before is None:
+                summed[one.name] = one
+                continue
+            kept = before if before.met is False or (one.met is None and before.met is not None) else one
+            summed[one.name] = dataclasses.replace(kept, override=one.override or before.override)
+    return tuple(summed.values())

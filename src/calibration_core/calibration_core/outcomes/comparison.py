@@ -26,7 +26,7 @@ from calibration_core.errors import InputError, ModelFileError, RecordingError, 
 from calibration_core.files.regular import read_regular
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import typical
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.identified.gaussian import GaussianEstimate
@@ -42,6 +42,8 @@ from calibration_core.timeseries import Readings
 
 MODEL = "model.yaml"
 WORDS = {"changed": "changed", "not_changed": "not changed", "cannot_tell": "cannot tell"}
+PERHAPS = "perhaps changed (certain of this one alone, not among all that were compared)"
+PRACTICAL = 100  # configurations: more than two working days, and no plan measures them
 SHOWN = 8  # quantities that a sentence names
 NOTHING = GaussianEstimate.nothing()
 
@@ -172,8 +174,8 @@ def _is_folder(path: Path) -> bool:
 def _folder(path: Path, cell: Cell) -> ComparedSource:
     """Read an output folder of `identify` or `diagnose`."""
     model = read_calibrated(path / MODEL, cell)
-    if model.estimate is None or not model.estimate.names:
-        raise ModelFileError(path / MODEL, "covariance", "none", "a model file of schema 2, as identify writes it now")
+    if model.estimate is None:
+        raise ModelFileError(path / MODEL, "covariance", "none", "a model that identify or diagnose found")
     try:
         content = json.loads(read_regular(path / RESULT, MAX_RESULT, "result"))
         recording, start = content["recording"], content["input"]["recording"]["start"]
@@ -272,12 +274,29 @@ def reservations(found: Compared) -> list[tuple[str, str]]:
         reasons.append((f"changed: {_named(changed)}", step))
     if open_:
         needed = max((one.configurations or 0 for one in open_), default=0)
-        again = "measure again what is not known in one of two measurements"
-        step = f"measure {needed} configurations each time" if needed else again
+        step = f"measure {needed} configurations each time"
+        if not needed:
+            step = "measure again what is not known in one of two measurements"
+        elif needed > PRACTICAL:
+            worst = max(open_, key=lambda one: one.configurations or 0).location
+            step = f"plan configurations in which the load turns {worst} more; more of the same would not tell"
         reasons.append((f"whether it has changed stays open: {_named(open_)}", step))
     if not all(found.differences):
         reasons.append(("some measurements have nothing in common with the first", "compare recordings under loads"))
     return reasons
+
+
+def words_of(one: QuantityChange | Trend) -> str:
+    """Return what may be said of a difference; a 95 % interval that excludes zero is never said to tell nothing."""
+    outside = one.verdict == "cannot_tell" and (one.low > 0 or one.high < 0)
+    return PERHAPS if outside else WORDS[one.verdict]
+
+
+def needed_text(configurations: int | None) -> str:
+    """Return how many configurations in each measurement would tell a change; empty where these are enough."""
+    if configurations is None:
+        return ""
+    return f"more than {PRACTICAL}" if configurations > PRACTICAL else str(configurations)
 
 
 def _named(rows: Sequence[QuantityChange]) -> str:
@@ -293,12 +312,12 @@ def described(one: QuantityChange) -> str:
         size = f"{100 * one.change:+z.1f} % ({100 * one.low:+z.1f} {high})"
     else:
         size = f"{_with_unit(one.unit, one.change)} ({_ends(one)})"
-    text = f"{one.quantity} of {one.location}: {size}, {WORDS[one.verdict]}"
+    text = f"{one.quantity} of {one.location}: {size}, {words_of(one)}"
     if one.or_else:
         text += f"; the change may as well be at {' or '.join(one.or_else)}"
     if one.configurations is not None:
         limit = f"{100 * one.limit:g} %" if one.quantity == "stiffness" else _with_unit(one.unit, one.limit)
-        text += f"; {one.configurations} configurations each would tell a change of {limit}"
+        text += f"; {needed_text(one.configurations)} configurations each would tell a change of {limit}"
     return text
 
 
@@ -321,4 +340,4 @@ def described_trend(one: Trend) -> str:
         size = f"{100 * one.slope:+z.2f} % per year ({100 * one.low:+z.2f} to {100 * one.high:+z.2f} %)"
     else:
         size = f"{_with_unit(one.unit, one.slope)} ({_ends(one)})"
-    return f"trend of the {one.quantity} of {one.location}: {size}, {WORDS[one.verdict]}"
+    return f"trend of the {one.quantity} of {one.location}: {size}, {words_of(one)}"

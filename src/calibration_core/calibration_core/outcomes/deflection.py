@@ -68,7 +68,7 @@ def deflected(robot: CalibratedRobot, model: CalibratedModel, task: Task, *, axe
         reached = "a place that the robot reaches within its limits"
         most = rounded_down(robot.cell.robot.rated_load * GRAVITY)
         rated = f"at most {most:g} N with the payload (robot.rated_load of the cell)"
-        raise task.fault(row, why, rated if why == OVERLOAD else reached)
+        raise task.fault(row, why, rated if why == OVERLOAD else reached, of_load=why == OVERLOAD)
     conditions = Conditions(task.time, task.temperature, task.path)
     found = deflect(robot, q, task.wrench, conditions, model.estimate, axes)
     chart = None if plane is None else plane_map(robot, q[0], task.wrench[0], plane, axes)

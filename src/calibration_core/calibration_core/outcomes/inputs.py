@@ -12,10 +12,10 @@ from calibration_core.errors import CellError, ModelFileError, RecordingError
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.check import check_inputs, unit_note
-from calibration_core.input_checks.lengths import check_lengths
+from calibration_core.input_checks.units import check_lengths
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.same import SAME, reading_keys
+from calibration_core.observations.kinds import SAME, reading_keys
 from calibration_core.recording.source import sha256_of
 from calibration_core.timeseries import Readings
 

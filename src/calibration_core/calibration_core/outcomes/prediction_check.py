@@ -6,15 +6,22 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.acceptance.prediction_covariance import by_wrench, model_columns, propagated, repeatability
+from calibration_core.acceptance.prediction_covariance import (
+    by_wrench,
+    less_offsets,
+    model_columns,
+    only_positions_off,
+    propagated,
+    repeatability,
+    weighted_square,
+)
 from calibration_core.acceptance.verification import FEWEST, refitted_rms
 from calibration_core.cell import Cell
-from calibration_core.identification.statistics.beyond_noise import beyond_noise
+from calibration_core.identification.statistics.distributions import beyond_noise
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings, references
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.check import some_of
 from calibration_core.model.identified.calibrated import CalibratedModel
-from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.covariance import coordinate_std, position_covariance
@@ -35,6 +42,7 @@ class PredictionCheck:
         consistent: Whether that is within chance, by the test of `identify`.
         with_intervals: Whether the model states a covariance.
         anomalies: What a larger error shows: another place of the tracker, or a model of another robot.
+        only_positions: Whether the deflections are within chance all the same: geometry or frames are not known.
     """
 
     expected: float
@@ -43,6 +51,21 @@ class PredictionCheck:
     consistent: bool
     with_intervals: bool
     anomalies: tuple[InputAnomaly, ...]
+    only_positions: bool = False
+
+
+def only_positions(*, nominal: bool) -> tuple[str, str]:
+    """Return what it means that deflections agree and positions do not, and what to do then.
+
+    Args:
+        nominal: Whether the model's geometry is as the cell file states it.
+    """
+    text = "the deflections under load agree within noise and intervals, the positions do not: "
+    measure = "measure postures without load (calibration plan --for geometry)"
+    if nominal:
+        step = f"use the model for deflections; for positions {measure}, and identify both recordings together"
+        return f"{text}the model's geometry is nominal", step
+    return f"{text}its geometry or frames do not hold here", f"for positions {measure}, and identify the robot anew"
 
 
 def check_prediction(readings: Readings, cell: Cell, model: CalibratedModel) -> PredictionCheck:
@@ -66,12 +89,12 @@ def check_prediction(readings: Readings, cell: Cell, model: CalibratedModel) -> 
     noise = tracker + by_wrench(readings, cell, parameters) + repeatability(readings, error, tracker)
     known, columns = model_columns(readings, cell, parameters, model.estimate, None)
     total = noise + propagated(known, columns, lambda _: True)
-    freedom = 3 * len(readings)
+    freedom, place = 3 * len(readings), not displacement and only_positions_off(readings, error, noise, known, columns)
     if displacement:  # differences share the noise of their first step: every group has a free offset
-        error, columns, groups = _less_offsets(readings, error, columns)
+        error, columns, groups = less_offsets(readings, error, columns)
         freedom -= 3 * groups
     expected = coordinate_std(total)
-    ratio = float(np.sqrt(_weighted_square(error, noise, known, columns) / max(freedom, 1)))
+    ratio = float(np.sqrt(weighted_square(error, noise, known, columns) / max(freedom, 1)))
     excess, beyond = beyond_noise(ratio, freedom, 1.0)
     return PredictionCheck(
         expected=expected,
@@ -80,33 +103,8 @@ def check_prediction(readings: Readings, cell: Cell, model: CalibratedModel) -> 
         consistent=not beyond,
         with_intervals=bool(known.names),
         anomalies=_shown(readings, cell, parameters, error, tracker) if beyond else (),
+        only_positions=beyond and place,
     )
-
-
-def _less_offsets(readings: Readings, error: Float2D, columns: Float3D) -> tuple[Float2D, Float3D, int]:
-    """Return errors and columns less their means over each configuration and point, and how many of these there are."""
-    _, group = np.unique(np.column_stack([readings.configuration, readings.point]), axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    count = int(group.max()) + 1
-    share = np.zeros((count, len(group)))
-    share[group, np.arange(len(group))] = 1.0 / np.bincount(group)[group]
-    return error - (share @ error)[group], columns - np.einsum("gm,mak->gak", share, columns)[group], count
-
-
-def _weighted_square(error: Float2D, noise: Float3D, known: GaussianEstimate, columns: Float3D) -> float:
-    """Return e' S^-1 e of errors (m, 3) m with S = noise + columns covariance columns' (matrix inversion lemma)."""
-    weight = np.linalg.inv(noise)
-    weighted = np.einsum("mab,mb->ma", weight, error)
-    square = float(np.sum(weighted * error))
-    if not known.names:
-        return square
-    scale = known.std
-    scaled = columns * scale
-    gradient = np.einsum("mak,ma->k", scaled, weighted)
-    normal = np.einsum("mak,mab,mbl->kl", scaled, weight, scaled, optimize=True)
-    correlation = known.covariance / np.outer(scale, scale)
-    taken = np.linalg.solve(np.eye(len(scale)) + correlation @ normal, correlation @ gradient)
-    return max(square - float(gradient @ taken), 0.0)
 
 
 def _shown(

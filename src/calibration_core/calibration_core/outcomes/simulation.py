@@ -111,3 +111,10 @@ def for_streams(cell: Cell) -> Cell:
     if cell.measurements.points == "absolute":
         return cell
     return cell.model_copy(update={"measurements": cell.measurements.model_copy(update={"points": "absolute"})})
+
+
+def as_stated(readings: Readings, cell: Cell) -> Readings:
+    """Return readings with the joint angles of the cell's files, where one joint's angle is coupled to another's."""
+    if not cell.robot.joint_coupling:
+        return readings
+    return dataclasses.replace(readings, q=readings.q @ np.linalg.inv(cell.robot.coupling).T)

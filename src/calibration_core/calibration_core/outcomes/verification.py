@@ -11,6 +11,7 @@ from calibration_core.acceptance.decision import Decision, guard_factor
 from calibration_core.acceptance.verification import Verification
 from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS
 from calibration_core.outcomes.own_recordings import NOT_COMPARED
+from calibration_core.outcomes.prediction_check import only_positions
 from calibration_core.report.rounding import listed
 from calibration_core.timeseries import Float2D
 
@@ -70,15 +71,21 @@ def reservations(found: Verification) -> tuple[tuple[str, str], list[tuple[str, 
     beyond = not_conforming(found)
     open_ = [number for number in _decided(found, "undecided") if number not in beyond]
     undecided = f"undecided because of measurement uncertainty: {_where(open_)}"
-    step = (
-        "if the tracker was set up anew, run verify again with --fit-tracker; else calibrate the robot anew"
-        if _smaller_elsewhere(found)
-        else "run diagnose with this recording and the model, to see what has changed, or calibrate the robot anew"
-    )
-    residual = (f"not conforming to {tolerance}: {_where(beyond)}" + (f"; {undecided}" if open_ else ""), step)
+    text = f"not conforming to {tolerance}: {_where(beyond)}" + (f"; {undecided}" if open_ else "")
+    step = "run diagnose with this recording and the model, to see what has changed, or calibrate the robot anew"
+    if _smaller_elsewhere(found):
+        step = "if the tracker was set up anew, run verify again with --fit-tracker; else calibrate the robot anew"
+    elif found.only_positions:
+        meaning, step = only_positions(nominal=found.nominal_geometry)
+        text = f"{text}; {meaning}"
+    residual = text, step
     further = []
     if open_ and not beyond:
-        further.append((undecided, "measure with less uncertainty, or state a larger tolerance"))
+        step = "measure with less uncertainty, or state a larger tolerance"
+        worst = found.least_certain
+        if found.shares["geometry"][worst] ** 2 > 0.5 * found.uncertainty[worst] ** 2:  # the most of it
+            step = only_positions(nominal=found.nominal_geometry)[1]
+        further.append((undecided, step))
     further += [(f"{text[0].lower()}{text[1:]}".rstrip("."), "") for text in _shortcomings(found)]
     return residual, further
 

@@ -16,7 +16,15 @@ from calibration_core.motion.speed import Monitored
 from calibration_core.motion.trajectory import MotionLimits
 from calibration_core.planning.feasible.candidates import Ground, draw_postures
 from calibration_core.planning.feasible.order import startup_cycle
-from calibration_core.planning.loaded import ROUNDS, PlanningRules, check_counts, ground_of, not_reached, reached
+from calibration_core.planning.loaded import (
+    ROUNDS,
+    PlanningRules,
+    check_counts,
+    ground_of,
+    largest_part,
+    not_reached,
+    reached,
+)
 from calibration_core.planning.optimal_design.criteria import CRITERIA, Observability
 from calibration_core.planning.optimal_design.design import ExchangeResult, choose, extend
 from calibration_core.planning.optimal_design.optimum import Candidates
@@ -119,7 +127,14 @@ def make_pose_plan(
 
 
 def _choose(
-    ground: Ground, q: Float2D, information_of: InformationOf, count: int, more: int, rules: PlanningRules, seed: int
+    ground: Ground,
+    q: Float2D,
+    information_of: InformationOf,
+    count: int,
+    more: int,
+    rules: PlanningRules,
+    seed: int,
+    start: Float1D | None = None,
 ) -> tuple[Float2D, Candidates, ExchangeResult, Int1D, Float1D]:
     """Choose postures and spares that can be reached from a reference; those that cannot are not offered again.
 
@@ -127,6 +142,7 @@ def _choose(
         The postures offered, what they tell, the choice, the spares' rows, and the reference.
     """
     criterion, path = CRITERIA[rules.criterion], ground.cell.path
+    whole = q
     for _ in range(ROUNDS):
         content = Candidates(information_of(q))
         try:
@@ -136,8 +152,11 @@ def _choose(
         added = extend(content, best.chosen, more, group=np.arange(len(q)), criterion=criterion)
         if len(added) < more:
             break
-        reference, apart = reached(ground, q, best.chosen, added, rules)
+        reference, apart = reached(ground, q, best.chosen, added, rules, start)
         if not apart:
             return q, content, best, added, reference
         q = np.delete(q, apart, axis=0)
-    raise not_reached(ground, count + more)
+    if start is not None:
+        raise not_reached(ground, count + more)
+    start, part = largest_part(ground, whole, count + more)
+    return _choose(ground, part, information_of, count, more, rules, seed, start)

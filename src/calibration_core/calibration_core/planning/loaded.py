@@ -33,6 +33,8 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 LEAST_CONFIGURATIONS = 12  # CWA 17384, 5.1
 MOST_CONFIGURATIONS = 200
 SPACE_SAMPLE = 400
+PART = 400  # postures among which the largest part of a divided free space is looked for
+PART_TRIED = (16, 24)  # references that are tried for it, and postures that are tried from each
 ROUNDS = 8  # choices made until all of them can be reached from the reference
 
 
@@ -190,10 +192,14 @@ def _choose(
     rules: PlanningRules,
     space: Float2D,
     seed: int,
+    start: Float1D | None = None,
 ) -> _Chosen:
-    """Choose configurations and spares that can be reached from the reference; what cannot is not offered again."""
+    """Choose configurations and spares that can be reached from the reference; what cannot is not offered again.
+
+    Where that leads to none, the largest part of the free space is looked for, and `start` is the reference in it.
+    """
     criterion = CRITERIA[rules.criterion]
-    path = ground.cell.path
+    path, whole = ground.cell.path, offered
     for _ in range(ROUNDS):
         content = Candidates(offered.information[:, determinable][:, :, determinable], scale)
         group = offered.group
@@ -206,14 +212,45 @@ def _choose(
         added = extend(content, chosen, more, group=group, criterion=criterion)
         if len(added) < more:
             break
-        reference, apart = reached(ground, offered.q, chosen, added, rules)
+        reference, apart = reached(ground, offered.q, chosen, added, rules, start)
         if not apart:
             return _Chosen(offered, content, rated(content, chosen, best), added, reference)
         offered = offered.of(~np.isin(group, group[apart]))
-    raise not_reached(ground, count + more)
+    if start is not None:
+        raise not_reached(ground, count + more)
+    start, part = largest_part(ground, whole.q, count + more)
+    rows = {row.tobytes() for row in part}
+    kept = whole.of(np.array([row.tobytes() in rows for row in whole.q]))
+    return _choose(ground, kept, determinable, scale, count, more, rules, space, seed, start)
 
 
-def reached(ground: Ground, q: Float2D, chosen: Int1D, added: Int1D, rules: PlanningRules) -> tuple[Float1D, list[int]]:
+def largest_part(ground: Ground, q: Float2D, wanted: int) -> tuple[Float1D, Float2D]:
+    """Return the posture from which straight clear motions lead to most others, (n,) rad, and these, (k, n) rad.
+
+    What stands in a cell may divide its free space: the largest part that is found is measured in.
+
+    Args:
+        ground: The robot in its cell.
+        q: (m, n) rad, postures that can be measured.
+        wanted: How many are needed.
+
+    Raises:
+        PlanError: There are fewer; it says how many, and what stands in the way.
+    """
+    some = np.unique(q, axis=0)
+    some = some[np.random.default_rng(0).permutation(len(some))[:PART]]
+    tried = some[: PART_TRIED[1]]
+    ways = [sum(ground.bodies.clear_way(start, row) for row in tried) for start in some[: PART_TRIED[0]]]
+    start = some[int(np.argmax(ways))]
+    part = some[[ground.bodies.clear_way(start, row) for row in some]]
+    if len(part) < wanted:
+        raise not_reached(ground, wanted, f"{len(part)} of {len(some)}")
+    return start, part
+
+
+def reached(
+    ground: Ground, q: Float2D, chosen: Int1D, added: Int1D, rules: PlanningRules, start: Float1D | None = None
+) -> tuple[Float1D, list[int]]:
     """Return the reference for chosen postures, (n,) rad, and the rows that no clear straight motion leads to from it.
 
     Args:
@@ -222,16 +259,20 @@ def reached(ground: Ground, q: Float2D, chosen: Int1D, added: Int1D, rules: Plan
         chosen: Rows to be measured.
         added: Rows of the spares.
         rules: Joint speed, for what is near.
+        start: (n,) rad, the reference that is to be taken; None: the one with the least travel.
     """
-    reference = reference_of(q, q[chosen], np.full(ground.site.chain.n, rules.joint_speed))
+    speed = np.full(ground.site.chain.n, rules.joint_speed)
+    reference = reference_of(q, q[chosen], speed) if start is None else start
     taken = np.concatenate([chosen, added])
     return reference, [int(row) for row in taken if not ground.bodies.clear_way(reference, q[row])]
 
 
-def not_reached(ground: Ground, wanted: int) -> PlanError:
-    """Return the error that so many postures cannot be reached from one reference."""
-    text = f"no {wanted} postures that a straight motion reaches from one reference without collision"
-    return PlanError(ground.cell.path, "boxes", text, "a cell with more free space, or a smaller operating space")
+def not_reached(ground: Ground, wanted: int, found: str = "too few") -> PlanError:
+    """Return the error that so many postures cannot be reached from one reference; `found` says how many can."""
+    text = f"{found} postures that a straight motion without collision reaches from one reference"
+    obstacles = ", ".join([box.name for box in ground.cell.boxes] + ["the floor"] * (ground.site.floor is not None))
+    expected = f"at least {wanted}: more free space beside {obstacles or 'the robot itself'}, or fewer configurations"
+    return PlanError(ground.cell.path, "boxes" if ground.cell.boxes else "robot", text, expected)
 
 
 def reference_of(q: Float2D, chosen: Float2D, joint_speed: Float1D) -> Float1D:

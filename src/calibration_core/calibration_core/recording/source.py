@@ -5,15 +5,27 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Literal
 
 from calibration_core.errors import RecordingError
 from calibration_core.files.regular import open_regular
 
 BAG_SUFFIXES = (".mcap", ".db3")
+COMPRESSED = (".zst", ".zstd")
 SESSION_DATABASE = "session.db"  # in the directory of a session
 EXPECTED = "a rosbag2 directory, an .mcap or .db3 file, a measurement table (.csv), or a session (directory or .db)"
+
+
+def storage_suffix(path: PurePath) -> str:
+    """Return the ending of a file's name in small letters, that of compression left out."""
+    named = PurePath(path.stem) if path.suffix.lower() in COMPRESSED else path
+    return named.suffix.lower()
+
+
+def ros1(path: Path) -> RecordingError:
+    """Return the error for a bag of ROS 1, which says how it becomes one of ROS 2."""
+    return RecordingError(path, "", "a bag of ROS 1", f"one of ROS 2: rosbags-convert --src {path.name} --dst FOLDER")
 
 
 def recording_kind(path: Path) -> Literal["bag", "table", "session"]:
@@ -33,14 +45,16 @@ def recording_kind(path: Path) -> Literal["bag", "table", "session"]:
         raise RecordingError(path, "", "no such file or directory", EXPECTED)
     if not path.is_file():
         raise RecordingError(path, "", "no regular file", EXPECTED)
-    suffix = path.suffix.lower()
+    suffix = storage_suffix(path)
     if suffix in BAG_SUFFIXES:
         return "bag"
+    if ".bag" in path.suffixes:
+        raise ros1(path)
     if suffix == ".csv":
         return "table"
     if suffix == Path(SESSION_DATABASE).suffix:
         return "session"
-    raise RecordingError(path, "", f"a file that ends in {suffix!r}", EXPECTED)
+    raise RecordingError(path, "", f"a file that ends in {path.suffix.lower()!r}", EXPECTED)
 
 
 def sha256_of(path: Path) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.identification.circle_point.arc import FULL, arc_for, centre_std
+from calibration_core.identification.circle_point.circle import FULL, arc_for, centre_std
 from calibration_core.report.rounding import significant
 
 WANTED = 1e-4  # m, accuracy of a circle's centre for which the arc is stated

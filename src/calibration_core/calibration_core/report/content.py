@@ -39,6 +39,7 @@ from calibration_core.report.sections import (
     uncertainty,
 )
 from calibration_core.report.shown import shown
+from calibration_core.report.summary import positions_lines
 from calibration_core.report.writing.rendering import document_number
 
 TITLE = "Elastostatic compliance calibration"
@@ -152,8 +153,10 @@ def _verdict(result: Identification, left: ResidualVerdict, light: Light) -> Ver
         f"{spread(length * unit.factor)} {unit.name}"
         for length in (result.fit.held_out_mean_after, result.fit.held_out_max_after)
     )
-    prediction = f"configurations left out of the fit are predicted to {mean} on average, {largest} at worst (3-D)"
-    lines.append(("Prediction", prediction))
+    what = "positions" if result.kind == "absolute" else "deflections"
+    prediction = f"{what} of configurations left out of the fit are predicted to {mean} on average, {largest} at worst"
+    lines.append(("Prediction", f"{prediction} (3-D)"))
+    lines += [("Positions", line.removeprefix("positions, ")) for line in positions_lines(result)]
     if result.preconditions:
         failed = [item.requirement for item in result.preconditions if item.met is False]
         text = procedure.requirement_text(result.preconditions)

@@ -11,6 +11,7 @@ import numpy as np
 from calibration_core.timeseries import Float1D, Float2D
 
 DASH = "–"
+COVERAGE = 1.96  # standard deviations on either side of a value that hold 95 % (GUM, 6.2)
 _SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _FIGURE_SPACE = "\u2007"
 _POINT_SPACE = "\u2008"

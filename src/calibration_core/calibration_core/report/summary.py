@@ -29,10 +29,12 @@ def summary(found: Identification) -> str:
         f"residual {_um(fit.rms_after)} per coordinate{used} (before {_um(fit.rms_before)}), "
         f"on held-out configurations {_um(fit.held_out_rms_after)}, noise {_um(fit.noise)}"
     )
+    what = "positions" if found.kind == "absolute" else "deflections"
     lines.append(
-        f"held-out error in space: mean {1e3 * fit.held_out_mean_after:.3f} mm, largest "
-        f"{1e3 * fit.held_out_max_after:.3f} mm"
+        f"error of {what} on configurations left out, as a distance: mean {1e3 * fit.held_out_mean_after:.3f} mm, "
+        f"largest {1e3 * fit.held_out_max_after:.3f} mm"
     )
+    lines += positions_lines(found)
     if found.test is not None:
         lines += test_lines(found.test)
     lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in found.anomalies]
@@ -50,6 +52,16 @@ def summary(found: Identification) -> str:
         for p in unmet
     ]
     return "\n".join(lines)
+
+
+def positions_lines(found: Identification) -> list[str]:
+    """Return how well the absolute positions of a loaded recording fit, in a line; nothing where there are none."""
+    rms = found.fit.positions
+    if math.isnan(rms):
+        return []
+    geometry = "identified" if found.model.geometry.any() else "as stated"
+    fitted = f"with tracker and targets fitted and the geometry {geometry}"
+    return [f"positions, {fitted}: {1e3 * rms:.3f} mm rms per coordinate"]
 
 
 def test_lines(test: TestResult) -> list[str]:
@@ -76,11 +88,10 @@ def _stage(stage: Stage) -> str:
 def _joint(joint: JointStiffness) -> str:
     places = decimals(STIFFNESS.factor * joint.std)
     value = fixed(STIFFNESS.factor * joint.value, places) if math.isfinite(joint.value) else DASH
-    std = fixed(STIFFNESS.factor * joint.std, places) if math.isfinite(joint.std) else DASH
     low, high = (interval_end(STIFFNESS.factor * one, places) if math.isfinite(one) else "∞" for one in joint.interval)
     reason = f"   {joint.reason}" if joint.reason else ""
     name = joint.joint if joint.unit == "N*m/rad" else f"{joint.joint} [10⁵ N/m]"
-    return f"{name:<24} {value + ' ± ' + std:>26}   {low} … {high}{_beside(joint)}{reason}"
+    return f"{name:<24} {value:>26}   {low} … {high}{_beside(joint)}{reason}"
 
 
 def _beside(joint: JointStiffness) -> str:

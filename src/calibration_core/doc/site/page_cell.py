@@ -41,6 +41,7 @@ MEANING = {
     "measurements.wrench_axes": "Axes in which the wrench is recorded.",
     "measurements.wrench_at": "Point to which the recorded torque refers.",
     "safety": "What the controller watches with a safety rating, as the cell's owner declares it.",
+    "surroundings": "What the robot stands on: motions are planned above it.",
     "boxes": "What stands in the cell: motions are planned around it.",
     "end_effector": "Mass and stiffness of what the flange carries.",
     "source": "Where the data come from; free text.",

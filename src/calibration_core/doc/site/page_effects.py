@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.model.effects import catalogue
-from calibration_core.model.effects.candidate import Candidate, Effect
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import Candidate, Effect, typical
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters

@@ -14,8 +14,8 @@ from scipy.special import betaincinv
 
 HEAD = """# Validation
 
-Every figure stands with the command that repeats it, its date and the commit that it was measured on. A share of n
-cases has a 95 % interval (binomial, Clopper and Pearson). Times depend on the machine: tests check ratios to a
+Every figure stands with the command that repeats it, its date and, where the repository has it, the commit. A share
+of n cases has a 95 % interval (binomial, Clopper and Pearson). Times depend on the machine: tests check ratios to a
 reference in the same run; seconds are stated as seen. The real recordings are others' (their sources stand in the
 tests) and not part of this project.
 """
@@ -98,12 +98,13 @@ def recorded(groups: Sequence[Mapping[str, Any]]) -> str:
     """Return the sections of runs on record."""
     parts = []
     for group in groups:
-        rows = [f"## {group['group']}\n", "| what | measured | command | date | commit |", "|---|---|---|---|---|"]
+        rows = [f"## {group['group']}\n"]
         for one in group["figures"]:
             shares = "; ".join(_share(share) for share in one.get("shares", ()))
             said = "; ".join(text for text in (one.get("measured", ""), shares) if text)
-            rows.append(f"| {one['what']} | {said} | `{one['command']}` | {one['date']} | `{one['commit']}` |")
-        parts.append("\n".join([*rows, ""]))
+            place = f"{one['date']}, commit `{one['commit']}`" if "commit" in one else one["date"]
+            rows.append(f"**{one['what'][:1].upper()}{one['what'][1:]}:** {said}.\n<br>`{one['command']}`, {place}\n")
+        parts.append("\n".join(rows))
     return "\n".join(parts)
 
 

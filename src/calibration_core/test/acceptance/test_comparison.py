@@ -16,7 +16,7 @@ from calibration_core.identification.identify import identify
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect
-from calibration_core.outcomes.comparison import Compared, reservations
+from calibration_core.outcomes.comparison import Compared, described, reservations
 
 NONE = GaussianEstimate.nothing()
 LAW = 1e-4
@@ -119,6 +119,8 @@ def test_what_cannot_be_told_says_what_would_tell() -> None:
     ({"verdict": "changed"}, ("changed: stiffness of joint_2", "find out what was done to the robot")),
     ({"verdict": "cannot_tell", "configurations": 40},
      ("whether it has changed stays open: stiffness of joint_2", "measure 40 configurations each time")),
+    ({"verdict": "cannot_tell", "configurations": 2648},
+     ("whether it has changed stays open: stiffness of joint_2", "plan configurations in which the load turns")),
     ({"verdict": "cannot_tell", "configurations": None},
      ("whether it has changed stays open: stiffness of joint_2", "measure again what is not known")),
     ({"verdict": "not_changed"}, None),
@@ -134,6 +136,17 @@ def test_what_has_changed_speaks_against_the_earlier_model(
     if said is not None:
         assert found[0][0] == said[0]
         assert found[0][1].startswith(said[1])
+
+
+@pytest.mark.parametrize(("changes", "said"), [
+    ({}, "perhaps changed (certain of this one alone, not among all that were compared); 40 configurations each"),
+    ({"high": 0.05}, "joint_2: -20.0 % (-25.0 to +5.0 %), cannot tell; 40 configurations each"),
+    ({"high": 0.05, "configurations": 2648}, "cannot tell; more than 100 configurations each would tell"),
+    ({"verdict": "changed", "configurations": None}, "(-25.0 to -15.0 %), changed"),
+])  # fmt: skip
+def test_an_interval_and_what_is_made_of_it_agree(changes: dict[str, Any], said: str) -> None:
+    row = QuantityChange("stiffness", "joint_2", 1e6, 8e5, "N*m/rad", -0.2, -0.25, -0.15, "cannot_tell", 40, 0.05)
+    assert said in described(dataclasses.replace(row, **changes))
 
 
 def test_unknown_in_one_is_not_compared() -> None:

@@ -9,10 +9,13 @@ import pytest
 from acceptance_cases import identified, measured, small, softened
 
 from calibration_core.acceptance.verification import verify, with_fitted_tracker
+from calibration_core.commands.evaluation.predict import evaluate
 from calibration_core.errors import RecordingError
+from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.identified.calibrated import CalibratedModel
+from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.outcomes.verification import reservations
 
@@ -72,6 +75,34 @@ def test_a_tracker_that_was_set_up_anew_is_fitted() -> None:
     turned = np.cross(readings.position, left).sum(axis=0)
     assert np.abs(left.sum(axis=0)).max() < 1e-9  # what is left has no shift and no turn
     assert np.abs(turned).max() < 1e-9
+
+
+def test_positions_alone_that_do_not_agree_name_the_geometry() -> None:
+    """`predict` and `verify` agree on a robot whose geometry was never measured, and send nobody to `diagnose`."""
+    true = nominal_parameters(small())
+    offsets = np.zeros_like(true.geometry)
+    offsets[1:5, 5] = (1e-3, -1.5e-3, 2e-3, -1.5e-3)
+    true = true.replace(geometry=offsets)
+    first = identify(measured(true, 5), small())
+    joints = [k for k, name in enumerate(first.estimate.names) if name.startswith("compliance.")]
+    estimate = first.estimate.chosen(joints)  # as if the frames were known exactly: they hold the geometry's errors
+    model = CalibratedModel(first.model, estimate, None)
+    readings = measured(true, 6, plan_seed=2, configurations=12)
+    found = verify(readings, small(), model, 1e-4)
+    assert found.decision == "not_conforming"
+    (text, step), _ = reservations(found)
+    given = GivenModel(first.model, "model.yaml", "0" * 64, estimate)
+    predicted = evaluate(small(), given, readings).content
+    for reason, following in ((text, step), (predicted["reason"], predicted["next_step"])):
+        assert "deflections under load agree" in reason
+        assert "the model's geometry is nominal" in reason
+        assert "calibration plan --for geometry" in following
+        assert "diagnose" not in following
+    unsure = verify(readings, small(), CalibratedModel(first.model, first.estimate, None), 1e-4)
+    if unsure.decision == "undecided":
+        assert any("--for geometry" in following for _, following in reservations(unsure)[1])
+    soft = measured(softened(true, 1, 0.4), 7, plan_seed=2, configurations=12)
+    assert "run diagnose" in reservations(verify(soft, small(), model, 1e-4))[0][1]
 
 
 def test_places_beyond_the_valid_range_are_named() -> None:

@@ -21,7 +21,7 @@ def run(*arguments: object) -> int:
 
 
 def result_of(directory: Path) -> dict[str, Any]:
-    """Read result.json; its keys begin with the contract's, in that order."""
+    """Read result.json; its keys begin with the fixed ones, in their order."""
     content: dict[str, Any] = json.loads((directory / "result.json").read_text(encoding="utf-8"))
     assert tuple(content)[: len(KEYS)] == KEYS
     assert content["schema"] == 1

@@ -14,6 +14,11 @@ from program import CELL, names, run
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from calibration_core.cell import load_cell
+from calibration_core.outcomes.cell_check import match_bag
+from calibration_core.recording.bags.bag import read_bag
+from calibration_core.recording.bags.writer import write_bag
+
 DEMO = CELL.with_name("demo.cell.yaml")
 GOOD = DEMO.read_text().replace("../robots/", f"{DEMO.parent.parent / 'robots'}/")
 
@@ -145,6 +150,15 @@ def test_topics_and_joints_that_do_not_match_are_named(
     assert (
         "target target_b (/tracker/target_b): found not in the recording; of that type there: /tracker/mp2" in lines[1]
     )
+
+
+def test_another_topic_of_the_type_of_an_optional_one_makes_it_no_fault(tmp_path: Path) -> None:
+    cell = load_cell(CELL)
+    motors = cell.model_copy(update={"topics": cell.topics.model_copy(update={"temperature": "/motor_temperature"})})
+    write_bag(tmp_path / "bag", read_bag(CELL.parents[2] / "bags" / "small_loaded", cell), motors)
+    (found,) = [one for one in match_bag(tmp_path / "bag", cell) if one.role == "temperature"]
+    assert found.state == "optional"
+    assert "of that type there: /motor_temperature" in found.text
 
 
 def test_topics_without_a_message_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -125,7 +125,7 @@ def test_recordings_at_rest_leave_nothing_to_compare(
         (("{one}", "{two}", "--cell", "{cell}", "--dates", "2024-01-01"), "--dates"),
         (("{one}", "{two}", "--cell", "{cell}", "--dates", "2024-01-01", "yesterday"), "ISO 8601"),
         (("{one}", "{two}", "--cell", "{cell}", "--cell", "{other}"), "robot"),
-        (("{one}", "{old}", "--cell", "{cell}"), "schema 2"),
+        (("{one}", "{old}", "--cell", "{cell}"), "schema: found 1, expected 2"),
     ],
 )
 def test_what_it_refuses(

@@ -90,7 +90,11 @@ def test_a_simulation_with_the_wrong_sign_is_named(
     assert (content["verdict"], content["anomalies"]) == ("consistent", [])
     assert content["usable"] != "no"
     assert len(content["stiffness"]) == 6
-    assert content["comparison"]["step_by_step"] is None
+    (turned_back,) = content["comparison"]["differences"]
+    assert "read as if this were put right" in turned_back["text"]
+    assert not turned_back["spoils"]
+    steps = content["comparison"]["step_by_step"]
+    assert steps["rms"] < steps["noise"]
 
 
 def rewritten(table: Path, out: Path, change: Callable[[dict[str, str]], dict[str, str] | None]) -> Path:
@@ -122,7 +126,7 @@ def test_a_tracker_that_jumps_in_the_simulation_leaves_the_recording_usable(
 
 
 def test_postures_beside_loaded_configurations_stand_in_result_and_report(
-    simulated: Path, clean: Path, cell_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    simulated: Path, clean: Path, cell_path: Path, tmp_path: Path
 ) -> None:
     def kept(row: dict[str, str]) -> dict[str, str] | None:
         return row if int(row["configuration"]) <= 8 or row["step"] == "0" else None
@@ -132,11 +136,12 @@ def test_postures_beside_loaded_configurations_stand_in_result_and_report(
         for folder, name in ((simulated, "ours.csv"), (clean, "theirs.csv"))
     )
     assert run("diagnose", ours, "--cell", cell_path, "--simulation", theirs, "--out", tmp_path / "out") == 0
-    steps = result_of(tmp_path / "out")["comparison"]["step_by_step"]
+    compared = result_of(tmp_path / "out")["comparison"]
+    steps = compared["step_by_step"]
     sizes = {one["name"]: one["rms"] for one in steps["by_configuration"]}
     assert sorted(map(int, sizes)) == list(range(1, 13))
     assert all(0.0 < size < 2 * steps["noise"] for size in sizes.values())
-    assert "Over 4 common configurations with one step the positions" in capsys.readouterr().out
+    assert any("Over 4 common configurations with one step the positions" in one for one in compared["sentences"])
     shown = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Largest differences of positions, configurations with one step" in shown
 

@@ -212,17 +212,15 @@ def test_a_model_that_cannot_be_used_ends_with_one_line(
     assert not out.exists()
 
 
-SCHEMA_1 = "the model file is of schema 1: it has no covariance, and nothing that is taken from it has an interval"
+WITHOUT = "the model file states no covariance: nothing that is taken from it has an interval"
 
 
 @pytest.fixture(scope="module")
-def old_model(identified: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The identified model as a file of schema 1."""
+def bare_model(identified: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The identified model as a file that states no covariance."""
     content = yaml.safe_load((identified / "model.yaml").read_text())
-    for key in ("covariance", "valid_range", "robot_sha256", "parameters"):
-        content.pop(key)
-    path = tmp_path_factory.mktemp("old") / "old.yaml"
-    path.write_text(yaml_text({**content, "schema": 1}))
+    path = tmp_path_factory.mktemp("bare") / "bare.yaml"
+    path.write_text(yaml_text({**content, "parameters": [], "covariance": [], "valid_range": None}))
     return path
 
 
@@ -252,7 +250,7 @@ def another(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_every_command_says_once_and_alike_that_a_model_has_no_intervals(
     command: tuple[object, ...],
-    old_model: Path,
+    bare_model: Path,
     identified: Path,
     planned: Path,
     another: Path,
@@ -266,15 +264,15 @@ def test_every_command_says_once_and_alike_that_a_model_has_no_intervals(
     asked = [words.get(word, word) if isinstance(word, str) else word for word in command]
     asked += [] if command[0] == "export" else ["--no-report"]
     asked += ["--plan", planned / "plan.yaml"] if command[0] == "simulate" else []
-    for model, times in ((old_model, 1), (identified / "model.yaml", 0)):
+    for model, times in ((bare_model, 1), (identified / "model.yaml", 0)):
         out = tmp_path / model.stem
         capsys.readouterr()
         assert run(*asked, "--cell", cell_path, "--model", model, "--out", out) == 0, capsys.readouterr().err
         said, result = capsys.readouterr().out, json.loads((out / "result.json").read_text())
-        assert said.lower().count(SCHEMA_1) == times, said
+        assert said.lower().count(WITHOUT) == times, said
         stated = [
             note["text"] if isinstance(note, dict) else note
             for key in ("notes", "remarks")
             for note in result.get(key, ())
         ]
-        assert sum(SCHEMA_1 in text.lower() for text in stated) == times
+        assert sum(WITHOUT in text.lower() for text in stated) == times

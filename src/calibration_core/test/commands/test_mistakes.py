@@ -236,8 +236,11 @@ def test_a_task_from_a_spreadsheet_is_refused_by_its_separator(
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--tolerance", "100"), "verify: --tolerance: found 100 m, expected a length in m above zero and at most 0.1"),
-        (("--tolerance", "0"), "verify: --tolerance: found 0 m, expected a length in m above zero and at most 0.1"),
+        (
+            ("--tolerance", "0.1"),
+            "verify: --tolerance: found 0.1 m, which is 100 mm, expected a length in m above zero",
+        ),
+        (("--tolerance", "0"), "verify: --tolerance: found 0 m, expected a length in m above zero and below 0.01"),
     ],
 )
 def test_a_tolerance_in_millimetres(
@@ -257,7 +260,7 @@ def test_a_centre_of_gravity_in_millimetres(
 
 
 def test_steps_without_a_wrench_are_readings_at_rest(simulated: Path, tmp_path: Path) -> None:
-    """Contract, section 4: where wrench columns are absent there is no external load, whatever the steps."""
+    """Where wrench columns are absent there is no external load, whatever the steps."""
     with (simulated / "measurements.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     kept = [k for k, name in enumerate(rows[0]) if name not in {"fx", "fy", "fz", "tx", "ty", "tz"}]

@@ -87,7 +87,7 @@ def test_warnings_of_libraries_reach_nobody(out: Path, capfd: pytest.CaptureFixt
 @pytest.mark.parametrize("arguments", [
     ("identify",), ("nonsense",), ("identify", "a.csv", "--cell", "c", "--nonsense"),
     ("plan", "--cell", "c", "--seed", "x"),
-    ("plan", "--cell", "c", "--criterion", "Z" * 5000), (), ("plan", "--cell", "c", "--configurations", "\n\n"),
+    ("plan", "--cell", "c", "--criterion", "Z" * 5000), ("plan", "--cell", "c", "--configurations", "\n\n"),
 ])  # fmt: skip
 def test_arguments_that_make_no_sense_are_one_line(
     arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
@@ -104,6 +104,11 @@ def test_arguments_that_make_no_sense_are_one_line(
 def program(*arguments: object, **options: object) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "calibration_core.cli", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)  # type: ignore[call-overload]
+
+
+def said_last(errors: bytes) -> list[str]:
+    """Return the lines of a standard error that say more than how far a command is; slow ones say that, too."""
+    return [line for line in errors.decode().splitlines() if not line.endswith("% done)")]
 
 
 def heeds(process: subprocess.Popen[bytes], number: int) -> bool:
@@ -131,7 +136,7 @@ def test_signals_end_with_one_line_and_leave_the_earlier_result(
         _, errors = process.communicate(timeout=60)
         # Python itself ends by the signal where it arrived inside code made from text; a shell says 130 to both
         assert process.returncode in (code, -number), errors
-        assert len(errors.decode().splitlines()) == 1
+        assert len(said_last(errors)) == 1
         assert everything(out.parent) == ["out", "out/result.json"]
         assert (out / "result.json").read_text() == EARLIER
 
@@ -200,7 +205,7 @@ def test_a_reader_that_goes_away(tmp_path: Path) -> None:
     assert process.stdout is not None
     process.stdout.close()
     assert process.stderr is not None
-    assert process.stderr.read() == b""
+    assert said_last(process.stderr.read()) == []
     assert process.wait(timeout=60) == 0
     assert (tmp_path / "out" / "result.json").is_file()
 
@@ -212,7 +217,7 @@ def test_a_full_standard_output(tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, timeout=60, check=False)
         assert done.returncode == 2
-        assert len(done.stderr.decode().splitlines()) == 1
+        assert len(said_last(done.stderr)) == 1
         assert b"No space left on device" in done.stderr
         both = subprocess.run([*command, "--readmit", "x"], stdout=full, stderr=full, timeout=60, check=False)
         assert both.returncode == 2
@@ -225,7 +230,7 @@ def test_closed_streams_and_an_ascii_locale(tmp_path: Path) -> None:
     done = subprocess.run(
         [*command, *arguments, str(tmp_path / "größe")], capture_output=True, env=plain, timeout=60, check=False
     )
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (done.returncode, said_last(done.stderr)) == (0, [])
     assert b"\\xb5m" in done.stdout  # escaped, not lost
     missing = subprocess.run(
         [*command, "identify", "größe.csv", "--cell", "größe.yaml"],

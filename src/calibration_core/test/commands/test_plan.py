@@ -36,8 +36,20 @@ def test_the_result_tells_what_was_planned(planned: Path, cell_path: Path) -> No
     assert (content["stiffness"], content["findings"], content["verdict"]) == ([], [], "consistent")
     assert content["spares"] == 6
     assert content["expected"]["efficiency"] > 0.9
-    assert content["largest_force"] == pytest.approx(10 * 9.80665)
+    assert content["largest_force"] == pytest.approx(0.9 * 10 * 9.80665)
     assert {item["role"] for item in content["input"]["sha256"]} == {"cell"}
+
+
+def test_the_end_effector_counts_towards_the_rated_load(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = yaml.safe_load(CELL.read_text(encoding="utf-8"))
+    cell = tmp_path / "cell.yaml"
+    for mass, code in ((2.0, 0), (9.5, 2), (10.0, 2)):
+        cell.write_text(yaml.safe_dump({**content, "end_effector": {"mass": mass, "com": [0, 0, 0.1]}}))
+        assert run("plan", "--cell", cell, "--configurations", 12, "--no-report", "--out", tmp_path / "out") == code
+        if code:
+            assert f"end_effector.mass: found {mass:g} kg" in capsys.readouterr().err
+        else:
+            assert result_of(tmp_path / "out")["largest_force"] == pytest.approx((9.0 - mass) * 9.80665)
 
 
 def test_what_was_not_judged_is_told_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,6 +118,15 @@ def test_the_same_seed_gives_the_same_plan_and_options_reach_the_planner(
     assert len(plan["configurations"]) == 12
     force = np.linalg.norm(np.array(plan["configurations"][0]["steps"])[:, :3], axis=1)
     np.testing.assert_allclose(force, [0.0, 40.0, 0.0])
+
+
+@pytest.mark.parametrize(("levels", "told"), [((0, 1), ["no_return_to_zero"]), ((0, 1, 0), [])])
+def test_a_plan_that_hides_drift_says_so(
+    cell_path: Path, tmp_path: Path, levels: tuple[int, ...], told: list[str]
+) -> None:
+    options = ("--cell", cell_path, "--configurations", 12, "--no-report", "--load-levels", *levels)
+    assert run("plan", *options, "--out", tmp_path / "out") == 0
+    assert [note["kind"] for note in result_of(tmp_path / "out")["notes"]] == told
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from program import result_of, run
 from calibration_core.cell import load_cell
 from calibration_core.commands.planning.geometry import plan_geometry
 from calibration_core.identification.geometry.fit import fit
-from calibration_core.identification.geometry.pose_information import geometry_terms, pose_problem
+from calibration_core.identification.geometry.identifiability import geometry_terms, pose_problem
 from calibration_core.identification.geometry.terms import names_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of

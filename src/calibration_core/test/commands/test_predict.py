@@ -71,10 +71,10 @@ MODELS = {
     "empty": ("", "a mapping with the keys"),
     "no YAML": ("schema: [", "YAML"),
     "bytes": ("\x00", "YAML"),
-    "other schema": ("schema: 7", "expected 1"),
-    "unknown key": ("schema: 1\nsprings: 3", "an unknown key"),
-    "other joints": ("schema: 1\njoints: [a]", "the cell's joints"),
-    "joints of no kind": ("schema: 1\njoints: 7", "the cell's joints"),
+    "other schema": ("schema: 1", "expected 2"),
+    "unknown key": ("schema: 2\nsprings: 3", "an unknown key"),
+    "other joints": ("schema: 2\njoints: [a]", "the cell's joints"),
+    "joints of no kind": ("schema: 2\njoints: 7", "the cell's joints"),
 }
 
 

@@ -13,6 +13,7 @@ from program import CELL, names, result_of, run
 import calibration_core as cal
 from calibration_core.files.yaml_file import read_yaml, yaml_text
 from calibration_core.library.recordings import Recording
+from calibration_core.recording.tables.table import write_table
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,7 @@ def test_the_model_is_read_as_any_other(
     capsys.readouterr()
     assert run("describe", found) == 0
     text = capsys.readouterr().out
-    assert "The recordings agree." in text
+    assert "agreement: the recordings agree in " in text
     assert str(table) in text
 
 
@@ -129,6 +130,22 @@ def test_one_diagnosis_of_two_recordings(
     assert run("predict", table, "--cell", CELL, "--model", model, "--no-report", "--out", tmp_path / "p") == 0
     fit = result_of(tmp_path / "p")["fit"]
     assert fit["rms_after"] < 1.3 * fit["noise"]
+
+
+def test_of_recordings_that_share_no_parameter_nobody_says_that_they_agree(
+    simulated: Path, later: Path, moved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Twelve postures at rest show no stiffness, and no geometry that both recordings fit alike."""
+    tables, cells = (tmp_path / "a.csv", tmp_path / "b.csv"), ("--cell", CELL, "--cell", moved)
+    for made, cell, table in zip((simulated, later), cells[1::2], tables, strict=True):
+        readings = cal.load_recording(made / "measurements.csv", cal.load_cell(cell)).readings
+        write_table(table, readings.select(readings.step == 0))
+    out = tmp_path / "out"
+    assert run("diagnose", *tables, *cells, "--no-report", "--out", out) == 0
+    assert run("describe", out) == 0
+    assert result_of(out)["agreement"] == {"agree": None, "compared": [], "differences": [], "taken_off": []}
+    said = "agreement: cannot tell, no parameter of the robot is known from two of the recordings"
+    assert capsys.readouterr().out.count(said) == 2
 
 
 def test_every_recording_is_compared_with_its_own_simulation(

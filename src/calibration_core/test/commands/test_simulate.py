@@ -35,6 +35,24 @@ def test_the_report_says_that_nothing_was_measured(simulated: Path) -> None:
         assert text in page
 
 
+def test_a_coupling_of_joints_is_in_what_is_written_and_not_in_what_is_read(cell_path: Path, tmp_path: Path) -> None:
+    coupled = tmp_path / "cell.yaml"
+    text = cell_path.read_text(encoding="utf-8")
+    coupled.write_text(
+        text.replace("robot:\n", "robot:\n  joint_coupling: {joint_3: {joint_2: 1.0}}\n", 1), encoding="utf-8"
+    )
+    for name, path in (("plain", cell_path), ("coupled", coupled)):
+        assert run("simulate", "--cell", path, "--out", tmp_path / name, "--no-report") == 0
+    for file in ("recording", "measurements.csv"):
+        plain, read = (
+            observe(tmp_path / name / file, load_cell(path))
+            for name, path in (("plain", cell_path), ("coupled", coupled))
+        )
+        np.testing.assert_allclose(read.q, plain.q, atol=1e-9)
+        stated = observe(tmp_path / "coupled" / file, load_cell(cell_path))
+        np.testing.assert_allclose(stated.q[:, 2], plain.q[:, 2] - plain.q[:, 1], atol=1e-9)
+
+
 def test_without_a_plan_one_is_made_and_written(cell_path: Path, tmp_path: Path) -> None:
     assert run("simulate", "--cell", cell_path, "--out", tmp_path, "--no-report") == 0
     assert names(tmp_path) == {"result.json", "recording", "measurements.csv", "plan.yaml", "table1.csv", "table1.yaml"}

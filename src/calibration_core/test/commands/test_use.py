@@ -49,6 +49,12 @@ def test_deflect(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert page.count("<figure") == page.count("<img") == 1  # the map
 
 
+def test_numbers_may_begin_with_a_minus_and_stand_between_commas(model: Path, tmp_path: Path) -> None:
+    options = ("--cell", CELL, "--model", model, "--out", tmp_path / "out", "--no-report")
+    assert run("deflect", *options, "--q", "-0.1,0.5,0.2,0.3,0.7,-.1", "--wrench", "-50,0,-60,0,0,1") == 0
+    assert result_of(tmp_path / "out")["deflections"][0]["point"] == "tool"
+
+
 def test_compensate(model: Path, tmp_path: Path) -> None:
     (tmp_path / "task.csv").write_text(TASK)
     options = ("--cell", CELL, "--model", model, "--out", tmp_path / "out")
@@ -93,7 +99,7 @@ def test_compensate(model: Path, tmp_path: Path) -> None:
         (("compensate", "degrees.csv"), "degrees.csv: line 2: found joint_2 at 45"),
         (("compensate", "back.csv"), "back.csv: line 3, column time: found 1 s, expected more than 2 s of line 2"),
         (("deflect", "--poses", "degrees.csv", "--wrench", "1 2 3 0 0 0"), "degrees.csv: line 2: found joint_2 at 45"),
-        (("deflect", "--q", ANGLES, "--wrench", "0 0 -9999 0 0 0"), "--q: row 1: found load beyond the rated load"),
+        (("deflect", "--q", ANGLES, "--wrench", "0 0 -9999 0 0 0"), "--wrench: found load beyond the rated load"),
         (("deflect", "--q", ANGLES, "--wrench", "0 0 -1 0 0 0", "--payload", "999 0 0 0"), "beyond the rated load"),
     ],
 )
@@ -122,7 +128,7 @@ def test_what_cannot_be_used_is_named(
 def test_a_wrench_for_all_rows_beside_wrenches_in_the_file_is_said(
     command: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`--wrench` holds for all rows (contract, section 7); that the file's own are not used is a remark."""
+    """`--wrench` holds for all rows; that the file's own are not used is a remark."""
     (tmp_path / "task.csv").write_text("".join(TASK.splitlines(keepends=True)[:3]))
     file = ("--poses", tmp_path / "task.csv") if command == "deflect" else (tmp_path / "task.csv",)
     options = ("--cell", CELL, "--model", model, "--no-report", "--out", tmp_path / "out")

@@ -130,6 +130,57 @@ def test_the_certificate_says_what_iso_iec_17025_asks_for(identified: Path, othe
         assert words in text, words
 
 
+@pytest.mark.parametrize("missing", ["certificate", "serial", "tracker", "nothing"])
+def test_only_what_is_known_is_certified(missing: str, identified: Path, other: Path, tmp_path: Path) -> None:
+    from calibration_core.acceptance.verification import verify
+    from calibration_core.model.identified.model_file import read_calibrated
+    from calibration_core.observations.observe import observe
+    from calibration_core.report.documents.verification import certificate_document
+
+    cell = load_cell(named_cell(tmp_path))
+    update: dict[str, object] = {}
+    if missing == "certificate":
+        update = {"certificate": type(cell.certificate)()}
+    elif missing == "serial":
+        update = {"robot": cell.robot.model_copy(update={"serial": ""})}
+    elif missing == "tracker":
+        tracker = cell.instruments.tracker.model_copy(update={"calibrated": ""})
+        update = {"instruments": cell.instruments.model_copy(update={"tracker": tracker})}
+    cell = cell.model_copy(update=update)
+    found = verify(observe(other, cell), cell, read_calibrated(identified / "model.yaml", load_cell(CELL)), 1e-4)
+    document = certificate_document(found, cell, b"{}", {"model": {"model.yaml": "a" * 64}})
+    text = repr(document).replace("\\xa0", " ")
+    certified = missing in {"tracker", "nothing"}
+    assert document.title == ("Calibration certificate" if certified else "Verification record")
+    assert ("written approval" in text) == certified
+    assert ("are traceable to the SI" in text) == (missing != "tracker")
+    assert ("Traceability to the SI is not shown" in text) == (missing == "tracker")
+
+
+def test_the_date_of_a_table_is_stated_or_read(
+    identified: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table without a date has that of `--date`; Unix time is a date, and is not overruled (CWA 17384, 8 b)."""
+    common = ("--cell", CELL, "--model", identified / "model.yaml", "--no-report", "--out", tmp_path / "out")
+    with other.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    tables = {}
+    for name, start in (("seconds", 0.0), ("unix", 1_764_547_200.0)):  # 2025-12-01
+        tables[name] = tmp_path / f"{name}.csv"
+        with tables[name].open("w", newline="") as stream:
+            writer = csv.DictWriter(stream, list(rows[0]))
+            writer.writeheader()
+            writer.writerows({**row, "time": repr(start + k)} for k, row in enumerate(rows))
+    for command, options in (("verify", ("--tolerance", 1e-4)), ("predict", ())):
+        for name, dated, start in (("seconds", ("--date", "2026-05-31"), "2026-05-31"), ("seconds", (), ""),
+                                   ("unix", (), "2025-12-01T00:00:00+00:00")):  # fmt: skip
+            assert run(command, tables[name], *common, *options, *dated) == 0
+            assert result_of(tmp_path / "out")["input"]["recording"]["start"] == start
+        capsys.readouterr()
+        assert run(command, tables["unix"], *common, *options, "--date", "2026-05-31") == 2
+        assert "--date: found 2026-05-31 for a recording that states its own date" in capsys.readouterr().err
+
+
 def test_the_recording_of_the_model_itself_is_refused(
     identified: Path, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -182,10 +233,8 @@ def test_a_model_without_intervals_says_so(
     identified: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     content = read_yaml(identified / "model.yaml", 1 << 24, "model").data
-    old = {key: value for key, value in content.items() if key not in {"parameters", "covariance", "valid_range",
-                                                                       "robot_sha256"}}  # fmt: skip
-    (tmp_path / "old.yaml").write_text(yaml_text({**old, "schema": 1}))
-    arguments = ("--cell", CELL, "--model", tmp_path / "old.yaml", "--tolerance", 1e-4, "--out", tmp_path / "out")
+    (tmp_path / "bare.yaml").write_text(yaml_text({**content, "parameters": [], "covariance": []}))
+    arguments = ("--cell", CELL, "--model", tmp_path / "bare.yaml", "--tolerance", 1e-4, "--out", tmp_path / "out")
     assert run("verify", other, *arguments, "--no-report") == 0
     assert "The uncertainty is that of the instruments alone." in capsys.readouterr().out
     assert json.loads((tmp_path / "out" / "result.json").read_text())["intervals_of_the_model"] is False

@@ -309,4 +309,4 @@ def test_a_model_without_geometry_says_that_places_rest_on_the_cell_file(cell: C
     robot, task = CalibratedRobot.of(cell, model), task_of(2)
     said = [apply(robot, CalibratedModel(model, one, None), task).remarks for one in (whole, alone, None)]
     assert [any("geometry was not identified" in text for text in texts) for texts in said] == [False, True, False]
-    assert any("schema 1" in text for text in said[2])
+    assert any("states no covariance" in text for text in said[2])

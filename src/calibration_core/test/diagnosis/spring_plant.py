@@ -59,6 +59,8 @@ class Plant:
         rated: kg.
         waves: Order and amplitude, in usual ones, of the gear of joint 2.
         zero: Largest zero offset of joint 2, rad; at least a fifth of it is there.
+        slope: rad, by which the floor leans, in a direction that is drawn.
+        hose: Joint (index) that winds up a hose, and the power of its law; None: none does.
         geometry: Whether lengths and angles differ from the cell file.
         loaded: How many of the configurations are loaded, too, in steps.
         soft: Whether joint 2 is softer at small torques.
@@ -69,6 +71,8 @@ class Plant:
     rated: int = 200
     waves: tuple[tuple[int, float], ...] = ()
     zero: float = 0.0
+    slope: float = 0.0
+    hose: tuple[int, int] | None = None
     geometry: bool = False
     loaded: int = 0
     soft: bool = False
@@ -107,7 +111,9 @@ class Arm:
         rows: (6, 4) a, alpha, d, theta.
         stiffness: (6,) N*m/rad.
         bodies: Link, mass and centre in its frame.
-        law: Torque beside joint 2 at its angle, N*m.
+        law: Torque beside a joint at its angle, N*m.
+        helped: That joint (index).
+        gravity: (3,) m/s^2, base axes.
         soft: N*m, of total torque at joint 2 below which it is softer; 0: it is not.
     """
 
@@ -115,6 +121,8 @@ class Arm:
     stiffness: np.ndarray
     bodies: Extra
     law: Law
+    helped: int
+    gravity: np.ndarray
     soft: float
 
     def at_rest(self, begun: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -122,10 +130,10 @@ class Arm:
         angles = begun
         for _ in range(60):
             frames = _frames(self.rows, angles)
-            torque = _weight(self.rows, self.bodies, angles)
+            torque = _weight(self.rows, self.bodies, angles, self.gravity)
             for joint in range(6):
                 torque[joint] += np.cross(frames[joint][:3, 2], frames[6][:3, 3] - frames[joint][:3, 3]) @ force
-            torque[HELPED] += self.law(float(angles[HELPED]))
+            torque[self.helped] += self.law(float(angles[self.helped]))
             new = begun + torque / self.stiffness
             if self.soft:
                 more = SOFTER * self.soft * np.tanh(torque[HELPED] / self.soft)
@@ -151,7 +159,16 @@ def recorded(plant: Plant) -> tuple[Cell, Readings]:
     phases = [(order, size * _usual(plant.rated), rng.uniform(0, 2 * np.pi)) for order, size in plant.waves]
     points = POINTS * length + rng.normal(0, 2e-4, (3, 3))
     soft = SOFT_TORQUE * plant.rated * plant.soft
-    arm = Arm(true, stiffness, (*_arm(heavy, length), *extra), law, soft)
+    helped, gravity = HELPED, GRAVITY
+    if plant.hose is not None:
+        helped, power = plant.hose
+        law = _hose(
+            power, rng, q[:, helped], 0.05 * max(abs(_weight(rows, _arm(heavy, length), one)[HELPED]) for one in q)
+        )
+    if plant.slope:
+        way = rng.uniform(0, 2 * np.pi)
+        gravity = Rotation.from_rotvec(plant.slope * np.array([np.cos(way), np.sin(way), 0])).apply(GRAVITY)
+    arm = Arm(true, stiffness, (*_arm(heavy, length), *extra), law, helped, gravity, soft)
     positions, wrenches, steps, configurations = [], [], [], []
     for number, one in enumerate(q):
         begun = one + zero
@@ -187,13 +204,13 @@ def _frames(rows: np.ndarray, q: np.ndarray) -> list[np.ndarray]:
     return frames
 
 
-def _weight(rows: np.ndarray, bodies: Extra, q: np.ndarray) -> np.ndarray:
+def _weight(rows: np.ndarray, bodies: Extra, q: np.ndarray, gravity: np.ndarray = GRAVITY) -> np.ndarray:
     """Return the torques of the weight of bodies (link, mass, centre in its frame) about all joints, (6,) N*m."""
     frames, torque = _frames(rows, q), np.zeros(6)
     for link, mass, centre in bodies:
         at = frames[link + 1][:3, :3] @ centre + frames[link + 1][:3, 3]
         for joint in range(link + 1):
-            torque[joint] += np.cross(frames[joint][:3, 2], at - frames[joint][:3, 3]) @ (mass * GRAVITY)
+            torque[joint] += np.cross(frames[joint][:3, 2], at - frames[joint][:3, 3]) @ (mass * gravity)
     return torque
 
 
@@ -225,6 +242,17 @@ def _help(
     law = _spring(kind, rng, length)
     scale = share * largest / max(abs(law(angle)) for angle in q[:, HELPED])
     return (lambda angle: scale * law(angle)), ()
+
+
+def _hose(power: int, rng: np.random.Generator, q: np.ndarray, torque: float) -> Law:
+    """Return the torque of a hose that winds up with a joint, evenly or ever stiffer, `torque` N*m where it is most."""
+    free, most = rng.uniform(-0.5, 0.5), float(np.abs(q).max())
+
+    def law(angle: float) -> float:
+        wound = (angle - free) / most
+        return -torque * (wound if power == 1 else 0.4 * wound + 0.6 * wound**power)
+
+    return law
 
 
 def _spring(kind: str, rng: np.random.Generator, length: float) -> Law:

@@ -15,8 +15,7 @@ from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.outcomes.together.agreement import agreement
-from calibration_core.outcomes.together.by_themselves import by_themselves
-from calibration_core.outcomes.together.changes import without_changes
+from calibration_core.outcomes.together.by_themselves import by_themselves, without_changes
 from calibration_core.outcomes.together.diagnose import diagnose_together
 from calibration_core.timeseries import Readings
 
@@ -44,8 +43,8 @@ def softened(joint: int) -> list[float]:
 
 
 def effects(found: Diagnosis) -> list[tuple[str, dict[str, Any]]]:
-    """Return what is said to be missing; the cell files have the points a millimetre elsewhere, which is said, too."""
-    return [(one.effect, dict(one.location)) for one in found.findings if one.effect != "measurement_point_offset"]
+    """Return what is said to be missing."""
+    return [(one.effect, dict(one.location)) for one in found.findings]
 
 
 def differing(found: Diagnosis) -> list[tuple[str, str]]:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design
-from calibration_core.diagnosis.evidence.estimates import estimates
-from calibration_core.diagnosis.evidence.residual import weighted_rest
+from calibration_core.diagnosis.evidence.extended import estimates
+from calibration_core.diagnosis.evidence.residual import held_out_ratio, weighted_rest
 from calibration_core.diagnosis.evidence.selection import field_of, select
 from calibration_core.estimation.alternatives.confounding import are_confounded
 from calibration_core.estimation.likelihood.small_effects import shared_power
@@ -49,6 +49,29 @@ def design(
         chances=tuple(last if k == 2 else slice(last.stop, last.stop) for k in range(places)),
         joints=tuple(f"joint_{k + 1}" for k in range(3 * places)),
     )  # fmt: skip
+
+
+def test_the_error_of_configurations_left_out_is_held_against_what_noise_makes_it() -> None:
+    """One on the average, whatever the leverage; more where a model that was accepted does not hold."""
+
+    def exact(seed: int, truth: dict[int, float] | None = None) -> Design:
+        d = design(seed, truth)
+        columns = d.columns.copy()
+        columns[:, d.discrepancy] = 0.0
+        return dataclasses.replace(d, columns=columns)
+
+    ratios = [held_out_ratio(exact(seed), accepted) for seed in range(20) for accepted in ((), (2,), (1, 2, 5))]
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+    assert max(ratios) < 1.5
+    assert held_out_ratio(exact(1, {4: 1.0, 5: -0.5}), ()) > 1.5
+    usual = [design(seed) for seed in range(40)]
+    drawn = [
+        d.columns[:, d.discrepancy] @ np.random.default_rng(seed).standard_normal(2) for seed, d in enumerate(usual)
+    ]
+    ratios = [
+        held_out_ratio(dataclasses.replace(d, residual=d.residual + e), ()) for d, e in zip(usual, drawn, strict=True)
+    ]
+    assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=0.4)
 
 
 def test_estimates_are_those_of_generalised_least_squares() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from calibration_core.diagnosis.result.evidence_words import evidence_words, odds_words
+from calibration_core.diagnosis.result.finding import evidence_words, odds_words
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from absolute_cases import make_cell, make_readings, random_angles, truth_of
 from calibration_core.diagnosis.findings.geometry import Corrections, hypotheses_of, judged
 from calibration_core.diagnosis.positions import diagnose_still
 from calibration_core.diagnosis.result.finding import Diagnosis
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import typical
 
 POINTS = ("mp1", "mp2", "mp3")
 JOINTS = tuple(f"joint_{k + 1}" for k in range(6))

@@ -68,8 +68,7 @@ def test_a_second_recording_is_predicted_with_what_is_known(tmp_path: Path) -> N
     assert found.test is not None
     assert found.test.rms < 1.2 * found.noise
     assert found.test.rms_before < 1.2 * found.noise  # the stiffness of the given model is right, so is its effect
-    assert found.model is not None
-    assert found.model.effects == (TILTING,)
+    assert found.handed_out[0].effects == (TILTING,)
     assert found.identification.model.effects == (TILTING,)
 
 

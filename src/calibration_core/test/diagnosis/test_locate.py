@@ -133,7 +133,7 @@ def test_a_reference_measured_again_and_again_hides_nothing(cell: Cell, readings
     found = locate(longer, noise, cell, model)
     alone = locate(readings, noise[: len(readings)], cell, model)
     assert found is not None
-    assert found == alone
+    assert repr(found) == repr(alone)
 
 
 def test_joints_that_explain_as_much_are_named_together(cell: Cell, readings: Readings) -> None:

@@ -17,7 +17,7 @@ from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.model import effects
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.applied import REFERENCE, applied_shift
-from calibration_core.model.effects.traits import Trait
+from calibration_core.model.effects.candidate import Trait
 from calibration_core.model.effects.words import effect_sentence
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -30,7 +30,7 @@ from functools import partial
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
 from calibration_core.model.effects.springs import stacked
-from calibration_core.model.effects.traits import Trait
+from calibration_core.model.effects.candidate import Trait
 
 
 def columns(state, joint):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from robots import loaded_readings, write_cell
+from robots import STIFFNESS, loaded_readings, write_cell
 from several_cases import setup
 
 from calibration_core.cell import Cell
@@ -17,6 +17,7 @@ from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
 from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.state import State, state_of
@@ -24,7 +25,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.model.simulation.simulate import simulate_plan
-from calibration_core.observations.load_levels import levels_of
+from calibration_core.observations.kinds import levels_of
 from calibration_core.planning.feasible.loads import wrench_steps
 from calibration_core.planning.plans.plan import PlannedConfiguration
 from calibration_core.planning.plans.plan_file import plan_text, read_plan
@@ -220,3 +221,27 @@ def test_a_joint_that_no_load_turned_is_offered_one_beside_postures_at_rest(rest
     without = diagnose(readings, cell)
     assert not without.next_measurements
     assert (without.verdict, without.findings) == (found.verdict, found.findings)
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_where_exact_weights_never_load_a_joint_a_configuration_that_does_is_proposed(
+    tmp_path: Path, axis: int
+) -> None:
+    """Weights hung up or pulled along one axis of the base, with no sensor: one target, zero and full load."""
+    cell = write_cell(tmp_path, measurements={"wrench_axes": "base", "wrench_at": "wrench_point"})
+    drawn = loaded_readings(cell, 3, 12)
+    drawn = drawn.select(np.flatnonzero((drawn.step < 2) & (drawn.point == 0)))
+    wrench = np.zeros((len(drawn), 6))
+    wrench[drawn.step == 1, axis] = -2300.0
+    weights = dataclasses.replace(drawn, wrench=wrench, points=("mp1",))
+    truth = nominal_parameters(cell).replace(compliance=1 / np.array(STIFFNESS))
+    noise = 2e-5 * np.random.default_rng(4).standard_normal((len(weights), 3))
+    readings = dataclasses.replace(weights, position=predict_readings(weights, cell, truth) + noise)
+    found = diagnose(readings, cell, offers=offers_for(readings, cell))
+    assert found.verdict == "consistent"
+    unknown = {joint.joint for joint in found.identification.stiffness if not joint.identifiable}
+    assert unknown == ({"joint_1"} if axis == 2 else set())
+    said = [one.why for one in found.next_measurements if "of which the recording says nothing" in one.why]
+    assert all(0 < one.gain <= 100 for one in found.next_measurements)
+    assert bool(said) is bool(unknown)
+    assert all("joint_1" in one for one in said)

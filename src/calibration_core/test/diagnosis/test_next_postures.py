@@ -55,8 +55,10 @@ def test_a_finding_is_made_more_certain_by_as_much_as_is_promised(cell: Cell, tm
     q = random_angles(SEED, CONFIGURATIONS, 6)
     found = asked(cell, q)
     assert [(f.effect, dict(f.location)) for f in found.findings] == [("transmission_error", {"joint": "joint_2"})]
-    assert len(found.next_measurements) == 3
+    assert 1 <= len(found.next_measurements) <= 3
     for proposal in found.next_measurements:
+        before, after = shares(proposal.why)
+        assert before - after >= 0.02 * before  # less is not worth the way
         assert "makes “the gear of joint 2 runs unevenly (order 2)” more certain" in proposal.why
         assert proposal.gain > proposal.gain_at_random > 0
         assert (proposal.wrench, proposal.steps) == ((0.0,) * 6, ((0.0,) * 6,))
@@ -107,7 +109,8 @@ def test_what_no_posture_parts_is_said(cell: Cell) -> None:
     assert offers
     found = propose_postures(known, cell, offers)
     assert "“the gear of joint 2 runs unevenly (order 2)”" in found.text
-    assert [m.gain_unit for m in found.measurements] == ["%"] * 3
+    assert found.measurements
+    assert {m.gain_unit for m in found.measurements} == {"%"}
 
 
 def test_no_posture_is_promised_to_tell_of_what_depends_on_the_way_there(cell: Cell) -> None:

@@ -15,7 +15,7 @@ from calibration_core.diagnosis.empirical.dictionary import SIZE
 from calibration_core.diagnosis.empirical.law import EQUIVALENT, rival
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
-from calibration_core.diagnosis.findings.rejected_candidates import RejectedCandidate
+from calibration_core.diagnosis.findings.loaded import RejectedCandidate
 from calibration_core.diagnosis.loaded import diagnose_loaded
 
 JOINT, SHARE, PHASE = 1, 0.3, 0.2
@@ -57,8 +57,7 @@ def test_a_law_outside_the_catalogue_is_not_called_by_a_name_in_it(
         assert f"Not named, although it comes near: {effect} (" in found.rest.text
     assert ("joint_2 follows the angle " in found.rest.text) == bool(effects)
     assert "agrees with the noise" not in found.rest.text
-    assert found.model is not None
-    assert found.model.effects == ()
+    assert found.handed_out[0].effects == ()
 
 
 @pytest.mark.parametrize("seed", [7, *(pytest.param(k, marks=pytest.mark.slow) for k in (6, 8))])

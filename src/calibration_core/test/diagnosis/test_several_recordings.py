@@ -13,6 +13,7 @@ from several_cases import measured, setup, together
 from calibration_core.commands.evaluation.candidate_measurements import offers_for
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.evidence.extended import loaded_state
+from calibration_core.diagnosis.findings.registration import TARGETS
 from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.identification.stiffness.loaded import prepare_loaded
 from calibration_core.model.effects import candidates
@@ -81,20 +82,18 @@ def test_a_cause_in_a_set_up_names_its_recording(tmp_path: Path) -> None:
     assert found.test is not None
 
 
-def test_a_tracker_or_point_that_stands_elsewhere_than_stated_names_its_recording(tmp_path: Path) -> None:
+def test_a_point_that_stands_elsewhere_than_stated_names_its_recording(tmp_path: Path) -> None:
     cells = [setup(tmp_path, k, sigma=2e-5) for k in range(2)]
     wrong = cells[1].frames.measurement_points["mp2"]
     points = {**cells[1].frames.measurement_points, "mp2": (wrong[0], wrong[1] + 0.02, wrong[2])}
     stated = cells[1].model_copy(update={"frames": cells[1].frames.model_copy(update={"measurement_points": points})})
     recordings = [measured(cell, k, 50 + k) for k, cell in enumerate(cells)]
     found = diagnose_together(together(recordings, [cells[0], stated]))
-    expected = diagnose(recordings[1], stated).findings
-    offsets = {one.location["recording"]: one for one in found.findings if one.effect == "measurement_point_offset"}
-    finding = offsets["B.csv"]
-    assert finding.location["point"] == "mp2"
-    (alone,) = [one for one in expected if one.effect == "measurement_point_offset"]
-    assert [p.value for p in finding.parameters] == pytest.approx([p.value for p in alone.parameters], rel=1e-9)
-    assert found.verdict == "missing_physics"
+    (alone,) = [one for one in diagnose(recordings[1], stated).identification.notes if one.place == TARGETS]
+    (note,) = [one for one in found.identification.notes if one.place == f"B.csv: {TARGETS}"]
+    assert (note.kind, note.text) == ("frames", alone.text)
+    assert note.text.startswith("mp2 is ")
+    assert (found.verdict, found.findings) == ("consistent", ())
 
 
 def test_a_target_that_moved_names_its_recording(tmp_path: Path) -> None:

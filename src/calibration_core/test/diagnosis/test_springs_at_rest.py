@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+
+import numpy as np
 import pytest
 from spring_plant import GEAR, LOADS, SPRING, Plant, named, of_every_kind, place, recorded, springs_are_named
 
@@ -54,6 +57,32 @@ def test_a_zero_offset_beside_a_spring_may_be_its_mean_torque() -> None:
     assert set(found) == {SPRING, ZERO}
     (first, *_) = found[ZERO].cannot_be_told_from
     assert (first.effect, dict(first.location)) == ("gravity_compensator", {"joint": "joint_2"})
+
+
+@pytest.mark.parametrize("degrees", [0.6, 2.0])
+def test_a_floor_that_slopes_is_no_gear(degrees: float) -> None:
+    found = diagnosed(Plant(7, slope=np.radians(degrees), geometry=True))
+    (finding,) = found.findings
+    assert place(finding) == ("gravity_direction", "base")
+    turned = np.linalg.norm([one.value for one in finding.parameters])
+    assert turned == pytest.approx(np.radians(degrees), rel=0.15)  # stiffnesses are stated to 5 %
+
+
+@pytest.mark.parametrize("hose", [(1, 3), (2, 1), (2, 3), (4, 3)])
+def test_a_hose_that_winds_up_is_no_gear(hose: tuple[int, int]) -> None:
+    (finding,) = diagnosed(Plant(8, hose=hose, geometry=True)).findings
+    assert finding.effect == "cable_force"
+    assert finding.variant.endswith(f"joint_{hose[0] + 1}")
+
+
+@pytest.mark.slow
+def test_smooth_laws_of_an_angle_are_no_gears() -> None:
+    """Floors that slope, and hoses of two laws at four joints."""
+    slopes = [Plant(3000 + k, rated=LOADS[k % 3], slope=np.radians(0.5 + 0.25 * k), geometry=True) for k in range(10)]
+    hoses = itertools.product((1, 2, 4, 5), (1, 3), LOADS[:2])
+    several = [*slopes, *(Plant(3100 + k, rated=r, hose=(j, p), geometry=True) for k, (j, p, r) in enumerate(hoses))]
+    found = [{effect for effect, _ in named(diagnosed(plant))} for plant in several]
+    assert sum("transmission_error" in one for one in found) <= 0.1 * len(found)
 
 
 @pytest.mark.slow

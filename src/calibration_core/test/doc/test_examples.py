@@ -81,6 +81,7 @@ def test_commands_of_a_document_run(
     path: Path, desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(desk)
+    shutil.rmtree(desk / "my", ignore_errors=True)  # each document begins with a cell file of its own
     ran = [
         line
         for language, text in blocks(path)

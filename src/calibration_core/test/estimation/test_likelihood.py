@@ -25,7 +25,7 @@ def example(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def condensed(residual: np.ndarray, flat: np.ndarray, columns: np.ndarray) -> Gram:
     basis = np.linalg.qr(flat)[0]
     left, rest = columns - basis @ (basis.T @ columns), residual - basis @ (basis.T @ residual)
-    return Gram(left.T @ left, left.T @ rest, float(rest @ rest), ROWS - FLAT)
+    return Gram(left.T @ left, left.T @ rest, float(rest @ rest), len(residual) - FLAT)
 
 
 def dense(residual: np.ndarray, flat: np.ndarray, columns: np.ndarray, sizes: Sizes, blocks: list) -> float:
@@ -133,3 +133,15 @@ def test_one_recording_of_noise_in_a_hundred_gains_more_than_chance_does() -> No
         gram = condensed(rng.standard_normal(ROWS), flat, columns)
         beyond += gains(beside(gram, [], Sizes(1.0, np.zeros(0), 0.0)), blocks).nats.max() > limit
     assert 0.004 < beyond / recordings < 0.025
+
+
+@pytest.mark.parametrize(("rows", "width"), [(34, 2), (34, 26), (34, 40)])
+def test_what_chance_gains_is_what_drawn_recordings_gain(rows: int, width: int) -> None:
+    """Also of a block as wide as there are degrees of freedom, as friction is of one target in two steps."""
+    rng, recordings = np.random.default_rng(9), 400
+    columns, flat = rng.standard_normal((rows, 8 + width)), rng.standard_normal((rows, FLAT))
+    blocks = Grouped.of([*BLOCKS, np.arange(8, 8 + width)])
+    limit = chance_gain(condensed(np.zeros(rows), flat, columns), np.ones(8 + width, dtype=bool), blocks, 240)
+    drawn = (condensed(rng.standard_normal(rows), flat, columns) for _ in range(recordings))
+    largest = np.array([gains(beside(one, [], Sizes(1.0, np.zeros(0), 0.0)), blocks).nats.max() for one in drawn])
+    assert limit == pytest.approx(np.quantile(largest, 0.99), abs=1.2)  # both scatter by 0.4 nats

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -10,9 +11,12 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+import types
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,6 +24,10 @@ pytest.importorskip("distributed")
 pytest.importorskip("pyarrow")
 
 from calibration_core.cli import main
+from calibration_core.engine import cluster as engine
+from calibration_core.engine import pieces
+from calibration_core.engine.pieces import run_all
+from calibration_core.errors import InputError
 from calibration_core.fleet.recordings.rows import Row
 from calibration_core.fleet.recordings.store import read_dataset
 
@@ -200,7 +208,7 @@ def test_ended_by_hand_says_what_stays(
     os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
     _, error = process.communicate(timeout=PATIENCE)
     assert process.returncode == code, error
-    (line,) = error.splitlines()
+    (line,) = (one for one in error.splitlines() if not re.fullmatch(r"fleet: .* \(\d+% done\)", one))  # progress
     while process_group(process.pid) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not process_group(process.pid)
@@ -243,23 +251,38 @@ def cluster(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> Iterator[tuple[list[str], list[subprocess.Popen[bytes]]]]:
     """A scheduler and two workers as processes of their own; yields options of the command and the workers."""
-    port, tls, options = free_port(), [], []
+    port, tls, options, files = free_port(), [], [], None
     if request.param == "tls":
         if shutil.which("openssl") is None:
             pytest.skip("no openssl to make certificates with")
-        files = [str(path) for path in certificates(tmp_path)]
+        files = certificates(tmp_path)
         tls = [f"--tls-{name}={file}" for name, file in zip(("ca-file", "cert", "key"), files, strict=True)]
-        options = ["--tls", *files]
+        options = ["--tls", *map(str, files)]
     address = f"{request.param}://127.0.0.1:{port}"
     scheduler = start("dask-scheduler", f"--host={request.param}://127.0.0.1", f"--port={port}", "--no-dashboard", *tls)
     workers = [start_worker(address, tmp_path, tls) for _ in range(2)]
     try:
+        wait_for_all(workers, engine.Cluster(address, 1, files), lambda: start_worker(address, tmp_path, tls))
         yield ["--cluster", address, *options], workers
     finally:
         for process in [*workers, scheduler]:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+
+
+def wait_for_all(
+    workers: list[subprocess.Popen[bytes]], cluster: engine.Cluster, begin: Callable[[], subprocess.Popen[bytes]]
+) -> None:
+    """Wait until every worker is there; one that ends itself is started again, as whoever runs a cluster has it done.
+
+    Over TLS a connection may break while a worker registers, and Dask's workers end then (seen with Python 3.13).
+    """
+    deadline = time.monotonic() + PATIENCE
+    with engine.connected(cluster) as client:
+        while len(client.scheduler_info()["workers"]) < len(workers) and time.monotonic() < deadline:
+            workers[:] = [worker if worker.poll() is None else begin() for worker in workers]
+            time.sleep(0.1)
 
 
 def start(program: str, *options: str) -> subprocess.Popen[bytes]:
@@ -327,3 +350,59 @@ def test_a_wrong_cluster_is_one_line(plant: Path, tmp_path: Path, options: tuple
     assert done.returncode == 2
     assert says in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+# --- the engine, with a client that behaves as asked ----------------------------------------------------------------
+
+
+class Piece:
+    """A future of the stand-in; `lost` has a value that is computed anew when all others have ended."""
+
+    def __init__(self, key: tuple[str, str]) -> None:
+        self.key = key
+        self.released = False
+
+    def release(self) -> None:
+        self.released = True
+
+
+class StandIn:
+    """A client of which one value was lost with its worker, or whose workers all have gone."""
+
+    def __init__(self, workers: int) -> None:
+        self.loop = types.SimpleNamespace(asyncio_loop=asyncio.new_event_loop())
+        self.workers, self.open = workers, 0
+        threading.Thread(target=self.loop.asyncio_loop.run_forever, daemon=True).start()
+
+    def map(self, _work: Any, values: list[Any], *, key: list[tuple[str, str]], **_: Any) -> list[Piece]:
+        self.open = len(values)
+        return [Piece(one) for one in key]
+
+    async def gather(self, futures: list[Piece], **_: Any) -> list[str]:
+        (future,) = futures
+        while future.key[1] == "lost" and (self.open > 1 or not self.workers):
+            await asyncio.sleep(0.01)
+        self.open -= 1
+        if future.key[1] == "wrong":
+            raise ValueError("no such file")
+        return [future.key[1]]
+
+    def scheduler_info(self, **_: Any) -> dict[str, Any]:
+        return {"workers": dict.fromkeys(range(self.workers))}
+
+
+def test_a_value_that_was_lost_holds_no_other_up() -> None:
+    done = list(run_all(StandIn(1), print, dict.fromkeys(("lost", "b", "wrong", "d"))))
+    assert [one.key for one in done][-1] == "lost"
+    assert {str(one.key): (one.value, one.error) for one in done} == {
+        "lost": ("lost", ""), "b": ("b", ""), "d": ("d", ""), "wrong": (None, "ValueError: no such file"),
+    }  # fmt: skip
+
+
+def test_a_cluster_without_workers_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "LOOK", 0.01)
+    monkeypatch.setattr(pieces, "WORKERLESS", 0.05)
+    found = run_all(StandIn(0), print, dict.fromkeys(("lost", "b")))
+    assert next(found).key == "b"
+    with pytest.raises(InputError, match=r"the cluster: workers: found none for .* run this again to go on"):
+        next(found)

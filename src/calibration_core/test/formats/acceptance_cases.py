@@ -10,8 +10,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.model.identified.calibrated import CalibratedModel
-from calibration_core.model.identified.valid_range import range_of
+from calibration_core.model.identified.calibrated import CalibratedModel, range_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulation.simulate import simulate_plan

@@ -21,9 +21,8 @@ from absolute_cases import (
 from calibration_core.errors import CellError, IdentificationError
 from calibration_core.identification.absolute.evaluate import identify_absolute
 from calibration_core.identification.geometry.parameter_table import pose_by_twist
-from calibration_core.identification.geometry.terms import turned_by
 from calibration_core.identification.stiffness.predict import predict_readings
-from calibration_core.model.chain import pose_matrix, rpy_of
+from calibration_core.model.chain import pose_matrix, rotation_about, rpy_of
 
 THREE_AXES = ((0.2, -np.pi / 2, 0.4), (0.7, 0.0, 0.0), (0.6, 0.0, 0.1))
 
@@ -186,7 +185,7 @@ def test_pose_by_twist() -> None:
         step = 1e-6 * np.eye(6)[k]
         moved = []
         for sign in (-1, 1):
-            turn = turned_by(sign * step[3:])
+            turn = rotation_about(sign * step[3:])
             moved.append(np.concatenate([turn @ pose[:3, 3] + sign * step[:3], rpy_of(turn @ pose[:3, :3])]))
         np.testing.assert_allclose(analytic[:, k], (moved[1] - moved[0]) / 2e-6, atol=1e-8)
 

@@ -12,14 +12,14 @@ from robots import loaded_readings, write_cell
 from calibration_core.cell import Cell, EndEffector
 from calibration_core.errors import CellError
 from calibration_core.identification.checks.conditions import NAMES, CellState, judge
-from calibration_core.identification.checks.preconditions import with_temperature_of
+from calibration_core.identification.checks.preconditions import check_preconditions, with_temperature_of
 from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.end_effector import TOOL_COMPLIANCE, accounted, relative_stiffness
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.predict import shift_by_effects
 from calibration_core.model.identified.given import GivenModel
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.observations.conditions import worst
+from calibration_core.observations.observe import worst
 from calibration_core.report.content import build
 from calibration_core.report.results.result import result_dict
 from calibration_core.timeseries import Condition, Override, Readings
@@ -232,6 +232,47 @@ def test_every_configuration_is_measured_without_load_too(cell: Cell) -> None:
     force = np.linalg.norm(readings.wrench[:, :3], axis=1) if readings.wrench is not None else np.zeros(0)
     without = readings.select((readings.configuration > 1) | (force > 100.0))
     assert requirement(without, cell, "unloaded position") == ("13 of 14 configurations", False)
+
+
+def test_the_load_counts_with_the_end_effector_and_above_the_limit_is_not_met(cell: Cell) -> None:
+    """101 % is more than 100 %; where the sensor cannot tell, it stays open."""
+    readings = loaded_readings(cell, 1)
+    largest = float(np.linalg.norm(readings.wrench[:, :3], axis=1).max()) if readings.wrench is not None else 0.0
+    asked = "100 % of the rated load"
+
+    def rated(kilograms: float, **changes: object) -> tuple[str, bool | None]:
+        robot = cell.robot.model_copy(update={"rated_load": kilograms})
+        return requirement(readings, cell.model_copy(update={"robot": robot, **changes}), asked)
+
+    assert rated(largest / 9.80665 / 0.99)[1] is True
+    assert rated(largest / 9.80665 / 1.2)[1] is False
+    within = rated((largest - cell.instruments.force_torque.sigma_force) / 9.80665)
+    assert within[1] is None
+    assert "stays open" in within[0]
+    tool = EndEffector(mass=0.3 * largest / 9.80665)
+    found, met = rated(largest / 9.80665 / 0.99, end_effector=tool)
+    assert met is False
+    assert "with the end effector's weight" in found
+
+
+def test_a_mass_alone_says_nothing_of_stiffness(cell: Cell) -> None:
+    stated = cell.model_copy(update={"end_effector": EndEffector(mass=1.0)})
+    assert accounted(stated, None) is None
+    assert np.isnan(relative_stiffness(stated, np.full((1, 6), 0.1)))
+    assert requirement(loaded_readings(cell, 1), stated, "end effector") == ("its stiffness is not stated", None)
+    with pytest.raises(ValueError, match="who states how the end effector gives way"):
+        EndEffector(mass=1.0, rotation=(1e-7, 1e-7, 1e-7))
+
+
+def test_noise_alone_is_half_of_its_expanded_uncertainty(cell: Cell) -> None:
+    """The length of a deflection is compared with the uncertainty of a length, not with that of a coordinate."""
+    readings, sigma = loaded_readings(cell, 1), 2e-5
+    space = identify(readings, cell).space
+    noise = np.sqrt(2) * sigma * np.random.default_rng(1).standard_normal((len(space.configuration), 3))
+    noise *= np.sqrt(6) * sigma / np.sqrt(np.mean(np.sum(noise**2, axis=1)))
+    checks = check_preconditions(readings, cell, dataclasses.replace(space, deflection=noise), sigma)
+    (ratio,) = (one.found for one in checks if "uncertainty ratio" in one.requirement)
+    assert ratio.startswith("1:0.5 ")
 
 
 def test_the_report_says_whether_k_csm_is_neglected(cell: Cell) -> None:

@@ -12,8 +12,7 @@ from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.errors import CellError, IdentificationError
 from calibration_core.identification.identify import identify
-from calibration_core.identification.stiffness.fit import fit_compliance
-from calibration_core.identification.stiffness.left_out import held_out_compliance
+from calibration_core.identification.stiffness.fit import fit_compliance, held_out_compliance
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.nominal import nominal_parameters

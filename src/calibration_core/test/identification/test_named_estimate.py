@@ -89,7 +89,7 @@ def test_roll_pitch_and_yaw_scatter_as_the_rotations_that_were_fitted() -> None:
     root = rng.standard_normal((9, 9)) * 1e-4
     tracker = np.eye(4)
     tracker[:3, :3] = rotation_rpy(0.3, -0.7, 2.6)
-    stated = frames_uncertainty(FrameFit(tracker, np.zeros((1, 3)), root @ root.T, 0.0, 9), ["mp1"])
+    stated = frames_uncertainty(FrameFit(tracker, np.zeros((1, 3)), root @ root.T, 0.0, 9, 0 * root, 0), ["mp1"])
     drawn = rng.standard_normal((20_000, 9)) @ root.T
     turned = np.array([rpy_of(rotation_about(one) @ tracker[:3, :3]) for one in drawn[:, 3:6]])
     seen = np.cov(np.column_stack([drawn[:, :3], turned, drawn[:, 6:]]).T)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.identification.result.stiffness_interval import joint_stiffness, positive_quantile
+from calibration_core.identification.result.observability import joint_stiffness, positive_quantile
 
 
 @pytest.mark.parametrize("mean", [-40.0, -31.0, -29.0, -3.0, 0.0, 0.5, 2.0, 8.0])

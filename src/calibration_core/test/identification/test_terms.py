@@ -15,8 +15,8 @@ from calibration_core.identification.geometry.terms import (
     PointTerm,
     Term,
     TrackerTerm,
-    turned_by,
 )
+from calibration_core.model.chain import rotation_about
 from calibration_core.model.kinematics import posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
@@ -110,10 +110,10 @@ def test_harmonics_move_the_joint_by_sine_and_cosine(case: tuple[AbsoluteProblem
 
 
 def test_rotation_vector() -> None:
-    turn = turned_by(np.array([0.0, 0.0, 0.3]))
+    turn = rotation_about(np.array([0.0, 0.0, 0.3]))
     np.testing.assert_allclose(turn[:2, 0], [np.cos(0.3), np.sin(0.3)], atol=1e-15)
     small = np.array([1e-9, -2e-9, 3e-9])
-    np.testing.assert_allclose(turned_by(small) @ turned_by(-small), np.eye(3), atol=1e-16)
+    np.testing.assert_allclose(rotation_about(small) @ rotation_about(-small), np.eye(3), atol=1e-16)
 
 
 def test_compliance_never_becomes_negative() -> None:

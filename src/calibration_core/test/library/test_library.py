@@ -28,21 +28,6 @@ CLASSES = [name for name in cal.__all__ if inspect.isclass(getattr(cal, name))]
 WITHOUT_QUANTITY = {"save", "files", "usable", "reason", "next_step", "verdict"}  # files and words
 
 
-@pytest.fixture(scope="module")
-def cell() -> cal.Cell:
-    return cal.load_cell(CELL)
-
-
-@pytest.fixture(scope="module")
-def recording(cell: cal.Cell) -> cal.Recording:
-    return cal.load_recording(BAG, cell)
-
-
-@pytest.fixture(scope="module")
-def identified(recording: cal.Recording) -> cal.IdentificationResult:
-    return cal.identify(recording)
-
-
 # --- what is public is described ------------------------------------------------------------------------------------
 
 
@@ -132,7 +117,7 @@ HEAVY = {"jinja2", "matplotlib", "plotly", "rich", "trimesh", "typst"}
         (
             f"from calibration_core.cli import main; main(['identify', {str(BAG)!r}, '--cell', {str(CELL)!r}, "
             "'--no-report', '--out', sys.argv[0]])".replace("sys.argv[0]", "'build/test-library'"),
-            HEAVY - {"trimesh"},
+            HEAVY,
         ),
     ],
     ids=["import", "arguments", "cell", "identify"],

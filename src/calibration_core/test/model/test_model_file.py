@@ -16,7 +16,7 @@ from calibration_core.errors import ModelFileError
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.model.identified.calibrated import ValidRange
 from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.model_file import OLD_KEYS, model_dict, model_text, read_calibrated, read_model
+from calibration_core.model.identified.model_file import model_dict, model_text, read_calibrated, read_model
 from calibration_core.model.identified.named_values import value_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
@@ -89,18 +89,13 @@ def test_uncertainty_and_range_are_read_back_to_the_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(twice.parameters.geometry, parameters.geometry)
 
 
-def test_a_file_of_schema_1_is_read_without_intervals(tmp_path: Path) -> None:
+def test_a_file_that_states_no_parameter_has_no_intervals(tmp_path: Path) -> None:
     parameters, cell = _parameters(tmp_path)
-    content = {key: value for key, value in model_dict(parameters, cell).items() if key in OLD_KEYS}
     path = tmp_path / "model.yaml"
-    path.write_text(yaml_text({**content, "schema": 1}))
+    path.write_text(model_text(parameters, cell))
     again = read_calibrated(path, cell)
     assert (again.estimate, again.valid_range) == (None, None)
     np.testing.assert_array_equal(again.parameters.geometry, parameters.geometry)
-    path.write_text(yaml_text({**content, "schema": 1, "covariance": []}))
-    with pytest.raises(ModelFileError) as caught:
-        read_calibrated(path, cell)
-    assert caught.value.place == "covariance"
 
 
 def test_another_robot_is_refused_and_another_setup_is_not(tmp_path: Path) -> None:
@@ -112,6 +107,8 @@ def test_another_robot_is_refused_and_another_setup_is_not(tmp_path: Path) -> No
         other = write_cell(tmp_path / "other", **changes)
         assert robot_sha256(other) == robot_sha256(cell)
         read_model(path, other)
+    coupled = write_cell(tmp_path / "other", robot={"joint_coupling": {"joint_3": {"joint_2": 1.0}}})
+    assert robot_sha256(coupled) != robot_sha256(cell)
     rated = write_cell(tmp_path / "other", robot={"rated_load": 210.0})
     with pytest.raises(ModelFileError) as caught:
         read_model(path, rated)

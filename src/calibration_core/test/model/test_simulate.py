@@ -11,12 +11,11 @@ import pytest
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import CellError
 from calibration_core.model.chain import rotation_rpy
-from calibration_core.model.instruments import tracker_covariance
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.model.simulation.simulate import Schedule, simulate_plan
+from calibration_core.model.simulation.simulate import Schedule, simulate_plan, tracker_covariance
 from calibration_core.model.simulation.streams import as_recording
 from calibration_core.timeseries import Phase, Readings
 

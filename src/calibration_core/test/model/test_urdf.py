@@ -16,7 +16,7 @@ from calibration_core.errors import CellError
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import gravity_torque
-from calibration_core.model.urdf import urdf_bodies
+from calibration_core.model.urdf import mesh_file, urdf_bodies, urdf_shapes
 
 CELLS = Path(__file__).resolve().parents[4] / "config" / "cells"
 ROBOT = """<robot name="r"><link name="world"/><link name="base"><inertial><mass value="90"/></inertial></link>
@@ -90,12 +90,63 @@ def test_the_demo_robot() -> None:
 def test_bodies_and_meshes_are_named_with_their_links(tmp_path: Path) -> None:
     cell = cell_of(tmp_path)
     (rod,) = urdf_bodies(cell)
-    assert (rod.link, rod.name, rod.form, rod.mesh) == (2, "b", "cylinder", None)
+    assert (rod.link, rod.name, rod.form, rod.mesh) == (2, "b", "cylinder", "")
     np.testing.assert_allclose(rod.size, [0.1, 0.4])
     (arm,) = urdf_bodies(cell, "visual")
-    assert (arm.link, arm.form) == (1, "mesh")
-    assert arm.mesh == tmp_path.resolve() / "arm.obj"
+    assert (arm.link, arm.form, arm.mesh) == (1, "mesh", "package://maker/arm.obj")
     np.testing.assert_allclose(arm.size, 1e-3)
+    assert [body.name for body, _ in urdf_shapes(cell, "visual")[0]] == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (None, "not found"),
+        ("", "empty or not readable"),
+        ("solid\nendsolid\n", "empty or not readable"),
+        ("v 0 0 0\n", "empty or not readable"),
+    ],
+)
+def test_a_mesh_that_cannot_be_had_is_named_and_the_others_stay(
+    tmp_path: Path, content: str | None, reason: str
+) -> None:
+    cell = cell_of(tmp_path, ROBOT.replace("<visual>", "<collision>").replace("</visual>", "</collision>"))
+    (tmp_path / "arm.obj").unlink()
+    if content is not None:
+        (tmp_path / "arm.obj").write_text(content)
+    shapes, lost = urdf_shapes(cell)
+    assert [body.name for body, _ in shapes] == ["b"]
+    assert [(body.name, why.partition(":")[0]) for body, why in lost.items()] == [("a", reason)]
+
+
+@pytest.mark.parametrize(
+    ("name", "lies", "variables"),
+    [
+        ("package://p/meshes/a.stl", "ws/src/repo/p/meshes/a.stl", {}),  # the URDF lies in ws/src/repo/p/urdf
+        ("package://p/meshes/a.stl", "ws/src/p/meshes/a.stl", {}),
+        ("package://p/meshes/a.stl", "ws/src/repo/meshes/a.stl", {}),  # a clone by another name
+        ("../meshes/a.stl", "ws/src/repo/p/meshes/a.stl", {}),
+        ("meshes/a.stl", "ws/src/repo/p/urdf/meshes/a.stl", {}),
+        ("package://p/meshes/a%20b.stl", "ws/src/repo/p/meshes/a b.stl", {}),
+        ("package://p/meshes/a.stl", "ros/p/meshes/a.stl", {"ROS_PACKAGE_PATH": "ros"}),
+        ("package://p/meshes/a.stl", "ros/vendor/p/meshes/a.stl", {"ROS_PACKAGE_PATH": "other:ros"}),
+        ("package://p/meshes/a.stl", "ros/share/p/meshes/a.stl", {"AMENT_PREFIX_PATH": "ros"}),
+    ],
+)
+def test_meshes_are_found_beside_the_urdf_and_where_ros_looks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, lies: str, variables: dict[str, str]
+) -> None:
+    urdf = tmp_path / "ws" / "src" / "repo" / "p" / "urdf" / "robot.urdf"
+    urdf.parent.mkdir(parents=True)
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        roots = variables.get(variable, "").split(":")
+        monkeypatch.setenv(variable, ":".join(str(tmp_path / one) for one in roots if one))
+    assert mesh_file(urdf, name) is None
+    (tmp_path / lies).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / lies).touch()
+    found = mesh_file(urdf, name)
+    assert found is not None
+    assert found.samefile(tmp_path / lies)
 
 
 MANY = "".join(f'<link name="l{i}"/>' for i in range(5001)) + "".join(
@@ -128,6 +179,7 @@ LIMIT = '<limit lower="-3" upper="2" effort="1" velocity="1"/>'
         (LIMIT, LIMIT.replace("-3", "2"), "joint 'j1', limit", "[2, 2]"),
         (LIMIT, LIMIT.replace("-3", "-185").replace('"2"', '"185"'), "joint 'j1', limit", "[-185, 185]"),
         (LIMIT, LIMIT.replace("-3", "nan"), "joint 'j1', limit, lower", "'nan'"),
+        (LIMIT, LIMIT.replace("-3", "-3600").replace('"2"', '"3600"'), "joint 'j1', limit", "[-3600, 3600]"),
         (LIMIT, '<limit effort="1" velocity="1"/>', "joint 'j1', limit", "no lower and upper"),
         (LIMIT, "", "joint 'j1', limit", "no lower and upper"),
         ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "joint 'j3'", "length zero"),
@@ -162,6 +214,13 @@ def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
         chain_of(cell)
 
 
+@pytest.mark.parametrize("end", ["999999", "1e16", "inf"])
+def test_limits_that_are_none_are_those_of_an_endless_joint(tmp_path: Path, end: str) -> None:
+    open_ended = ROBOT.replace(LIMIT, LIMIT.replace("-3", f"-{end}").replace('"2"', f'"{end}"'))
+    cell = cell_of(tmp_path, open_ended)
+    assert chain_of(cell).limits[0].tolist() == [-2 * np.pi, 2 * np.pi]
+
+
 def test_limits_of_the_cell_file_go_before_those_of_the_urdf(tmp_path: Path) -> None:
     text = CELL.replace("rated_load", "joint_limits: [[-3, 2], [-1, 1], [-2, 2]], rated_load")
     cell = cell_of(tmp_path, ROBOT.replace(LIMIT, LIMIT.replace("-3", "-185")), text)
@@ -190,6 +249,7 @@ def test_the_reader_brings_trimesh_only_where_scenes_are_drawn() -> None:
     code = (
         "import sys\nfrom calibration_core.cell import load_cell\nfrom calibration_core.model.robot import chain_of\n"
         f"chain_of(load_cell({str(CELLS / 'demo.cell.yaml')!r}))\n"
+        "import inspect; inspect.getmodule(inspect.currentframe())\n"  # as the first line of a ROS node's log does
         "assert not {'networkx', 'trimesh.base', 'pinocchio'} & set(sys.modules)\n"
         "import yourdfpy, io\n"
         "box = b'<visual><geometry><box size=\"1 2 3\"/></geometry></visual>'\n"

@@ -93,6 +93,20 @@ def test_quiet_windows_change_nothing_and_loud_ones_inflate(cell: Cell) -> None:
     assert found[1] == pytest.approx(turn @ np.diag([1e-8, 4e-10, 4e-10]) @ turn.T, rel=1e-6, abs=1e-15)
 
 
+@pytest.mark.parametrize("worse", [1.0, 1.5])
+def test_the_scatter_of_few_samples_is_pooled_before_it_is_compared(cell: Cell, worse: float) -> None:
+    """As many windows of 20 samples as a recording has: claimed, or half as much again, and one that shakes."""
+    count, n, claim = 200, 20, 2e-5
+    drawn = worse * claim * np.sqrt(n) * np.random.default_rng(3).standard_normal((count, n, 3))
+    drawn[7] *= 5.0
+    seen = np.array([np.cov(one.T) / n for one in drawn])
+    recorded = dataclasses.replace(readings(count), position_covariance=seen, samples=np.full(count, n))
+    std = np.sqrt(np.einsum("mii->m", position_covariance(recorded, cell)) / 3)
+    assert np.median(std) == pytest.approx(worse * claim, rel=0.04)
+    assert std[7] == pytest.approx(5 * worse * claim, rel=0.3)
+    assert np.sqrt(np.mean(np.delete(std, 7) ** 2)) == pytest.approx(worse * claim, rel=0.05)
+
+
 def test_inflation_does_not_depend_on_axes_or_units(cell: Cell) -> None:
     """For a claim that is no multiple of the unit matrix: in no direction below the claim, or below what was seen."""
     rng = np.random.default_rng(3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.observations.settling import line_drift, settled_from
+from calibration_core.observations.window import line_drift, settled_from
 
 TIME = np.arange(200) * 10_000_000
 TOLERANCE = np.full(3, 6e-5)

@@ -52,7 +52,8 @@ def plane_arm() -> Monitored:
         limits=np.tile([-3.0, 3.0], (3, 1)),
         gravity=np.zeros(3),
     )
-    return Monitored(arm, ("a", "b", "c", "flange"), np.zeros((1, 3)), np.zeros((4, 3)))
+    lever = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.5, 0.5, 0], [2.0, 1.0, 0.5]])
+    return Monitored(arm, ("a", "b", "c", "flange"), np.zeros((1, 3)), lever)
 
 
 LEVELS = np.array([0.0, 500.0, 1000.0, 0.0])
@@ -89,6 +90,7 @@ class World:
         self.load_known = not resumed.get("loaded")
         self.load = np.zeros(6) if self.load_known else np.full(6, 7.0)
         self.settled = False
+        self.pulls = ""  # what the sensor tells of before a motion
         self.attempt: m.BeginAttempt | None = None
         self.confirmed: dict[tuple[int, int], list[int]] = {}
         self.visits: list[int] = []
@@ -150,6 +152,7 @@ class World:
                 assert not self.lost, "moves by itself after a loss of permission"
                 assert self.load_known, "moves with a load under way"
                 assert not self.load.any(), "moves with a load on"
+                assert not self.pulls, "moves with a load on that the sensor tells of"
                 assert not isinstance(self.asked, m.Move), "moves while moving"
                 self.asked, self.place, self.settled = command, None, False
             case m.StopMotion():
@@ -157,9 +160,9 @@ class World:
                 self.asked = None
             case m.RequestLoad():
                 if command.unknown:
-                    assert not self.load_known
+                    assert not self.load_known or self.pulls
                     assert not command.wrench.any(), "loads a robot of which nothing is known"
-                    assert self.attempt is None
+                    assert self.attempt is None or self.pulls
                 else:
                     assert self.place is not None, "loads a robot that has not arrived"
                 assert not self.paused, "loads in a pause"
@@ -210,7 +213,7 @@ class World:
                 self.place, self.asked = asked.q, None
                 self.tell(m.Arrived(self.now, request))
             case m.RequestLoad():
-                self.load_known, self.asked = True, None
+                self.load_known, self.asked, self.pulls = True, None, ""
                 self.tell(m.LoadReached(self.now, request))
             case m.AwaitSettled():
                 self.settled, self.asked = True, None
@@ -264,6 +267,11 @@ class World:
         self.now += 200.0 if action == "wait" else 1.0
         if action in {"answer", "fail", "late", "stale"}:
             getattr(self, action)()
+            return
+        if action == "pulls":
+            if self.sequence.about_to_move:
+                self.pulls = "900 N pull"
+                self.tell(m.LoadSensed(self.now, self.pulls))
             return
         if action == "pause":
             self.paused = self.sequence.state is not RunState.IDLE

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration_core.motion.clock_watch import ClockWatch
+from calibration_core.motion.clock_watch import ClockWatch, Lateness
 from calibration_core.timeseries import NANOSECONDS
 
 BEGAN = 5 * NANOSECONDS
@@ -77,3 +78,37 @@ def test_a_steady_clock_never_jumps_however_old_it_is_read(looks: list[tuple[flo
         taken = max(taken, now + share * pause)
         now += pause
         assert not watch.jumped(ns(speed * taken), now)
+
+
+# --- how late messages arrive ----------------------------------------------------------------------------------------
+
+
+@given(offset=st.floats(-1e6, 1e6), delays=st.lists(st.floats(0.0, 0.05), min_size=2, max_size=200))
+def test_no_message_is_called_later_than_it_is(offset: float, delays: list[float]) -> None:
+    """Whatever the offset of the sender's clock, and however unsteady the delay."""
+    watch = Lateness()
+    for number, delay in enumerate(delays):
+        late = watch.late(offset + 0.01 * number, 0.01 * number + delay)
+        assert 0.0 <= late <= delay - min(delays[: number + 1]) + 1e-9
+
+
+@pytest.mark.parametrize("drift", [-5e-4, 0.0, 5e-4])
+@pytest.mark.parametrize("offset", [-3600.0, 0.0, 3600.0])
+def test_a_drift_of_the_clocks_is_no_delay_and_a_delay_is_seen(offset: float, drift: float) -> None:
+    """For an hour at 10 Hz all is well; then every message is 2 s late, at once or by 10 ms a second."""
+    for growing in (1e9, 0.01):
+        watch, late = Lateness(), 0.0
+        for now in np.arange(0.0, 3600.0, 0.1):
+            assert watch.late(offset + (1.0 + drift) * now - 5e-3, now) <= 1e-6
+        for now in np.arange(3600.0, 3800.0, 0.1):
+            delay = min(2.0, growing * (now - 3599.9))
+            late = max(late, watch.late(offset + (1.0 + drift) * now - 5e-3 - delay, now))
+        assert late == pytest.approx(2.0, abs=0.35)
+
+
+def test_stamps_of_another_clock_are_learnt_anew() -> None:
+    watch = Lateness()
+    watch.late(10.0, 10.0)
+    assert watch.late(8.5, 10.5) == pytest.approx(2.0, abs=1e-3)
+    watch.forget()
+    assert watch.late(9.0, 11.0) == 0.0

@@ -14,7 +14,7 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.errors import PlanError
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.identification.circle_point.sweeps import single_joint_sweeps, wrist_sweep
+from calibration_core.identification.circle_point.joint_axes import single_joint_sweeps, wrist_sweep
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.messages import Kind, Outcome
 from calibration_core.model.nominal import nominal_parameters

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration_core.cell import Cell
+from calibration_core.cell import Box, Cell
+from calibration_core.cell.surroundings import Surroundings
 from calibration_core.errors import CellError, PlanError
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.kinematics import posture
@@ -18,7 +19,7 @@ from calibration_core.model.statics import Load
 from calibration_core.planning.feasible.loads import LoadRules
 from calibration_core.planning.feasible.order import clear_paths, short_order
 from calibration_core.planning.feasible.space import Site, SpaceRules, joint_range, measurable, positions
-from calibration_core.planning.loaded import PlanningRules, make_plan
+from calibration_core.planning.loaded import PlanningRules, ground_of, largest_part, make_plan
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.planning.plans.plan_file import plan_text
 
@@ -169,7 +170,6 @@ def test_operating_space(demo_cell: Cell) -> None:
     [
         ({"configurations": 11}, r"^plan: --configurations: found 11, expected 12 to 200"),
         ({"spares": -0.1}, r"^plan: --spares: found -0\.1, expected a share from 0 to 5"),
-        ({"rules": PlanningRules(space=SpaceRules(floor=3.5))}, "above the floor"),
         ({"rules": PlanningRules(space=SpaceRules(dexterity=0.9), batches=2)}, "away from singularities"),
         ({"rules": PlanningRules(space=SpaceRules(tracker_range=(40.0, 60.0)), batches=2)}, "in the tracker's sight"),
     ],
@@ -178,6 +178,42 @@ def test_impossible_demands(demo_cell: Cell, arguments: dict, text: str) -> None
     with pytest.raises(PlanError, match=text) as caught:
         make_plan(demo_cell, **arguments)
     assert "\n" not in str(caught.value)
+
+
+def on_floor(cell: Cell, floor: float | str) -> Cell:
+    return cell.model_copy(update={"surroundings": Surroundings(floor=floor)})
+
+
+def test_the_floor_is_the_cells(demo_cell: Cell) -> None:
+    with pytest.raises(PlanError, match="above the floor"):
+        make_plan(on_floor(demo_cell, 3.5))
+    assert on_floor(demo_cell, "none").floor is None
+    hanging = demo_cell.robot.model_copy(update={"gravity": (0.0, 0.0, 9.80665)})
+    assert on_floor(demo_cell.model_copy(update={"robot": hanging}), 2.5).floor == -2.5  # against gravity
+
+
+def test_a_robot_with_a_low_shoulder_is_planned(small_cell: Cell) -> None:
+    """Its upper arm comes near the floor in every posture: that is its shape, and no collision."""
+    rows = list(small_cell.robot.dh)
+    rows[0] = rows[0].model_copy(update={"d": 0.05})
+    low = small_cell.model_copy(update={"robot": small_cell.robot.model_copy(update={"dh": tuple(rows)})})
+    plan = make_plan(low, configurations=12)
+    assert len(plan.primary) == 12
+    assert plan.expected is not None
+    assert any("floor" in pair for pair in plan.expected.unjudged)
+
+
+def test_a_divided_free_space_is_measured_in_its_largest_part(demo_cell: Cell) -> None:
+    """No straight motion leads from one side of the wall to the other."""
+    wall = Box(name="wall", xyz=(1.0, 0.0, 1.5), size=(0.02, 3.0, 3.0))
+    divided = demo_cell.model_copy(update={"boxes": (wall,)})
+    plan = make_plan(divided, configurations=12)
+    assert plan.expected is not None
+    assert plan.expected.unclear_moves == 0
+    q = np.array([one.q for one in (*plan.primary, *plan.spares)])
+    ground = ground_of(divided, nominal_parameters(divided), SpaceRules(), None)
+    with pytest.raises(PlanError, match=r"18 of 18 postures .* more free space beside wall, the floor"):
+        largest_part(ground, q, 30)
 
 
 def test_wrench_point_is_needed(demo_cell: Cell) -> None:
@@ -210,8 +246,8 @@ def test_any_number_of_joints(small_cell: Cell, n: int) -> None:
         "dh": tuple(rows[:n]), "joint_limits": tuple(limits[:n]), "joints": tuple(f"j{i}" for i in range(n)),
         "stiffness": (1e5,) * n, "inertials": None,
     }  # fmt: skip
-    cell = small_cell.model_copy(update={"robot": robot.model_copy(update=changes)})
-    rules = PlanningRules(space=SpaceRules(floor=None, dexterity=0.02, body=0.03))
+    cell = on_floor(small_cell.model_copy(update={"robot": robot.model_copy(update=changes)}), "none")
+    rules = PlanningRules(space=SpaceRules(dexterity=0.02, body=0.03))
     plan = make_plan(cell, configurations=12, rules=rules)
     assert plan.table1()[1].shape == (18, n)
     assert plan.expected is not None

@@ -48,6 +48,7 @@ ACTIONS = st.sampled_from(
         "late",
         "heard",
         "unheard",
+        "pulls",
     ]
 )
 LATE = ["gain", *["answer"] * 4, "loss", "wait", "answer"]
@@ -178,6 +179,20 @@ def test_a_load_that_another_run_may_have_left_is_released_before_anything_moves
     stuck.act("fail")
     assert stuck.finish.outcome is Outcome.FAULT
     assert stuck.finish.text == "the load cannot be released: no air"
+
+
+def test_what_the_sensor_tells_of_is_released_before_a_motion_begins(started: Started) -> None:
+    """While the motion is waited for, and once it was commanded: in both cases nothing has moved yet."""
+    for commanded in (False, True):
+        world = started()
+        if commanded:
+            world.act("gain")
+            assert isinstance(world.asked, m.Move)
+        world.act("pulls")
+        assert isinstance(world.asked, m.RequestLoad)
+        assert world.asked.unknown
+        world.act("answer")
+        assert world.run().outcome is Outcome.COMPLETED
 
 
 def test_when_the_spares_are_used_up(started: Started) -> None:

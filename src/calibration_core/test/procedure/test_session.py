@@ -1,8 +1,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
+import os
 import random
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -235,3 +238,65 @@ def test_kill_9_at_any_moment_loses_nothing_confirmed(tmp_path: Path, cell: Cell
     assert len(confirmed) > kills
     with contextlib.closing(sqlite3.connect(tmp_path / DATABASE)) as database:
         assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+@pytest.mark.parametrize("there", [False, True], ids=["created", "resumed"])
+def test_a_file_system_that_cannot_be_written_is_named(
+    tmp_path: Path, cell: Cell, monkeypatch: pytest.MonkeyPatch, there: bool
+) -> None:
+    directory = tmp_path / "session"
+    if there:
+        Session.create(directory, PLAN_TEXT, cell).close()
+
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(directory))
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(SessionError) as error:
+        (Session.resume if there else Session.create)(directory, PLAN_TEXT, cell)
+    assert str(error.value) == f"{directory}: found Read-only file system, expected a directory to write to"
+
+
+@pytest.mark.parametrize("how", ["deleted", "its directory deleted", "replaced", "written over", "log deleted"])
+def test_a_database_that_others_touch_is_told_before_the_next_row(tmp_path: Path, cell: Cell, how: str) -> None:
+    """Rows that went into a file that nobody finds again would count for nothing."""
+    file = tmp_path / "s" / DATABASE
+    with Session.create(tmp_path / "s", PLAN_TEXT, cell) as session:
+        attempt = session.begin_attempt(1, 0)
+        session.record(attempt, [reading(1, 0)])
+        with Session.look(tmp_path / "s") as other:
+            assert len(other.confirmed(all_attempts=True)) == 1
+        assert session.fault() == ""
+        match how:
+            case "deleted":
+                file.unlink()
+            case "its directory deleted":
+                shutil.rmtree(tmp_path / "s")
+            case "replaced":
+                (tmp_path / "other").write_bytes(file.read_bytes())
+                (tmp_path / "other").replace(file)
+            case "written over":
+                file.write_bytes(b"nothing of a session" * 1000)
+            case _:
+                (tmp_path / "s" / f"{DATABASE}-wal").unlink()
+        assert str(file) in session.fault()
+        with pytest.raises(SessionError, match=r"is gone|was changed by another program"):
+            session.record(attempt, [reading(1, 1)])
+
+
+def test_a_session_that_was_moved_and_put_back_goes_on(tmp_path: Path, cell: Cell) -> None:
+    with Session.create(tmp_path / "s", PLAN_TEXT, cell) as session:
+        (tmp_path / "s").rename(tmp_path / "elsewhere")
+        assert "is gone" in session.fault()
+        (tmp_path / "elsewhere").rename(tmp_path / "s")
+        assert session.fault() == ""
+        session.record(session.begin_attempt(1, 0), [reading(1, 0)])
+
+
+def test_a_session_has_an_identity_of_its_own(tmp_path: Path, cell: Cell) -> None:
+    with Session.create(tmp_path / "s", PLAN_TEXT, cell) as session:
+        session.begin_run(7, {})
+        first = session.identity
+    with Session.resume(tmp_path / "s", PLAN_TEXT, cell) as session:
+        session.begin_run(9, {})
+        assert session.identity == first == f"{tmp_path / 's'}@7"

@@ -155,3 +155,21 @@ def test_two_that_publish_the_same_are_named(plane_arm: Monitored) -> None:
     assert Reason.LATCHED in guard.reset(0.11).reasons
     guard.on_sources("")
     assert guard.reset(0.12).permitted
+
+
+@pytest.mark.parametrize(
+    ("moved", "tracking", "proven"), [(5e-4, 0.0, False), (5e-4, 2.5e-4, True), (7e-4, 2.5e-4, False)]
+)
+def test_a_joint_that_lies_beside_its_command_may_go_to_where_it_is_held(
+    plane_arm: Monitored, moved: float, tracking: float, proven: bool
+) -> None:
+    """A driver sends it where it is measured, and holds it where it is measured then: it goes by twice its error."""
+    guard = Guard(plane_arm, GuardRules(tracking_error=tracking), RequestedStop.HOLD)
+    proof = guard.proof
+    proof.begin(0.0)
+    for now in np.arange(0.0, 1.0, 0.01):
+        proof.on_joints(Q + moved * (now > 0.25) * np.eye(3)[1], now)
+        proof.step(float(now), "")
+    assert proof.proven == proven
+    assert proven or "a joint moved by" in proof.text
+    assert proven or f"{1e3 * (1e-4 + 2.0 * tracking):.3g} is its bound" in proof.text

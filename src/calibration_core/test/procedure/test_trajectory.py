@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,16 @@ from calibration_core.model.kinematics import by_axis, linear_jacobian, posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored, hermite_bound
-from calibration_core.motion.trajectory import MotionLimits, Trajectory, checked, plan_motion, plan_path
+from calibration_core.motion.trajectory import (
+    HALT_DECELERATION,
+    HALT_TIME,
+    MotionLimits,
+    Trajectory,
+    checked,
+    halt,
+    plan_motion,
+    plan_path,
+)
 from calibration_core.planning.plans.plan import Plan
 
 LIMITS = MotionLimits()
@@ -178,7 +188,7 @@ def test_no_motion_is_a_pause(monitored: Monitored) -> None:
     assert trajectory.speed_bound == 0
 
 
-@pytest.mark.parametrize("margin", [0.01, 0.3])
+@pytest.mark.parametrize("margin", [0.04, 0.3])
 def test_margin_and_few_points(monitored: Monitored, margin: float) -> None:
     limits = MotionLimits(margin=margin, max_points=40)
     start, goal = _random_motion(monitored, np.random.default_rng(9))
@@ -207,7 +217,7 @@ def test_impossible_motions_are_refused_beforehand(monitored: Monitored, waypoin
 @pytest.mark.parametrize(
     "change",
     [
-        {"speed": 0.3}, {"speed": 0.0}, {"speed": np.nan}, {"margin": 0.0}, {"margin": 1.0}, {"joint_speed": 0.0},
+        {"speed": 0.3}, {"speed": 0.0}, {"speed": np.nan}, {"margin": 0.03}, {"margin": 1.0}, {"joint_speed": 0.0},
         {"joint_acceleration": (1.0, np.inf)}, {"max_points": 2},
     ],
 )  # fmt: skip
@@ -273,3 +283,29 @@ def test_the_tool_is_watched_besides_flange_and_points(demo_cell: Cell) -> None:
     place = posture(chain, q).point(tool)[:, 0]
     assert speed["tool"] == pytest.approx(0.1 * np.hypot(*place[:2]), rel=1e-9)
     assert speed["tool"] == max(speed.values())
+
+
+@pytest.mark.parametrize("age", [0.0, 0.02, 0.1])
+@pytest.mark.parametrize("speed", [1e-6, 0.05, 0.3, 0.8])
+def test_a_robot_that_is_halted_never_goes_back_and_never_faster(speed: float, age: float) -> None:
+    """As a controller moves it: by a cubic from where the robot is by now to the point, at rest."""
+    rate = speed * np.array([1.0, -0.5, 0.0])
+    seen = np.array([0.3, -0.2, 1.0])
+    where, seconds = halt(seen, rate, age)
+    left = where - (seen + rate * age)
+    at = np.linspace(0.0, 1.0, 201)[:, None]
+    velocity = 6.0 * (at - at**2) * left / seconds + (1.0 - 4.0 * at + 3.0 * at**2) * rate  # cubic Hermite
+    assert np.allclose(velocity[-1], 0.0, atol=1e-12)
+    along = velocity * np.sign(rate)
+    assert (along >= -1e-12).all()
+    assert (along <= np.abs(rate) + 1e-12).all()
+    assert np.abs(np.diff(velocity, axis=0)).max() / (seconds / 200) <= HALT_DECELERATION * (1.0 + 1e-6)
+    assert seconds >= HALT_TIME
+
+
+def test_a_robot_at_rest_is_held_where_it_is_and_clocks_that_differ_do_not_throw_it() -> None:
+    q, rate = np.array([0.1, 0.2]), np.array([0.4, 0.0])
+    assert halt(q, np.zeros(2), 0.05)[0].tolist() == q.tolist()
+    for age in (-3600.0, 3600.0, math.inf):
+        where, _ = halt(q, rate, age)
+        assert 0.0 < where[0] - q[0] <= 0.4 * (HALT_TIME + 0.5 * 0.2) + 1e-12

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.writer import CompressionType, Writer
 
 from calibration_core.cell import Cell, load_cell
@@ -20,7 +21,7 @@ from calibration_core.recording.bags.writer import write_bag
 from calibration_core.recording.messages.encode import encode
 from calibration_core.recording.messages.kinds import StreamKind
 from calibration_core.recording.messages.typed import standard_types
-from calibration_core.recording.source import sha256_of
+from calibration_core.recording.source import recording_kind, sha256_of
 from calibration_core.timeseries import Streams, TimeSeries
 
 Same = Callable[[Streams, Streams], None]
@@ -235,6 +236,99 @@ def test_zeros_at_the_end_are_a_cut(tmp_path: Path, cell: Cell, big: Streams) ->
     read = read_bag(path, cell)
     assert {"truncated", "damaged"} & {note.kind for note in read.notes}
     assert len(read.joints) > 0.3 * len(big.joints)
+
+
+def other_topic(path: Path, encoding: str = "cdr", kind: str = "sensor_msgs/msg/Image") -> None:
+    """Write 100 black images, which shrink ten thousandfold, as a covered camera leaves them."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer.start("ros2", "camera")
+        schema = writer.register_schema(kind, "ros2msg", b"")
+        channel = writer.register_channel("/joint_states" if encoding == "ros1" else "/camera", encoding, schema)
+        for i in range(100):
+            writer.add_message(channel, i, bytes(640 * 480 * 3), i)
+        writer.finish()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_camera_that_sees_nothing_does_not_matter(
+    tmp_path: Path, cell: Cell, recording: Streams, same: Same, packed: bool
+) -> None:
+    bag = tmp_path / "bag"
+    write_bag(bag, recording, cell)
+    (bag / "metadata.yaml").unlink()
+    other_topic(bag / "camera.mcap")
+    if packed:
+        for file in bag.glob("*.mcap"):
+            file.with_suffix(".mcap.zst").write_bytes(zstandard.compress(file.read_bytes()))
+            file.unlink()
+    same(read_bag(bag, cell), recording)
+
+
+def emptied(bag: Path) -> None:
+    (bag / "metadata.yaml").write_bytes(bytes(4096))  # as a computer leaves it that lost its power
+
+
+def renamed(bag: Path) -> None:
+    for file in bag.glob("bag*"):
+        file.rename(bag / file.name.replace("bag", "monday").replace(".db3", ".DB3"))
+
+
+def packed_by_hand(bag: Path) -> None:
+    file = next(bag.glob("bag.*"))
+    file.with_name(f"{file.name}.zst").write_bytes(zstandard.compress(file.read_bytes()))
+    file.unlink()
+
+
+def copied_on_a_mac(bag: Path) -> None:
+    (bag / "metadata.yaml").unlink()
+    (bag / "._bag.mcap").write_bytes(b"\x00\x05\x16\x07")
+
+
+@pytest.mark.parametrize("change", [emptied, renamed, packed_by_hand, copied_on_a_mac])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_what_people_do_to_bags(
+    tmp_path: Path, cell: Cell, recording: Streams, same: Same, storage: str, change: Callable[[Path], None]
+) -> None:
+    write_bag(tmp_path / "bag", recording, cell, storage=storage)
+    change(tmp_path / "bag")
+    read = read_bag(tmp_path / "bag", cell)
+    same(read, recording)
+    assert [note.kind for note in read.notes if note.kind != "gap"] == ["no_metadata"]
+    single = next(file for file in (tmp_path / "bag").iterdir() if "yaml" not in file.name and file.name[0] != ".")
+    assert recording_kind(single) == "bag"
+    same(read_bag(single, cell), recording)
+
+
+def test_messages_that_are_compressed_need_no_metadata(
+    tmp_path: Path, cell: Cell, recording: Streams, same: Same
+) -> None:
+    for storage in ("mcap", "sqlite3"):
+        write_bag(tmp_path / storage, recording, cell, storage=storage, compression="zstd_message")
+        (tmp_path / storage / "metadata.yaml").unlink()
+        same(read_bag(tmp_path / storage, cell), recording)
+
+
+def test_bags_of_ros_1_are_named_as_such(tmp_path: Path, cell: Cell) -> None:
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    other_topic(tmp_path / "old.mcap", "ros1", "sensor_msgs/JointState")
+    for read in (recording_kind, lambda path: read_bag(path.parent, cell)):
+        (tmp_path / "alone").mkdir(exist_ok=True)
+        (tmp_path / "alone" / "old.bag").touch()
+        with pytest.raises(RecordingError, match=r"a bag of ROS 1, expected one of ROS 2: rosbags-convert --src"):
+            read(tmp_path / "alone" / "old.bag")
+    with pytest.raises(RecordingError, match="a bag of ROS 1"):
+        read_bag(tmp_path / "old.mcap", cell)
+
+
+def test_a_temperature_of_another_type_is_not_needed(tmp_path: Path, cell: Cell, recording: Streams) -> None:
+    write_bag(tmp_path / "bag", recording, cell)
+    (tmp_path / "warm.yaml").write_text(
+        cell.path.read_text() + "topics: {temperature: /force_torque/wrench, wrench: /w}\n"
+    )
+    read = read_bag(tmp_path / "bag", load_cell(tmp_path / "warm.yaml"))
+    assert read.temperature is None
+    assert [note.place for note in read.notes if note.kind == "other_type"] == ["/force_torque/wrench"]
 
 
 def test_other_topics_do_not_matter(tmp_path: Path, cell: Cell, recording: Streams) -> None:

@@ -133,7 +133,7 @@ def test_rows_that_do_not_match_are_refused(tmp_path: Path) -> None:
         ({"files": [{"name": "(?P<point>x)"}]}, "configuration"),
         ({"files": [{"name": "("}]}, "no regular expression"),
         ({"join": "luck"}, "join: found 'luck', expected one of number, order, time"),
-        ([], "the map: found [], expected a map with keys of files, join, tolerance, points"),
+        ([], "the map: found [], expected a map with keys of files, join, tolerance, points, joint_coupling"),
         ({"file": []}, "file: found an unknown key, expected one of files, join, tolerance, points"),
         ({"files": {}}, "files: found {}, expected a list with an entry for each kind of file"),
         ({"files": [3]}, "files.0: found 3, expected an entry with keys of match, encoding"),
@@ -276,6 +276,19 @@ def test_the_command_takes_a_map(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["import", *map(str, paths), "--map", str(how), "--out", str(out)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["measurements.csv", "result.json"]
+
+
+def test_a_map_states_a_coupling_of_joints(tmp_path: Path) -> None:
+    name = "own words for everything"
+    paths = write(name, tmp_path)
+    plain, coupled = (
+        import_files(paths, import_map(MAP, {**MAPS[name], **more}))
+        for more in ({}, {"joint_coupling": {"q3": {"q2": 1.0}}})
+    )
+    np.testing.assert_allclose(coupled.readings.q[:, 2], plain.readings.q[:, 2] + plain.readings.q[:, 1])
+    assert "To q3 is added 1 times q2." in coupled.account
+    with pytest.raises(RecordingError, match="joint_coupling: found 'q9', expected two of q1"):
+        import_files(paths, import_map(MAP, {**MAPS[name], "joint_coupling": {"q3": {"q9": 1.0}}}))
 
 
 def test_the_command_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import CellError, RecordingError
-from calibration_core.observations.conditions import worst
+from calibration_core.observations.observe import worst
 from calibration_core.recording.bags.bag import read_bag
 from calibration_core.timeseries import Condition, Override
 

@@ -1,4 +1,4 @@
-"""result.json holds the contract's keys and is JSON that every program can read."""
+"""result.json holds the fixed keys and is JSON that every program can read."""
 
 from __future__ import annotations
 

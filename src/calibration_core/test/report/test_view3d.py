@@ -18,9 +18,8 @@ from matplotlib.image import imread
 
 import calibration_core as cal
 from calibration_core.cell import load_cell
-from calibration_core.model.chain import rotation_x
+from calibration_core.model.chain import Mimic, rotation_x
 from calibration_core.model.kinematics import posture
-from calibration_core.model.mimic import Mimic
 from calibration_core.report.figures.operating_space import deflection_scale
 from calibration_core.report.view3d import Arrow, View, cell_view, page, script, script_safe
 from calibration_core.report.view3d.picture import png

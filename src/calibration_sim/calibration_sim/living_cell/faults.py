@@ -33,6 +33,9 @@ class Kind(enum.IntEnum):
     WRENCH_OFFSET = 17
     LOAD_STUCK = 18
     BLOCKED = 19
+    TARGETS_EXCHANGED = 20
+    TRACKER_DRIFT = 21
+    TRACKER_HELD = 22
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,13 +44,15 @@ class Fault:
 
     Attributes:
         kind: Which.
-        value: Factor, m, N or s, as `SetFault` says.
+        value: Factor, m, m/s, N or s, as `SetFault` says.
+        since: s of the cell's time, when it began.
         until: s of the cell's time, when it ends; infinite: when told.
         point: Which measurement point; empty: all.
     """
 
     kind: Kind
     value: float = 0.0
+    since: float = 0.0
     until: float = math.inf
     point: str = ""
 
@@ -78,3 +83,8 @@ class Faults:
         """Return the value of a fault that is on."""
         fault = self._on.get(kind)
         return otherwise if fault is None else fault.value
+
+    def grown(self, kind: Kind, time: float) -> float:
+        """Return the value of a fault that grows times the s that it has been on; 0 where it is not."""
+        fault = self._on.get(kind)
+        return 0.0 if fault is None else fault.value * (time - fault.since)

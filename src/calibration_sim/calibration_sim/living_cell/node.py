@@ -33,7 +33,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError, quoted
-from calibration_core.timeseries import NANOSECONDS, Float1D
+from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D
 from calibration_sim.cell.streams import START, Rates
 from calibration_sim.cell.truth import SPREADS, Truth, draw_truth, nominal_truth
 from calibration_sim.living_cell.faults import Fault, Faults, Kind
@@ -89,6 +89,7 @@ class SimulatedCell(Node):
         self._frozen: list[float] = []
         self._last_state: dict[str, Any] = {}
         self._seen: dict[str, Float1D] = {}
+        self._held: Float2D | None = None  # where the points were when the tracker began to hold them
         self._log = self._open_log("event_log")
         motion_log = self._value("motion_log")
         self._motion_log = MotionLog(FilePath(motion_log)) if motion_log else None
@@ -212,6 +213,11 @@ class SimulatedCell(Node):
 
     def _send_points(self) -> None:
         places, on = self.live.points(), self.faults.on
+        self._held = (places if self._held is None else self._held) if on(Kind.TRACKER_HELD) else None
+        places = places if self._held is None else self._held
+        if on(Kind.TARGETS_EXCHANGED):
+            places = places[[1, 0, *range(2, len(places))]]
+        places = places + self.faults.grown(Kind.TRACKER_DRIFT, self.live.time)
         if self._truth_log is not None:
             self._truth_log.add(self.live)
         for index, (name, publisher) in enumerate(self._points.items()):
@@ -360,7 +366,7 @@ class SimulatedCell(Node):
             return response
         with self.lock:
             until = self.live.time + request.duration if request.duration > 0.0 else float("inf")
-            self.faults.begin(Fault(kind, request.value, until, request.name))
+            self.faults.begin(Fault(kind, request.value, self.live.time, until, request.name))
             self.log(f"fault {kind.name}")
             response.stamp = self.stamp()
         if kind is Kind.DRIVER_KILLED:

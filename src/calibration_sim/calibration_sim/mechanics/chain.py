@@ -15,10 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import Cell, DhRow, Robot
-from calibration_core.cell.urdf import urdf_bytes
+from calibration_core.cell.urdf import endless, urdf_bytes
 from calibration_core.errors import CellError, quoted
 from calibration_core.timeseries import Float1D, Float2D
 from calibration_sim.mechanics.transforms import Placement, axis_rotation, fixed_axes, translation, turn
+
+DRIVEN = ("revolute", "continuous", "prismatic")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,7 +129,7 @@ def _from_urdf(cell: Cell) -> Chain:
     if path is None:
         raise cell.missing("robot.urdf", "simulating the robot")
     robot = cell.robot
-    root = _parse(path, robot.joints if robot.joint_limits is not None else ())
+    root = ET.fromstring(urdf_bytes(path, robot.joints if robot.joint_limits is None else ()))
     names = [element.get("name", "") for element in root.findall("link")]
     for key, name in (("base_link", robot.base_link), ("flange", robot.flange)):
         if name not in names:
@@ -168,28 +170,29 @@ def _from_urdf(cell: Cell) -> Chain:
     return Chain(tuple(links), robot.joints, flange, np.array([limits[name] for name in robot.joints]))
 
 
-def _parse(path: Path, own_limits: tuple[str, ...]) -> ET.Element:
-    return ET.fromstring(urdf_bytes(path, own_limits))
-
-
 def _followers(cell: Cell, path: Path, above: dict[str, ET.Element]) -> dict[str, Follows]:
     """Return the mimic joints between base and flange, by name."""
-    found, here = {}, str(cell.robot.flange)
+    found, way, here = {}, list[ET.Element](), str(cell.robot.flange)
     while here != cell.robot.base_link and here in above:
-        joint = above[here]
+        way.append(above[here])
+        here = _attribute(path, above[here], "parent", "link")
+    beside = {
+        joint.get("name", "")
+        for joint in above.values()
+        if joint not in way and joint.get("type") in DRIVEN and joint.find("mimic") is None
+    }
+    for joint in way:
         mimic, name = joint.find("mimic"), joint.get("name", "")
-        if mimic is not None and joint.get("type") in {"revolute", "continuous", "prismatic"}:
-            driver = mimic.get("joint", "")
-            if name in cell.robot.joints or driver not in cell.robot.joints:
-                raise CellError(
-                    path, f"joint {name!r}, mimic", quoted(driver), "one joint of the cell, itself none of them"
-                )
-            place = f"joint {name!r}, mimic"
+        if mimic is not None and joint.get("type") in DRIVEN:
+            driver, place = mimic.get("joint", ""), f"joint {name!r}, mimic"
             multiplier, offset = (
                 _number(path, place, mimic.get(key, default)) for key, default in (("multiplier", "1"), ("offset", "0"))
             )
+            if driver in beside and name not in cell.robot.joints:  # nobody drives it: it stands
+                driver, multiplier = cell.robot.joints[0], 0.0
+            if name in cell.robot.joints or driver not in cell.robot.joints:
+                raise CellError(path, place, quoted(driver), "one joint of the cell, itself none of them")
             found[name] = Follows(name, driver, multiplier, offset)
-        here = _attribute(path, joint, "parent", "link")
     return found
 
 
@@ -207,7 +210,7 @@ def _link(
         raise CellError(path, f"joint {name!r}", f"child {quoted(child)}", "a link of this file")
     axis = np.zeros(3)
     if name in joints or follows is not None:
-        if kind not in {"revolute", "continuous", "prismatic"}:
+        if kind not in DRIVEN:
             raise CellError(path, f"joint {name!r}", f"type {quoted(kind)}", "revolute, continuous or prismatic")
         axis = _vector(path, joint, "axis", "xyz", (1.0, 0.0, 0.0))
         length = float(np.linalg.norm(axis))
@@ -234,6 +237,8 @@ def _limits(path: Path, joint: ET.Element) -> tuple[float, float]:
         return -math.pi, math.pi
     place = f"joint {joint.get('name', '')!r}, limit"
     low, high = (_number(path, place, limit.get(key, "0")) for key in ("lower", "upper"))
+    if endless(joint.get("type", ""), low, high):
+        return -math.pi, math.pi
     if not low < high:
         raise CellError(path, place, f"[{low:g}, {high:g}]", "lower < upper")
     return low, high
@@ -276,6 +281,6 @@ def _number(path: Path, place: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    if math.isnan(value) or (math.isinf(value) and not place.endswith("limit")):
         raise CellError(path, place, quoted(text), "a finite number")
     return value

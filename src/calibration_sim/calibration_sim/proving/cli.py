@@ -15,13 +15,11 @@ from calibration_core.engine.cluster import Cluster, require
 from calibration_core.engine.command_line import refuse_without_effect, stated_options
 from calibration_core.errors import CalibrationError
 from calibration_sim.proving.diagnosing import Settings
-from calibration_sim.proving.measures import Case, markdown, measures, power, wrong
+from calibration_sim.proving.measures import Case, as_table, measures, power, power_table, second_measures, wrong
 from calibration_sim.proving.running import read_run, result_path, run_all
 from calibration_sim.proving.scoring import score
-from calibration_sim.proving.second_measures import second_markdown, second_measures
 from calibration_sim.proving.writing import open_labels, write_recordings
-from calibration_sim.scenarios.grid import grid, sample
-from calibration_sim.scenarios.second_grid import KINDS, second_grid
+from calibration_sim.scenarios.grid import SECOND_KINDS, grid, sample, second_grid
 
 ENTRY = "calibration_core.cli:main"
 
@@ -61,13 +59,14 @@ def _prove(options: argparse.Namespace) -> str:
         outcome = score(labels[name], json.loads(path.read_text(encoding="utf-8"))) if done else None
         cases.append(Case(name, labels[name], outcome, run))
     head = f"Seed {options.seed}, {len(cases)} of {len(scenarios)} recordings, labels {digest}"
-    text = second_markdown(cases, head) if options.kinds else markdown(cases, head)
+    rows = second_measures(cases) if options.kinds else measures(cases)
+    text = "\n".join([head, "", *as_table(rows), "", *([] if options.kinds else power_table(cases))])
     (options.out / "table.md").write_text(text, encoding="utf-8")
     content = {
         "seed": options.seed,
         "labels": digest,
         "recordings": len(cases),
-        "measures": list(map(dataclasses.asdict, second_measures(cases) if options.kinds else measures(cases))),
+        "measures": list(map(dataclasses.asdict, rows)),
         "power": [] if options.kinds else power(cases),
         "wrong": wrong(cases),
     }
@@ -104,9 +103,9 @@ def _parser() -> argparse.ArgumentParser:
         "--kinds",
         nargs="+",
         default=[],
-        choices=["all", *KINDS],
+        choices=["all", *SECOND_KINDS],
         metavar="KIND",
-        help=f"of the second grid, instead of the first: all, or some of {', '.join(KINDS)}",
+        help=f"of the second grid, instead of the first: all, or some of {', '.join(SECOND_KINDS)}",
     )
     parser.add_argument("--limit", type=float, default=120.0, help="s for one diagnosis (default 120)")
     parser.add_argument("--command", help="program to run instead of `calibration diagnose`")

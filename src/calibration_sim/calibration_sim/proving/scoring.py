@@ -15,6 +15,7 @@ ALL = {"joints": "all"}
 PRACTICAL = 1e-5  # m at the measured point
 MORE_THAN_NOISE = 1.1  # rms that is left, over the noise that was there
 COVERED = 1.959964  # standard deviations, 95 percent
+NOTED = {"frames.tracker": "tracker_frame_misalignment", "frames.measurement_points": "measurement_point_offset"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Outcome:
         verdict: As stated.
         kind_right: Whether a law of another shape is named by its kind at its joint and nothing else is named, or
             nothing is named and the rest is called unexplained; and no more than the noise is called noise.
+        beside_first: Whether what was planted is the first finding, or named as what cannot be told from it.
+        left_ratio: Rms that is left, over the noise that was there; None: not known, or there are gross errors.
     """
 
     named: tuple[str, ...]
@@ -53,18 +56,21 @@ class Outcome:
     held_out_ratio: float | None
     verdict: str
     kind_right: bool = False
+    beside_first: bool = False
+    left_ratio: float | None = None
 
 
 Item = Mapping[str, Any]
 
 
 def score(label: Item, result: Item) -> Outcome:
-    """Compare a label with a result (contract, section 5)."""
+    """Compare a label with a result."""
     physics = [item for item in result.get("findings", ()) if item.get("family") != "empirical"]
     findings = [item for item in physics if item["effect"] not in label["true_anyway"] or _names_any(item, label)]
-    effects = label["effects"]
-    hits = [next((f for f in findings if _names(f, effect)), None) for effect in effects]
-    placed = [next((f for f in findings if _names(f, effect) and _places(f, effect)), None) for effect in effects]
+    effects, noted = label["effects"], [_noted(note) for note in result.get("notes", ()) if note["kind"] == "frames"]
+    named = [*findings, *noted]
+    hits = [next((f for f in named if _names(f, effect)), None) for effect in effects]
+    placed = [next((f for f in named if _names(f, effect) and _places(f, effect)), None) for effect in effects]
     fit = result.get("fit", {})
     after, noise = fit.get("held_out_rms_after"), fit.get("noise")
     return Outcome(
@@ -76,7 +82,7 @@ def score(label: Item, result: Item) -> Outcome:
             None if hit is None or not _has_place(effect) else place is not None
             for hit, place, effect in zip(hits, placed, effects, strict=True)
         ),
-        first_right=_names_any(findings[0], label) if findings else None,
+        first_right=_names_any(findings[0], label) if findings else (True if any(hits) else None),
         aliases_named=all(_aliases_named(findings, effect) for effect in effects),
         flagged=result.get("verdict") in {"partly_explained", "unexplained"} or bool(result.get("anomalies")),
         anomaly_right=tuple(_anomaly(result, effect) for effect in effects),
@@ -90,15 +96,32 @@ def score(label: Item, result: Item) -> Outcome:
         held_out_ratio=None if not after or not noise else float(after) / float(noise),
         verdict=str(result.get("verdict", "")),
         kind_right=all(_kind_right(label, effect, physics, result) for effect in effects if "kinds" in effect),
+        beside_first=bool(findings) and any(_listed(findings[0], effect) for effect in effects),
+        left_ratio=_left_ratio(label, result),
     )
+
+
+def _noted(note: Item) -> dict[str, Any]:
+    """Return a note on frames as the finding that it would be; it begins with the name of the target."""
+    return {
+        "effect": NOTED[note["place"].split(": ")[-1]],
+        "location": {"point": str(note["text"]).split(maxsplit=1)[0]},
+        "parameters": [],
+    }
+
+
+def _left_ratio(label: Item, result: Item) -> float | None:
+    """Return the rms that is left over the noise that was there; gross errors would be part of it."""
+    after, noise = result.get("fit", {}).get("rms_after"), label.get("noise_seen")
+    if after is None or noise is None or label["noise"]["outlier_rate"] > 0.0:
+        return None
+    return float(after) / float(noise)
 
 
 def _kind_right(label: Item, effect: Item, physics: list[Any], result: Item) -> bool:
     """Say whether a law of another shape is told for what it is; see `Outcome.kind_right`."""
     flagged = result.get("verdict") in {"partly_explained", "unexplained"}
-    after = result.get("fit", {}).get("rms_after")
-    quiet = label["noise"]["outlier_rate"] == 0.0 and after is not None
-    if not flagged and quiet and float(after) > MORE_THAN_NOISE * label["noise_seen"]:
+    if not flagged and (_left_ratio(label, result) or 0.0) > MORE_THAN_NOISE:
         return False
     if not physics:
         return flagged
@@ -141,6 +164,10 @@ def _is(finding: Item, item: Item) -> bool:
     if item["location"] == ALL:  # every joint has it: each may be found by itself
         return "joint" in finding.get("location", {}) or finding.get("location", {}) == ALL
     return same_place(finding.get("location", {}), item["location"])
+
+
+def _listed(finding: Item, effect: Item) -> bool:
+    return _names(finding, effect) or any(_is(other, effect) for other in finding.get("cannot_be_told_from", ()))
 
 
 def _places(finding: Item, effect: Item) -> bool:

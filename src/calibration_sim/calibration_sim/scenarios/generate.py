@@ -11,11 +11,9 @@ from calibration_core.errors import EquilibriumError
 from calibration_core.files.yaml_file import read_yaml
 from calibration_core.timeseries import Float2D, Readings
 from calibration_sim.cell.truth import Spread, draw_truth, generator
-from calibration_sim.effect_models.effect import Effect
-from calibration_sim.generators import GENERATORS
-from calibration_sim.generators.draw import Draw
-from calibration_sim.generators.farther_out import farther_out
-from calibration_sim.generators.robots import FIRST_AXIS, MAGNITUDES, robot_cell
+from calibration_sim.effects import GENERATORS
+from calibration_sim.effects.draw import FIRST_AXIS, MAGNITUDES, Draw, robot_cell
+from calibration_sim.effects.effect import Effect
 from calibration_sim.scenarios.grid import CLUTTER, NEEDS_SINGLE_STEPS, SINGLES, Planned, Scenario
 from calibration_sim.scenarios.influence import Background, background, signal, signal_to_noise
 from calibration_sim.scenarios.look_alikes import look_alikes
@@ -127,8 +125,7 @@ def _draw(scenario: Scenario, stream: tuple[int, ...], planned: Planned, amplitu
     first = FIRST_AXIS.get(scenario.robot, 0)
     stiffness = np.array(robot_cell(scenario.robot).robot.stiffness)[first:]
     size = MAGNITUDES[scenario.robot]
-    effect = GENERATORS[planned.name](Draw(size, stiffness, amplitude, rng, planned.place, LOADED, planned.plain))
-    return farther_out(effect, first) if first else effect
+    return GENERATORS[planned.name](Draw(size, stiffness, amplitude, rng, planned.place, LOADED, planned.plain, first))
 
 
 def _loud_enough(scenario: Scenario, planned: Planned, k: int, known: Background) -> tuple[Effect, float]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from calibration_core.timeseries import Float1D, Float2D
 from calibration_sim.cell.protocol import Protocol
-from calibration_sim.effect_models.effect import Effect
+from calibration_sim.effects.effect import Effect
 from calibration_sim.scenarios.world import Played, World, play
 from calibration_sim.scenarios.yielding import yielding
 

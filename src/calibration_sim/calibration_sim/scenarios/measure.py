@@ -15,8 +15,8 @@ from calibration_core.timeseries import Float2D, Float3D, Provenance, Readings
 from calibration_sim.cell.protocol import rated_force
 from calibration_sim.cell.sensors import quantise, tracker_error
 from calibration_sim.cell.table import wrench_sigma
-from calibration_sim.effect_models.effect import Label
-from calibration_sim.effect_models.load_chain import SensorHysteresis
+from calibration_sim.effects.chains import SensorHysteresis
+from calibration_sim.effects.effect import Label
 from calibration_sim.scenarios.world import Played, World
 
 SLOW_SHARE = 0.5  # of the variance, where the noise is correlated

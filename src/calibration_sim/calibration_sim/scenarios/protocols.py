@@ -1,8 +1,9 @@
 """The protocols of the proof: what is measured, with which loads.
 
 L: 18 configurations, oblique pull, 0-25-50-75-100-75-50-25-0 percent, three points.  R: the same, then reversed.
-W: dead weights, three levels, one point.  A: 60 configurations, one step each, no load.  LA and RA: L or R, and then
-36 configurations of one step each.  Numbers say how many instead: L5A40 is L in 5 configurations, and then 40.
+W: dead weights, three levels, one point.  S: the least that CWA 17384 allows, 12 configurations, zero and full load,
+one point.  A: 60 configurations, one step each, no load.  LA and RA: L or R, and then 36 configurations of one step
+each.  Numbers say how many instead: L5A40 is L in 5 configurations, and then 40.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from calibration_sim.cell.configurations import random_protocol
 from calibration_sim.cell.protocol import FOUR_STEPS, NINE_STEPS, Configuration, Protocol, pull, rated_force
 
 REVERSED = (*NINE_STEPS, *(-level for level in NINE_STEPS[1:]))
-LOADED, ABSOLUTE, BESIDES = 18, 60, 36
-KINDS = ("L", "R", "W", "A", "LA", "RA")
-_KIND = re.compile(r"(?:([LRW])(\d*))?(?:(A)(\d*))?")
+TWO_STEPS = (0.0, 1.0)
+LOADED, LEAST_LOADED, ABSOLUTE, BESIDES = 18, 12, 60, 36
+KINDS = ("L", "R", "W", "S", "A", "LA", "RA")
+ONE_POINT = frozenset("WS")
+_KIND = re.compile(r"(?:([LRWS])(\d*))?(?:(A)(\d*))?")
 
 
 def make_protocol(cell: Cell, kind: str, seed: int) -> Protocol:
@@ -35,8 +38,8 @@ def make_protocol(cell: Cell, kind: str, seed: int) -> Protocol:
     """
     loads, loaded, absolute, single = _parts(kind)
     parts: list[Configuration] = []
-    if loads in {"L", "R"}:
-        levels = NINE_STEPS if loads == "L" else REVERSED
+    if loads in {"L", "R", "S"}:
+        levels = {"L": NINE_STEPS, "R": REVERSED, "S": TWO_STEPS}[loads]
         parts += random_protocol(cell, loaded, seed, levels=levels).configurations
     if loads == "W":
         down = pull(np.asarray(cell.gravity), rated_force(cell), FOUR_STEPS)
@@ -50,7 +53,7 @@ def make_protocol(cell: Cell, kind: str, seed: int) -> Protocol:
 
 def is_loaded(kind: str) -> bool:
     """Return whether a protocol has load steps."""
-    return kind[:1] in {"L", "R", "W"}
+    return kind[:1] in {"L", "R", "W", "S"}
 
 
 def _parts(kind: str) -> tuple[str, int, bool, int]:
@@ -61,10 +64,11 @@ def _parts(kind: str) -> tuple[str, int, bool, int]:
         raise ValueError(msg)
     loads, loaded, absolute, single = match.groups()
     usual = BESIDES if loads else ABSOLUTE
-    return loads or "", int(loaded or (LOADED if loads else 0)), absolute is not None, int(single or usual)
+    least = {"": 0, "S": LEAST_LOADED}.get(loads or "", LOADED)
+    return loads or "", int(loaded or least), absolute is not None, int(single or usual)
 
 
 def points_of(cell: Cell, kind: str) -> tuple[str, ...]:
     """Return the names of the points that a protocol measures."""
     names = tuple(cell.frames.measurement_points)
-    return names[:1] if kind == "W" else names
+    return names[:1] if kind[:1] in ONE_POINT else names

@@ -19,7 +19,7 @@ from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 from calibration_sim.cell.protocol import Protocol
 from calibration_sim.cell.sensors import Sensors
 from calibration_sim.cell.truth import Truth
-from calibration_sim.effect_models.effect import At, Effect, Session
+from calibration_sim.effects.effect import At, Effect, Session
 from calibration_sim.mechanics.chain import read_chain
 from calibration_sim.mechanics.statics import Equilibrium, Mechanism
 

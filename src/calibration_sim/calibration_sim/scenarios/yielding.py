@@ -13,8 +13,8 @@ import numpy as np
 
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 from calibration_sim.cell.protocol import Protocol
-from calibration_sim.effect_models.effect import Label
-from calibration_sim.effect_models.structure import BEARING, Base, Beam, Tool
+from calibration_sim.effects.effect import Label
+from calibration_sim.effects.structure import BEARING, Base, Beam, Tool
 from calibration_sim.mechanics.chain import Chain
 from calibration_sim.mechanics.mjcf import Spring
 from calibration_sim.mechanics.statics import Mechanism

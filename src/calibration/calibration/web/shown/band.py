@@ -1,4 +1,4 @@
-"""The load of a step against its band: what pulls now, how far it is off, and since when it fits."""
+"""The load of a step as people see it: what pulls now, how far it is off, since when the sequencer finds it right."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Pull:
         off_angle: rad, by which the direction is off; None: not known, or there is none.
         band_force: N, by which it may be; None: not checked.
         band_angle: rad, likewise.
-        fits: Whether what is felt is within the band; where nothing is checked, it does.
+        against: Code of what speaks against it; empty: nothing, or nothing is checked.
     """
 
     wanted: float
@@ -33,11 +33,25 @@ class Pull:
     off_angle: float | None
     band_force: float | None
     band_angle: float | None
-    fits: bool
+    against: str
+
+    @property
+    def fits(self) -> bool:
+        """Whether the sensor feels the load that is wanted: what is not felt, or not checked, does not fit."""
+        return self.felt is not None and self.band_force is not None and not self.against
+
+    @property
+    def by_itself(self) -> bool:
+        """Whether it may be confirmed without a hand: a release never, for the robot moves after it."""
+        return self.fits and bool(self.direction)
 
 
 def pull(
-    wanted: Sequence[float], felt: Sequence[float] | None, band_force: float | None, band_angle: float | None
+    wanted: Sequence[float],
+    felt: Sequence[float] | None,
+    band_force: float | None,
+    band_angle: float | None,
+    fault: str,
 ) -> Pull:
     """Return how a load stands.
 
@@ -46,20 +60,31 @@ def pull(
         felt: (3,) N, base axes; None: not known.
         band_force: N; None: not checked.
         band_angle: rad; None: not checked.
+        fault: What the sequencer finds wrong with it; empty: nothing.
     """
     size = float(np.linalg.norm(wanted))
     direction = tuple(float(one) / size for one in wanted) if size > 0.0 else ()
     if felt is None:
-        return Pull(size, direction, None, (), None, None, band_force, band_angle, band_force is None)
+        against = "load_not_felt" if fault or (direction and band_force is not None) else ""
+        return Pull(size, direction, None, (), None, None, band_force, band_angle, against)
     found = float(np.linalg.norm(felt))
     along = tuple(float(one) / found for one in felt) if found > 0.0 else ()
-    off_force = found - size
     off_angle = None
     if direction and along:
         off_angle = math.atan2(float(np.linalg.norm(np.cross(direction, along))), float(np.dot(direction, along)))
-    fits = band_force is None or abs(off_force) <= band_force
-    fits = fits and (band_angle is None or not direction or (off_angle is not None and off_angle <= band_angle))
-    return Pull(size, direction, found, along, off_force, off_angle, band_force, band_angle, fits)
+    one = Pull(size, direction, found, along, found - size, off_angle, band_force, band_angle, "")
+    return dataclasses.replace(one, against=_advice(one)) if fault else one
+
+
+def _advice(one: Pull) -> str:
+    """Say what to do about a load that the sequencer finds wrong."""
+    if not one.direction:
+        return "not_released"
+    if one.band_force is not None and one.off_force is not None and abs(one.off_force) > one.band_force:
+        return "force_too_small" if one.off_force < 0.0 else "force_too_great"
+    if one.band_angle is not None and one.off_angle is not None and one.off_angle > one.band_angle:
+        return "direction_off"
+    return "load_differs"
 
 
 class Held:
@@ -79,8 +104,12 @@ class Held:
         return 0.0 if self._since is None else now - self._since
 
     def take(self, now: float, seconds: float) -> bool:
-        """Return, once, whether the load has fitted for so long; again only after it has not fitted meanwhile."""
+        """Return, once, whether the load has fitted for so long; again only after `refused`, or a break."""
         if self._taken or self._since is None or not 0.0 < seconds <= now - self._since:
             return False
         self._taken = True
         return True
+
+    def refused(self, now: float) -> None:
+        """Begin anew: what was taken did not count."""
+        self._since, self._taken = None if self._since is None else now, False

@@ -15,6 +15,7 @@ from calibration_interfaces.msg import (
     ProcedureState,
     RobotState,
     SampleCheck,
+    SessionEvent,
 )
 
 Plain = Any
@@ -33,6 +34,7 @@ def _words(message: Any, names: tuple[str, ...] | None = None, prefix: str = "")
 
 
 MODES = _words(RobotState, prefix="MODE_")
+EVENT_KINDS = _words(SessionEvent)
 CONSTANTS: Mapping[str, Mapping[str, Mapping[int, str]]] = {
     "ProcedureState": {
         "state": _words(ProcedureState, STATES),

@@ -25,6 +25,7 @@ from textual.widgets import Footer, Static
 
 from calibration.background import in_executor
 from calibration.conversions import to_header
+from calibration.lifecycle.heartbeat import FRESH
 from calibration.node import spin
 from calibration.topics import EVENT, STATE
 from calibration.web.link import CellLink, Latest
@@ -35,7 +36,6 @@ from calibration.web.shown.words import Words
 
 NODE = "panel_terminal"
 LOOK = 0.1  # s of wall time between two looks
-SILENT = 2.5  # s of wall time without a state
 
 
 class Terminal(App[None]):
@@ -89,8 +89,11 @@ class Terminal(App[None]):
         message = self.cell_state.take()
         if message is not None:
             self.cell_shown, self.cell_heard = view(plain(message)), time.monotonic()
-        if self.cell_shown is None or time.monotonic() - self.cell_heard > SILENT:
+        if self.cell_shown is None or time.monotonic() - self.cell_heard > FRESH:
             self._fill("status", [self.words("nothing_known")])
+            self.query_one("#permission").set_class(False, "yes")
+            for place in ("permission", "load", "bars", "faults"):  # nothing of it is current
+                self._fill(place, [])
             return
         shown, w = self.cell_shown, self.words
         self._fill("status", text.status(shown, w))

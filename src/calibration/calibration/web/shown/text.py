@@ -23,6 +23,8 @@ def status(shown: Mapping[str, Any], w: Words) -> list[str]:
         doing = w(f"state_{state}", steps=procedure["steps"], **place)
         if procedure["kind"] in ("startup", "reference") and state in PHASES:
             doing = f"{w(procedure['kind'])}: {w(f'phase_{state}')}"
+        if procedure["paused"] and procedure["state"] != "ready":
+            doing += f" · {w('paused_after')}"
     lines = [doing]
     if shown["waiting"]:
         lines.append(f"{w('waits_for')}: {shown['waiting']}")
@@ -38,7 +40,7 @@ def status(shown: Mapping[str, Any], w: Words) -> list[str]:
 def permission(shown: Mapping[str, Any], w: Words) -> list[str]:
     """Return whether the robot may move, and why it may not."""
     one = shown["permission"]
-    lines = [w("permitted" if one["permitted"] else "not_permitted")]
+    lines = [w("permission_unknown" if not one["known"] else "permitted" if one["permitted"] else "not_permitted")]
     if not one["permitted"]:
         lines.append(" · ".join(w(f"reason_{reason}") for reason in one["reasons"]))
     if one["known"] and one["speed"] is not None and one["speed_limit"] is not None:
@@ -50,6 +52,9 @@ def permission(shown: Mapping[str, Any], w: Words) -> list[str]:
 def load(shown: Mapping[str, Any], w: Words) -> list[str]:
     """Return what is to be pulled, what is felt, and what speaks against a confirmation; empty where no load is due."""
     one = shown["load"]
+    if one["left"]:
+        felt = w("load_left_unknown") if one["felt"] is None else w("load_left", n=f"{one['felt']:.0f}")
+        return [f"{felt} {one['left']}"]
     if not one["awaited"]:
         return []
     axes = dict(zip("xyz", (f"{value:.0f}" for value in one["force"]), strict=True))

@@ -1,18 +1,22 @@
 """What the page shows, from the state of the cell: a pure function of plain values, that decides nothing.
 
 Every field is a number, a code or a text of a node; codes become words where they are shown, in the reader's language.
+What a node has said is shown as current only while the node is heard.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from calibration.lifecycle.heartbeat import FRESH
 from calibration.web.shown.band import Pull, pull
 
 Plain = Mapping[str, Any]
 
 MOVES = ("moving", "loading", "settling", "reading", "unloading", "ready", "preparing")
+WRENCH = "wrench"  # name of the stream of the force/torque sensor; the others are points of the tracker
 STANDSTILL = 0.002  # m/s of the fastest monitored point, below which the robot counts as standing on the page
 LEVELS = {"ok": 0, "warn": 1, "error": 2, "absent": 3, "silent": 3}
 
@@ -24,25 +28,26 @@ def view(state: Plain) -> dict[str, Any]:
         state: `calibration_interfaces/State` as plain values.
     """
     procedure = state["procedure"]
-    load = load_of(procedure)
+    load = load_of(state)
     return {
         "text": state["text"],
         "waiting": state["waiting"],
         "running": running(state),
         "known": bool(state["procedure_known"]),
-        "procedure": _procedure(procedure),
+        "procedure": _procedure(state),
         "permission": _permission(state),
-        "robot": _robot(state["robot"]),
+        "robot": _robot(state),
         "load": _load(load, procedure),
         "confirm": confirm(state, load),
         "reading": _reading(procedure),
         "bars": _bars(state["progress"]),
         "progress": _progress(state["progress"]),
-        "streams": [_stream(one) for one in state["streams"]],
+        "streams": [_stream(state, one) for one in state["streams"]],
         "conditions": [_condition(one) for one in state["conditions"]["conditions"]],
         "nodes": [
             {"name": one["name"], "level": LEVELS.get(one["level"], 3), "state": one["level"],
-             "active": one["lifecycle"]["label"] == "active", "text": one["text"]}
+             "active": one["lifecycle"]["label"] == "active", "fresh": fresh(state, one["name"]), "text": one["text"],
+             "remedy": one["remedy"]}
             for one in state["nodes"]
         ],
         "faults": [{key: one[key] for key in ("level", "code", "source", "text", "remedy")} for one in state["faults"]],
@@ -50,20 +55,53 @@ def view(state: Plain) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def fresh(state: Plain, node: str) -> bool:
+    """Whether a node is heard, so that what it has said is current; true where the state does not tell of the node."""
+    ages = [one["age"] for one in state["nodes"] if one["name"] == node]
+    return all(age is not None and age <= FRESH for age in ages)
+
+
+def forgotten(state: Plain) -> dict[str, Any]:
+    """Return a state of which nothing is current any more: whoever told it is silent."""
+    nodes = [{**one, "age": None} for one in state["nodes"]]
+    return {**state, "procedure_known": False, "permission_known": False, "nodes": nodes}
+
+
 def running(state: Plain) -> bool:
     """Whether a plan is being measured, as far as the sequencer is heard."""
     return bool(state["procedure_known"]) and state["procedure"]["state"] in MOVES
 
 
-def load_of(procedure: Plain) -> Pull:
+def unfinished(state: Plain, root: Path, last: dict[str, str] | None) -> dict[str, str] | None:
+    """Return the run that can be gone on with, as session and plan below the folder; None: there is none.
+
+    Args:
+        state: The state of the cell.
+        root: Folder of sessions and plans.
+        last: What was returned before: a sequencer that was started again knows nothing of a run.
+    """
+    one = state["procedure"]
+    if not state["procedure_known"] or not one["session"]:
+        return last
+    session, plan = Path(one["session"]), Path(one["plan"])
+    begun = one["configurations_done"] < one["configurations_total"]  # which is told once a run is under way
+    if not begun or session.parent != root or not plan.is_relative_to(root):
+        return None
+    return {"session": session.name, "plan": plan.relative_to(root).as_posix()}
+
+
+def load_of(state: Plain) -> Pull:
     """Return how the load of the present step stands."""
+    procedure = state["procedure"]
     force = procedure["target"]["force"]
-    felt = procedure["load_felt"]["force"] if procedure["load_felt_known"] else None
+    known = procedure["load_felt_known"] and state["procedure_known"] and fresh(state, "force_torque")
+    felt = procedure["load_felt"]["force"] if known else None
     return pull(
         [force["x"], force["y"], force["z"]],
         None if felt is None else [felt["x"], felt["y"], felt["z"]],
         procedure["band_force"],
         procedure["band_angle"],
+        procedure["load_fault"],
     )
 
 
@@ -76,35 +114,36 @@ def confirm(state: Plain, load: Pull) -> dict[str, Any]:
     against = []
     if not state["procedure_known"]:
         against.append("sequencer_silent")
-    if not procedure["load_awaited"] or procedure["waits_for"] != "operator":
+    elif not procedure["load_awaited"] or procedure["waits_for"] != "operator":
         against.append("no_load_awaited")
-    elif load.felt is None and load.band_force is not None:
-        against.append("load_not_felt")
-    elif load.band_force is not None and load.off_force is not None and abs(load.off_force) > load.band_force:
-        against.append("force_too_small" if load.off_force < 0.0 else "force_too_great")
-    elif not load.fits:
-        against.append("direction_off")
-    against += ["stream_" + one["problem"] for one in state["streams"] if one["problem"] != "fine"]
+    elif load.against:
+        against.append(load.against)
+    streams = [_stream(state, one)["problem"] for one in state["streams"]]
+    against += ["stream_" + one for one in streams if one != "fine"]
     speed = state["permission"]["speed"]
     if state["permission_known"] and speed is not None and speed > STANDSTILL:
         against.append("robot_moves")
-    return {"offered": not against, "against": list(dict.fromkeys(against)), "text": procedure["load_fault"]}
+    return {"offered": not against, "against": list(dict.fromkeys(against)), "text": procedure["load_fault"],
+            "by_itself": not against and load.by_itself}  # fmt: skip
 
 
-def _procedure(one: Plain) -> dict[str, Any]:
+def _procedure(state: Plain) -> dict[str, Any]:
+    one = state["procedure"]
     keys = ("state", "waits_for", "text", "waiting", "question", "paused", "held", "moving", "session", "plan",
             "recording", "kind", "phase_name", "configuration", "attempt", "step", "steps", "share_done", "averaged",
             "seconds_left", "load_awaited", "readings")  # fmt: skip
     found = {key: one[key] for key in keys}
     found["done"], found["total"] = one["configurations_done"], one["configurations_total"]
     found["skipped"] = one["configurations_skipped"]
+    if not (state["procedure_known"] and fresh(state, "tracker") and fresh(state, "force_torque")):
+        found["averaged"] = None
     return found
 
 
 def _permission(state: Plain) -> dict[str, Any]:
     one = state["permission"]
     known = bool(state["permission_known"])
-    speed = one["speed"]
+    speed = one["speed"] if known else None
     return {
         "known": known,
         "permitted": known and bool(one["permitted"]),
@@ -119,14 +158,16 @@ def _permission(state: Plain) -> dict[str, Any]:
     }
 
 
-def _robot(one: Plain) -> dict[str, Any]:
-    return {key: one[key] for key in ("operating_mode", "drives", "safety", "operator_name", "speed_scaling")}
+def _robot(state: Plain) -> dict[str, Any]:
+    one = state["robot"] if state["permission_known"] else {"operating_mode": "unknown", "drives": "unknown"}
+    return {key: one[key] for key in ("operating_mode", "drives")}
 
 
 def _load(load: Pull, procedure: Plain) -> dict[str, Any]:
     force = procedure["target"]["force"]
     return {
         "awaited": procedure["load_awaited"],
+        "left": "" if procedure["load_awaited"] else procedure["load_left"],
         "wanted": load.wanted,
         "force": [force["x"], force["y"], force["z"]],
         "direction": list(load.direction),
@@ -136,7 +177,6 @@ def _load(load: Pull, procedure: Plain) -> dict[str, Any]:
         "off_angle": load.off_angle,
         "band_force": load.band_force,
         "band_angle": load.band_angle,
-        "fits": load.fits,
     }
 
 
@@ -170,8 +210,9 @@ def _progress(one: Plain) -> dict[str, Any]:
     return {key: one[key] for key in keys}
 
 
-def _stream(one: Plain) -> dict[str, Any]:
-    return {"name": one["name"], "problem": one["problem"], "age": one["age"], "text": one["text"]}
+def _stream(state: Plain, one: Plain) -> dict[str, Any]:
+    heard = fresh(state, "force_torque" if one["name"] == WRENCH else "tracker")
+    return {"name": one["name"], "problem": one["problem"] if heard else "not_heard", "text": one["text"]}
 
 
 def _condition(one: Plain) -> dict[str, Any]:
@@ -189,15 +230,24 @@ def checklist(shown: Plain, disk_free: float | None, recorder: tuple[bool, str] 
         recorder: Whether the recorder hears every instrument, and what it says; None: it does not answer.
     """
     permission, robot = shown["permission"], shown["robot"]
-    rows = [_row("node_" + one["name"], one["active"] and one["level"] < 2, one["text"]) for one in shown["nodes"]]
+    rows = [
+        _row("node_" + one["name"], (one["active"] and one["level"] < LEVELS["error"]) if one["fresh"] else None,
+             one["text"], remedy=one["remedy"])
+        for one in shown["nodes"]
+    ]  # fmt: skip
+    heard = {one["name"] for one in shown["nodes"] if one["fresh"]}
+    if "recorder" not in heard and any(one["name"] == "recorder" for one in shown["nodes"]):
+        recorder = None
     rows.append(_row("mode", {"manual_reduced": True, "unknown": None}.get(robot["operating_mode"], False),
                      robot["operating_mode"], code="mode"))  # fmt: skip
     rows.append(_row("drives", {"on": True, "unknown": None}.get(robot["drives"], False), robot["drives"], "drives"))
     unproven = permission["reasons"] == ["stop_unproven"]  # the sequencer proves it before the first motion
-    rows.append(_row("permission", permission["permitted"] or unproven, permission["text"]))
+    permitted = (permission["permitted"] or unproven) if permission["known"] else None
+    rows.append(_row("permission", permitted, permission["text"]))
     for one in shown["streams"]:
-        fine = one["problem"] == "fine"
-        rows.append(_row("stream_" + one["name"], fine, one["problem"] if fine else one["text"], "stream"))
+        seen = one["text"] if one["problem"] not in ("fine", "not_heard") else one["problem"]
+        met = {"fine": True, "not_heard": None}.get(one["problem"], False)
+        rows.append(_row("stream_" + one["name"], met, seen, "stream"))
     rows.append(_row("recorder_hears", None if recorder is None else recorder[0], recorder[1] if recorder else ""))
     enough = None if disk_free is None else disk_free >= DISK
     rows.append(_row("disk", enough, "" if disk_free is None else f"{disk_free / 1e9:.1f} GB"))
@@ -211,8 +261,8 @@ def checklist(shown: Plain, disk_free: float | None, recorder: tuple[bool, str] 
 DISK = 5e9  # bytes that a long session may take
 
 
-def _row(name: str, met: bool | None, seen: str, code: str = "") -> dict[str, Any]:
-    return {"name": name, "met": met, "seen": seen, "code": code}
+def _row(name: str, met: bool | None, seen: str, code: str = "", remedy: str = "") -> dict[str, Any]:
+    return {"name": name, "met": met, "seen": seen, "code": code, "help": remedy}
 
 
 def place_of(state: Plain) -> tuple[object, ...]:

@@ -1,6 +1,6 @@
 // After a run: identification, diagnosis, the report, and what to take along.
-import { h, text, rows, options, hide } from "./dom.js";
-import { w } from "./words.js";
+import { h, text, once, rows, options, hide } from "./dom.js";
+import { w, number } from "./words.js";
 import { ask, folder } from "./link.js";
 import { verification } from "./verify.js";
 
@@ -15,7 +15,7 @@ export function after(state, told) {
   const bar = h("div", { class: "bar", role: "img", "aria-label": w("evaluation") }, inside);
   const doing = h("p", { id: "evaluating", "aria-live": "polite" });
   const buttons = ["stiffness", "diagnosis"].map((what) =>
-    h("button", { id: what, class: "main grow", onclick: () => ask("identify", { what, session: session.value }).then(told) }, w(what)));
+    h("button", { id: what, class: "main grow", onclick: once(async () => told(await ask("identify", { what, session: session.value }))) }, w(what)));
   const cancel = h("button", { id: "cancel", onclick: () => ask("cancel_evaluation").then(told) }, w("cancel"));
   const shows = h("div", { class: "row", id: "reports" });
   const files = h("div", { class: "row", id: "files" });
@@ -63,12 +63,23 @@ export function after(state, told) {
   function shown(result) {
     const next = (result.next_measurements || []).slice(0, 5);
     const light = result.usable ? w(`usable_${result.usable}`) : w(`outcome_${result.verdict}`);
-    return h("div", {}, h("p", { class: "number" }, light), h("p", {}, result.reason || ""), h("p", {}, result.next_step || ""),
-      h("table", {}, h("thead", {}, h("tr", {}, ...["joint", "value", "std"].map((one) => h("th", { scope: "col" }, w(`column_${one}`))))),
-        h("tbody", {}, ...(result.stiffness || []).map((one) => h("tr", {}, h("th", { scope: "row" }, one.joint),
-          h("td", {}, one.identifiable && one.value !== null ? (one.value / 1e6).toFixed(3) : w("not_identifiable")),
-          h("td", {}, one.identifiable && one.std !== null ? (one.std / 1e6).toFixed(3) : "–"))))),
+    const reasons = [...new Set((result.reason || "").split("; "))].join("; "); // the same may be said of several configurations
+    const places = [...new Set((result.anomalies || []).map((one) => one.location && one.location.place).filter(Boolean))];
+    return h("div", {}, h("p", { class: "number" }, light), h("p", {}, reasons),
+      places.length ? h("p", {}, w("result_places", { places: places.join(", ") })) : null,
+      result.next_step ? h("p", { id: "next_step" }, `→ ${result.next_step}`) : null,
+      h("table", {}, h("thead", {}, h("tr", {}, ...["joint", "value", "interval", "nominal"].map((one) => h("th", { scope: "col" }, w(`column_${one}`))))),
+        h("tbody", {}, ...(result.stiffness || []).map(joint))),
       ...next.length ? [h("h3", {}, w("next_measurements")), h("ul", {}, ...next.map((one) => h("li", {}, one.why)))] : []);
+  }
+  const mega = (value) => (value === null || value === undefined ? "–" : number(value / 1e6, 3));
+  function joint(one) {
+    const nominal = (state.cell.nominal || {})[one.joint];
+    const found = one.identifiable && one.value !== null;
+    const change = found && nominal ? ` (${one.value >= nominal ? "+" : ""}${number(100 * (one.value / nominal - 1))} %)` : "";
+    const interval = found && one.interval_95 ? one.interval_95.map(mega).join(" … ") : "–";
+    return h("tr", {}, h("th", { scope: "row" }, one.joint), h("td", {}, found ? mega(one.value) : w("not_identifiable")),
+      h("td", {}, interval), h("td", {}, nominal ? `${mega(nominal)}${change}` : "–"));
   }
   session.addEventListener("change", chosen);
   verify.node.addEventListener("input", update);

@@ -20,6 +20,7 @@ export function before(state, told) {
   const hold = h("select", { id: "hold" }, ...HOLDS.map((one) => h("option", { value: String(one) }, one ? w("hold_for", { s: one }) : w("hold_off"))));
   hold.addEventListener("change", () => ask("hold_time", { seconds: Number(hold.value) }).then(told));
   const begin = h("button", { class: "go", id: "begin", onclick: () => run() }, w("begin"));
+  const why = h("p", { id: "begin_why", "aria-live": "polite" });
   const fresh = h("input", { id: "plan_name", maxLength: 60, autocomplete: "off", value: "plan" });
   const making = h("p", { id: "making", "aria-live": "polite" });
   const frame = h("iframe", { title: w("plan_report"), sandbox: "allow-scripts", hidden: true });
@@ -29,7 +30,7 @@ export function before(state, told) {
   } }, w("plan_look"));
   const purpose = h("select", { id: "purpose" }, ...PURPOSES.map((one) => h("option", { value: one }, w(`purpose_${one}`))));
   const judged = target("plan");
-  const against = h("div", { hidden: true }, ...judged.fields);
+  const judging = h("div", { hidden: true }, ...judged.fields);
   const verifies = () => purpose.value === "verify";
   const make = h("button", { id: "plan_make", onclick: () => ask("plan", { name: fresh.value.trim(), purpose: purpose.value, ...(verifies() ? judged.value : {}) }).then(told) }, w("plan_make"));
 
@@ -45,12 +46,12 @@ export function before(state, told) {
   const node = h("div", { class: "grid", id: "before" },
     card("checklist", summary, list),
     h("div", { class: "column" },
-      card("measurement", h("label", { for: "plan" }, w("plan")), plan, look, h("label", { for: "session" }, w("session")), session, named, begin),
+      card("measurement", h("label", { for: "plan" }, w("plan")), plan, look, h("label", { for: "session" }, w("session")), session, named, begin, why),
       card("options", h("label", { for: "wanted" }, w("wanted")), wanted,
         h("div", { class: "check" }, enough, h("label", { for: "enough" }, w("stop_when_enough"))),
-        h("label", { for: "hold" }, w("hold")), hold)),
+        h("label", { for: "hold" }, w("hold")), hold, h("p", { class: "small" }, w("hold_how")))),
     h("div", { class: "column" },
-      card("plan_new", h("label", { for: "purpose" }, w("purpose")), purpose, against, h("label", { for: "plan_name" }, w("plan_name")), fresh, make, making),
+      card("plan_new", h("label", { for: "purpose" }, w("purpose")), purpose, judging, h("label", { for: "plan_name" }, w("plan_name")), fresh, make, making),
       card("instruments", h("p", {}, w("tare_how")), tare, h("hr"), held, h("label", { for: "mass" }, w("mass")), mass, h("div", { class: "row" }, ...tests))),
     h("section", { class: "wide" }, frame));
 
@@ -80,7 +81,7 @@ export function before(state, told) {
   }
   session.addEventListener("change", update);
   plan.addEventListener("change", update);
-  for (const field of [purpose, against]) field.addEventListener("input", () => update());
+  for (const field of [purpose, judging]) field.addEventListener("input", () => update());
   let there = null; // sessions; null: not known yet
   let typed = false; // the name is the operator's, and stays
   name.addEventListener("input", () => { typed = true; });
@@ -102,18 +103,21 @@ export function before(state, told) {
       const [kind, ...rest] = one.name.split("_");
       const key = known(`check_${one.name}`) ? `check_${one.name}` : `check_${kind}`;
       const seen = one.code && known(`${one.code}_${one.seen}`) ? w(`${one.code}_${one.seen}`) : one.seen;
-      const help = verdict === "yes" ? "" : known(`help_${one.name}`) ? w(`help_${one.name}`) : known(`help_${kind}`) ? w(`help_${kind}`) : "";
+      const help = verdict === "yes" ? "" : one.help || known(`help_${one.name}`) ? w(`help_${one.name}`) : known(`help_${kind}_${verdict}`) ? w(`help_${kind}_${verdict}`) : known(`help_${kind}`) ? w(`help_${kind}`) : "";
       return h("li", { class: verdict, "data-name": one.name },
         h("span", { class: "mark", "aria-label": w(`check_is_${verdict}`), role: "img" }, { yes: "✓", no: "✗", unknown: "?" }[verdict]),
         h("span", {}, h("b", {}, w(key, { name: rest.join("_") })), h("span", {}, seen ? `: ${seen}` : ""), help ? h("span", { class: "small" }, h("br"), `→ ${help}`) : null));
     });
     const open = rowsNow.filter((one) => one.met === false).length;
-    text(summary, open ? w("check_open", { n: open }) : w("check_fine"));
+    const current = state.view.known && !state.silent && !state.lost;
+    text(summary, !current ? w("check_unknown") : open ? w("check_open", { n: open }) : w("check_fine"));
     hide(named, session.value !== NEW);
     const mine = Boolean(state.me.control);
-    begin.disabled = asked || !mine || state.view.running || !plan.value;
+    const against = !current ? "begin_unknown" : !mine ? "begin_control" : state.view.running ? "begin_running" : !plan.value ? "begin_plan" : "";
+    begin.disabled = asked || against !== "";
+    text(why, against ? w(against) : "");
     for (const one of [tare, hold, ...tests]) one.disabled = !mine;
-    hide(against, !verifies());
+    hide(judging, !verifies());
     make.disabled = !mine || (verifies() && !judged.ready);
     if (document.activeElement !== hold) hold.value = String(state.hold || 0);
     look.disabled = !plan.value.includes("/");

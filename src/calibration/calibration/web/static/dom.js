@@ -10,6 +10,22 @@ export function h(tag, given = {}, ...children) {
   return node;
 }
 
+// What a press does, once: a second press while it is under way, or within a second, is the same press (gloves).
+const AGAIN = 1000; // ms
+export function once(work) {
+  let until = 0;
+  return async (...all) => {
+    if (performance.now() < until) return;
+    until = Infinity;
+    const began = performance.now();
+    try {
+      await work(...all);
+    } finally {
+      until = began + AGAIN;
+    }
+  };
+}
+
 const SVG = "http://www.w3.org/2000/svg";
 export function s(tag, given = {}, ...children) {
   const node = document.createElementNS(SVG, tag);

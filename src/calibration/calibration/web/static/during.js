@@ -1,6 +1,6 @@
 // While a plan is measured: where it stands, whether the robot may move, the load to bring on, what has been learnt.
-import { h, text, flag, hide, rows } from "./dom.js";
-import { w, number, duration } from "./words.js";
+import { h, text, flag, hide, once, rows } from "./dom.js";
+import { w, number, duration, language } from "./words.js";
 import { ask } from "./link.js";
 import { directions } from "./draw.js";
 import { robot } from "./robot.js";
@@ -20,8 +20,8 @@ export function during(state, told) {
   const reason = h("div", {});
   const speed = h("div", { class: "small" });
   const reset = h("button", { id: "reset", onclick: async () => (await sure("reset_sure")) && told(await ask("guard_reset")) }, w("reset"));
-  const motion = h("button", { id: "resume_motion", onclick: () => ask("resume_motion").then(told) }, w("resume_motion"));
-  const mode = h("button", { id: "confirm_mode", onclick: async () => (await sure("mode_sure")) && told(await ask("confirm_mode", { valid_for: 8 * 3600 })) }, w("confirm_mode"));
+  const motion = h("button", { id: "resume_motion", onclick: once(async () => told(await ask("resume_motion"))) }, w("resume_motion"));
+  const mode = h("button", { id: "confirm_mode", onclick: async () => (await sure("mode_sure")) && told(await ask("confirm_mode", { valid_for: 3600 })) }, w("confirm_mode"));
   permit.append(h("div", { class: "row" }, permitted, h("div", { class: "grow" }, reason, speed), reset, motion, mode));
 
   const load = h("section", { class: "card", id: "load", "aria-label": w("load") });
@@ -33,7 +33,11 @@ export function during(state, told) {
   const gauge = h("div", { class: "gauge", role: "img", "aria-label": w("force_gauge") }, band, needle);
   const angle = make("div", "angle");
   const drawing = directions();
-  const confirm = h("button", { class: "go", id: "confirm", onclick: () => ask("load_applied", place()).then(told) });
+  const confirm = h("button", { class: "go", id: "confirm", onclick: once(async () => {
+    const release = state.view.load.wanted === 0;
+    const answer = await ask("load_applied", place());
+    told(answer.done ? { done: true, text: w(release ? "released" : "applied") } : answer);
+  }) });
   const against = make("p", "against", { "aria-live": "polite" });
   const override = h("button", { id: "override", onclick: () => overridden() }, w("override_load"));
   load.append(h("h2", {}, w("load")), pull, axes, felt, gauge, angle, confirm, against, drawing.node, override);
@@ -49,14 +53,17 @@ export function during(state, told) {
   const learnt = h("p", { id: "learnt" });
   const accuracy = h("section", { class: "card", "aria-label": w("accuracy") }, h("h2", {}, w("accuracy")), bars, learnt);
   const buttons = ["pause", "resume", "repeat", "skip"].map((name) =>
-    h("button", { id: name, class: "grow", onclick: async () => (name !== "skip" || (await sure("skip_sure"))) && told(await ask(name)) }, w(name)));
+    h("button", { id: name, class: "grow", onclick: once(async () => (name !== "skip" || (await sure("skip_sure"))) && told(await ask(name))) }, w(name)));
   const space = robot(state);
   const question = make("p", "question", { class: "number" });
+  const why = make("p", "lost_at");
+  const events = h("ol", { class: "plain", id: "events" });
   const node = h("div", { class: "grid", id: "during" }, permit, load, space.node,
     h("div", { class: "column" },
       h("section", { class: "card", "aria-label": w("progress") }, h("h2", {}, w("progress")), where,
-        h("div", { class: "bar", role: "img", "aria-label": w("progress") }, done), left, chain, question, h("div", { class: "row", role: "group", "aria-label": w("steer") }, ...buttons)),
-      reading, accuracy));
+        h("div", { class: "bar", role: "img", "aria-label": w("progress") }, done), left, chain, question, why, h("div", { class: "row", role: "group", "aria-label": w("steer") }, ...buttons)),
+      reading, accuracy,
+      h("section", { class: "card", "aria-label": w("events") }, h("h2", {}, w("events")), events)));
 
   function place() {
     return { configuration: state.view.procedure.configuration, step: state.view.procedure.step };
@@ -81,18 +88,23 @@ export function during(state, told) {
       if (on) { one.className = "on"; one.setAttribute("aria-current", "step"); }
       return one;
     });
+    for (const one of node.querySelectorAll("section")) flag(one, "old", !view.known && one !== permit && one !== space.node);
+    text(why, p.held && state.lost_at ? w("lost_at", { time: clock(state.lost_at.time), text: state.lost_at.text }) : "");
+    rows(events, [...(state.events || [])].reverse(), (one) => h("li", {}, h("span", {}, `${clock(one.time)} · ${one.source}: ${one.text}`)));
     text(question, p.waits_for === "operator" && !p.load_awaited && p.question ? p.question : "");
 
     const permission = view.permission;
     flag(permit, "yes", permission.permitted);
-    text(permitted, permission.permitted ? w("permitted") : w("not_permitted"));
-    text(reason, permission.permitted ? "" : permission.reasons.map((one) => w(`reason_${one}`)).join(" · "));
+    flag(permit, "unknown", !permission.known);
+    text(permitted, w(!permission.known ? "permission_unknown" : !permission.permitted ? "not_permitted" : p.moving ? "robot_moves" : "permitted"));
+    text(reason, permission.permitted ? (p.waits_for === "operator" && !p.moving ? w("waits_for_you") : "") : permission.reasons.map((one) => w(`reason_${one}`)).join(" · "));
     text(speed, permission.known && permission.speed !== null
       ? w("speed", { speed: number(1000 * permission.speed), limit: number(1000 * permission.speed_limit), point: permission.speed_point }) : "");
     hide(reset, !permission.latched);
     hide(motion, !p.held);
     hide(mode, !permission.reasons.some((one) => one === "mode_unknown" || one === "confirmation_expired"));
     for (const one of [reset, motion, mode, ...buttons, override]) one.disabled = !mine;
+    for (const one of buttons.slice(0, 2)) one.disabled = !mine || !view.known;
     hide(buttons[0], p.paused || !view.running);
     hide(buttons[1], !p.paused || p.held);
     for (const one of buttons.slice(2)) one.disabled = !mine || !view.running || p.kind !== "configuration";
@@ -105,7 +117,7 @@ export function during(state, told) {
     text(averaging, share === null ? w("averaging_none") : w("averaging", { share }));
     averaged.style.width = `${share || 0}%`;
     text(verdict, view.reading.verdict === "none" ? w("verdict_none") : w(`verdict_${view.reading.verdict}`,
-      { configuration: view.reading.configuration, step: view.reading.step + 1, text: view.reading.text }));
+      { place: view.reading.configuration ? w("place", { configuration: view.reading.configuration, step: view.reading.step + 1 }) : w("reference"), text: view.reading.text }));
     text(document.getElementById("standing"), permission.standing === null ? w("standing_unknown") : w(permission.standing ? "standing" : "moving_now"));
     const broken = view.streams.filter((one) => one.problem !== "fine");
     text(document.getElementById("beam"), broken.length ? broken.map((one) => `${one.name}: ${w(`stream_${one.problem}`)}`).join(" · ") : w("streams_fine"));
@@ -126,6 +138,8 @@ export function during(state, told) {
     drawing.show(l.direction, l.along, l);
     text(felt, l.felt === null ? w("felt_unknown") : w("felt", { n: number(l.felt), off: number(l.off_force), band: number(l.band_force) }));
     const span = Math.max(1.6 * l.wanted, 4 * (l.band_force || 0), 50);
+    const checked = view.known && l.band_force !== null;
+    hide(band, !checked);
     band.style.left = `${(100 * Math.max(l.wanted - (l.band_force || 0), 0)) / span}%`;
     band.style.width = `${(100 * (Math.min(l.wanted, l.band_force || 0) + (l.band_force || 0))) / span}%`;
     hide(needle, l.felt === null);
@@ -135,10 +149,12 @@ export function during(state, told) {
     hide(confirm, by_device);
     hide(override, by_device || view.confirm.offered);
     confirm.disabled = !mine || !view.confirm.offered;
-    const held = state.hold && view.confirm.offered ? ` (${w("confirms_itself", { s: number(Math.max(0, state.hold - (state.held || 0)), 1) })})` : "";
+    const held = state.hold && view.confirm.by_itself ? ` (${w("confirms_itself", { s: number(Math.max(0, state.hold - (state.held || 0)), 1) })})` : "";
     text(confirm, `${w(release ? "confirm_release" : "confirm")}${held}`);
     const why = [...(mine ? [] : ["no_control"]), ...view.confirm.against].map((one) => w(`against_${one}`));
-    text(against, by_device ? w("device_loads") : why.join(" · "));
+    const differs = view.confirm.text && view.confirm.against.some((one) => one === "load_differs" || one === "load_not_felt");
+    text(against, by_device ? w("device_loads") : [...why, ...(differs ? [view.confirm.text] : [])].join(" · "));
   }
+  const clock = (seconds) => new Date(1000 * seconds).toLocaleTimeString(language);
   return { node, update: () => { update(); space.update(); }, opened: space.opened };
 }

@@ -30,6 +30,7 @@ export async function ask(name, body = {}) {
   }
 }
 export const device = () => post("/api/device", {});
+export const leave = () => post("/api/leave", {});
 export async function folder() {
   const answer = await fetch("/api/folder", { cache: "no-store" });
   return answer.ok ? answer.json() : { plans: [], sessions: [] };

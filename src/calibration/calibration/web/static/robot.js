@@ -1,5 +1,5 @@
 // The robot in space: as it stands, and, while a motion is under way, where it goes and along which path.
-import { h, text, hide } from "./dom.js";
+import { h, text, flag, hide } from "./dom.js";
 import { w } from "./words.js";
 import "./scene.js";
 
@@ -42,6 +42,8 @@ export function robot(state) {
   }
   function update() {
     const now = performance.now();
+    flag(place, "old", !state.q);
+    if (drawing && !state.q) text(going, w("joints_unknown"));
     if (!drawing || !state.q || now - drawn < PERIOD) return;
     const { view } = state;
     const wanted = JSON.stringify(view.goal);

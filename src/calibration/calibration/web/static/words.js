@@ -16,7 +16,7 @@ export function known(key) {
 }
 export function number(value, digits = 0) {
   if (value === null || value === undefined) return "–";
-  return value.toLocaleString(language, { minimumFractionDigits: digits, maximumFractionDigits: digits });
+  return value.toLocaleString(language, { minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "negative" });
 }
 export function duration(seconds) {
   if (seconds === null || seconds === undefined) return "–";

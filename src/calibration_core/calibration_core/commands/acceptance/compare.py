@@ -127,6 +127,7 @@ def comparison_result(found: Compared) -> dict[str, Any]:
         remarks=list(found.remarks),
         input=input_record(found.cells[0], None, found.inputs),
     )
+    content["summary"] = comparison_summary(found).splitlines()
     return with_light(content, UNCHANGED, further=reservations(found))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from calibration_core.acceptance.verification import Verification, verify
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.commands.shared.several import dated
 from calibration_core.errors import InputError
 from calibration_core.identification.checks.space import operating_space
 from calibration_core.model.identified.given import read_given
@@ -31,7 +33,7 @@ from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.timeseries import Readings
 
 CERTIFICATE = "certificate.pdf"
-LARGEST_TOLERANCE = 0.1  # m: more is millimetres, or no tolerance of a robot
+LARGEST_TOLERANCE = 0.01  # m: as much or more is meant in mm; robots are more accurate before any calibration
 
 
 def run(arguments: argparse.Namespace) -> str:
@@ -44,7 +46,7 @@ def run(arguments: argparse.Namespace) -> str:
     report_progress(arguments, 0.0, "predicting the readings")
     refuse_tolerance(arguments.tolerance)
     cell = load_cell(arguments.cell)
-    readings = observe(arguments.recording, cell)
+    (readings,) = dated([observe(arguments.recording, cell)], arguments.date, "verify")
     found = look(readings, None, cell)
     given = read_given(arguments.model, cell)
     readings, model = refuse_own(readings, given, cell), given.calibrated
@@ -103,9 +105,10 @@ def refuse_tolerance(tolerance: float) -> None:
     Raises:
         InputError: It is not finite, not above zero, or so large that it is meant in mm.
     """
-    if not 0 < tolerance <= LARGEST_TOLERANCE:
-        expected = f"a length in m above zero and at most {LARGEST_TOLERANCE:g}"
-        raise InputError("verify", "--tolerance", f"{tolerance:g} m", expected)
+    if not 0 < tolerance < LARGEST_TOLERANCE:
+        found = f"{tolerance:g} m" + (f", which is {1e3 * tolerance:g} mm" if 0 < tolerance < math.inf else "")
+        expected = f"a length in m above zero and below {LARGEST_TOLERANCE:g} (0.1 mm is 0.0001)"
+        raise InputError("verify", "--tolerance", found, expected)
 
 
 def _space(readings: Readings, cell: Cell, parameters: ModelParameters) -> Any:
@@ -157,7 +160,7 @@ def verification_result(found: Verification, cell: Cell, readings: Readings, inp
     )
     good = f"every reading conforms to the tolerance of {1e3 * found.tolerance:g} mm"
     residual, further = reservations(found)
-    return with_light(content, good, residual, further)
+    return {**with_light(content, good, residual, further), "summary": verification_summary(found).splitlines()}
 
 
 def verification_summary(found: Verification) -> str:

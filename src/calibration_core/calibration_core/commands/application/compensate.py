@@ -111,6 +111,7 @@ def compensation_result(applied: Applied, cell: Cell, inputs: Inputs) -> dict[st
         remarks=applied.remarks,
         files=[COMPENSATED, POSES, TRAJECTORY],
         input=input_record(cell, None, inputs),
+        summary=summary(applied).splitlines(),
     )
 
 

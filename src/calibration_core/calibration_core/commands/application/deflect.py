@@ -110,6 +110,7 @@ def deflection_result(done: Deflected, cell: Cell, inputs: Inputs) -> dict[str, 
         remarks=done.remarks,
         files=[DEFLECTIONS],
         input=input_record(cell, None, inputs),
+        summary=summary(done).splitlines(),
     )
 
 

@@ -136,6 +136,7 @@ def export_result(robot: ExportedRobot, exported: Exported, form: str, inputs: I
         "effects_left_out": named(_left(robot, exported)),
         "notes": [*(f"{note.place}: {note.text}" for note in robot.notes), *exported.notes],
         "input": input_record(cell, None, inputs),
+        "summary": export_summary(robot, exported).splitlines(),
     }
 
 

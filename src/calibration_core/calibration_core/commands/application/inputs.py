@@ -72,7 +72,7 @@ def task_of(path: Path | None, arguments: argparse.Namespace, cell: Cell) -> Tas
         task = dataclasses.replace(places(q=angles[None]), source="--q")
     if arguments.wrench is None:
         return task
-    return task.with_wrench([float(x) for x in numbers("--wrench", arguments.wrench, 6, WRENCH)])
+    return task.with_wrench([float(x) for x in numbers("--wrench", arguments.wrench, 6, WRENCH)], "--wrench")
 
 
 def finite_or_none(value: float) -> float | None:

@@ -11,8 +11,7 @@ from calibration_core.diagnosis.proposals.candidates import Offer, Offers
 from calibration_core.diagnosis.result.finding import ProposedMeasurement
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.kinds import is_loaded
-from calibration_core.observations.load_levels import largest_force, levels_of
+from calibration_core.observations.kinds import is_loaded, largest_force, levels_of
 from calibration_core.planning.feasible.loads import LoadRules, full_pulls, wrench_steps
 from calibration_core.planning.feasible.space import Site, SpaceRules, joint_range, measurable
 from calibration_core.planning.plans.plan import Plan, PlannedConfiguration

@@ -20,16 +20,15 @@ from calibration_core.errors import InputError
 from calibration_core.fleet.next_robot.population_file import TypePopulation
 from calibration_core.fleet.next_robot.prior import PooledJoint, finding_odds, pooled_joints, prior_lines, prior_record
 from calibration_core.identification.stiffness.loaded import Options
-from calibration_core.model.identified.calibrated import ValidRange
+from calibration_core.model.identified.calibrated import ValidRange, range_of
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.given import GivenModel, read_given
 from calibration_core.model.identified.model_file import model_text
-from calibration_core.model.identified.valid_range import range_of
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.observe import observe
+from calibration_core.outcomes.improved import improved_files, with_losses
 from calibration_core.outcomes.inputs import as_anomalies, blocked, look, refuse_fitted, with_model_note, with_unit_note
 from calibration_core.planning.plans.plan_file import plan_text
-from calibration_core.report.diagnosis_summary import diagnosis_summary
 from calibration_core.report.document import Items, Paragraph, Section, cleaned
 from calibration_core.report.results.diagnosis import diagnosis_dict
 from calibration_core.report.results.result import plain, result_json
@@ -64,32 +63,30 @@ class Diagnosed:
         if self.population is None:
             return content
         odds = finding_odds(self.diagnosis.physics, self.population)
+        content["summary"] += prior_lines(self.sisters, self.population)
         return {**content, "population": plain(prior_record(self.sisters, odds, self.population))}
 
     @functools.cached_property
     def sisters(self) -> tuple[PooledJoint, ...]:
         """The joints with what is known of the robot's sisters; none without a population."""
-        if self.population is None or self.estimate is None:
+        if self.population is None:
             return ()
         return pooled_joints(self.estimate, self.population)
 
     @property
     def summary(self) -> str:
         """The traffic light and what came out."""
-        lines = [light_of(self.content).line, diagnosis_summary(self.diagnosis)]
-        return "\n".join([*lines, *([] if self.population is None else prior_lines(self.sisters, self.population))])
+        return "\n".join(self.content["summary"])
 
     @property
     def model(self) -> ModelParameters:
-        """The model with the findings; where there are none, the identified one."""
-        found = self.diagnosis
-        return found.identification.model if found.model is None else found.model
+        """The model that is written for use."""
+        return self.diagnosis.handed_out[0]
 
     @property
-    def estimate(self) -> GaussianEstimate | None:
-        """What is known of the uncertainty of the model's numbers; None: nothing."""
-        found = self.diagnosis
-        return found.identification.estimate if found.model is None else found.estimate
+    def estimate(self) -> GaussianEstimate:
+        """What is known of the uncertainty of the model's numbers."""
+        return self.diagnosis.handed_out[1]
 
     @property
     def covered(self) -> ValidRange:
@@ -143,7 +140,10 @@ def run(arguments: argparse.Namespace) -> str:
     if isinstance(answer, Diagnosed):
         answer = dataclasses.replace(answer, population=population)
     report_progress(arguments, 2 / 3, "drawing the report" if arguments.report else "writing the results")
-    write_files(arguments.out, answer.files(report=arguments.report))
+    files = answer.files(report=arguments.report)
+    if isinstance(answer, Diagnosed) and len(recordings) == 1:
+        files = {**files, **improved_files(answer.diagnosis, answer.readings, cell, arguments.out)}
+    write_files(arguments.out, files)
     return f"{answer.summary}\n{report_line(arguments)}"
 
 
@@ -217,4 +217,5 @@ def evaluate(
         return Refusal.of("diagnose", cell, readings, wrong, given)
     readings = with_model_note(with_unit_note(readings, cell), given)
     found = diagnose(readings, cell, options, test, simulation, offers_for(readings, cell), given)
+    found = with_losses(found, cell)
     return Diagnosed(cell, readings, dataclasses.replace(found, anomalies=(*found.anomalies, *as_anomalies(wrong))))

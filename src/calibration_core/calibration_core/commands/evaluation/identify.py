@@ -22,16 +22,13 @@ from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.outlier_rejection import Key, keys_of
-from calibration_core.model.identified.calibrated import ValidRange
+from calibration_core.model.identified.calibrated import ValidRange, range_of
 from calibration_core.model.identified.given import GivenModel, read_given
 from calibration_core.model.identified.model_file import model_text
-from calibration_core.model.identified.valid_range import range_of
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import as_anomalies, blocked, look, refuse_fitted, with_model_note, with_unit_note
 from calibration_core.report.results.diagnosis import identified_dict, unproven
-from calibration_core.report.results.traffic_light import light_of
-from calibration_core.report.summary import summary
 from calibration_core.report.writing.identification_files import identification_files
 from calibration_core.report.writing.output import Content, write_files
 from calibration_core.timeseries import Note, Readings
@@ -66,7 +63,7 @@ class Identified:
     @property
     def summary(self) -> str:
         """The traffic light and what came out."""
-        return f"{light_of(self.content).line}\n{summary(self.identification)}"
+        return "\n".join(self.content["summary"])
 
     @property
     def covered(self) -> ValidRange:
@@ -194,7 +191,7 @@ def _searched_together(found: Identification, prepared: Prepared) -> tuple[Ident
     asked = prepared.options
     usual = Options(robust=asked.robust, readmit=asked.readmit, start=asked.start)
     try:
-        searched = diagnose_together(dataclasses.replace(prepared, options=usual, test=None))
+        searched = diagnose_together(dataclasses.replace(prepared, options=usual))
     except InputError as error:
         note = Note("search", "missing physics", f"could not be looked for: {error}")
         return dataclasses.replace(found, notes=(*found.notes, note)), None
@@ -225,7 +222,7 @@ def evaluate(
         return Refusal.of("identify", cell, readings, wrong, given)
     readings = with_model_note(with_unit_note(readings, cell), given)
     found = identify(readings, cell, options, test, given)
-    found, searched = _searched(found, readings, cell, options, given)
+    found, searched = _searched(found, readings, cell, options, test, given)
     noted = as_anomalies(wrong)
     found = dataclasses.replace(found, anomalies=(*found.anomalies, *noted))
     if searched is not None:
@@ -234,21 +231,27 @@ def evaluate(
 
 
 def _searched(
-    found: Identification, readings: Readings, cell: Cell, options: Options, given: GivenModel | None
+    found: Identification,
+    readings: Readings,
+    cell: Cell,
+    options: Options,
+    test: Readings | None,
+    given: GivenModel | None,
 ) -> tuple[Identification, Diagnosis | None]:
     """Look for missing physics; the identification gets its bias, and its anomalies are those of the search.
 
     Where the search cannot work on a recording of which the standard's model says something, a note tells why.
     """
     usual = Options(robust=options.robust, readmit=options.readmit)
-    known = dataclasses.replace(found, test=None) if given is None and options == usual else None
+    known = found if given is None and options == usual else None
     try:
-        searched = diagnose(readings, cell, usual, given=given, identified=known)
+        searched = diagnose(readings, cell, usual, test, given=given, identified=known)
     except InputError as error:
         note = Note("search", "missing physics", f"could not be looked for: {error}")
         return dataclasses.replace(found, notes=(*found.notes, note)), None
     anomalies = with_own_outliers(searched.anomalies, found.anomalies)
-    notes = (*found.notes, *_unproven(found, searched))
+    noted = (note for note in searched.identification.notes if note not in found.notes)
+    notes = (*found.notes, *noted, *_unproven(found, searched))
     return (
         dataclasses.replace(with_bias(found, searched), anomalies=anomalies, notes=notes),
         dataclasses.replace(searched, anomalies=anomalies),

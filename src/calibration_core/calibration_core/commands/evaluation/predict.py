@@ -12,11 +12,13 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.commands.shared.several import dated
 from calibration_core.model.identified.given import GivenModel, read_given
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import blocked, look, refuse_lengths, with_model_note, with_unit_note
 from calibration_core.outcomes.prediction import Prediction, predict
+from calibration_core.outcomes.prediction_check import only_positions
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import recording_record, result_json
 from calibration_core.report.results.traffic_light import light_of, with_light
@@ -39,7 +41,8 @@ def run(arguments: argparse.Namespace) -> str:
     cell = load_cell(arguments.cell)
     refuse_lengths(cell)
     given = read_given(arguments.model, cell)
-    answer = evaluate(cell, given, observe(arguments.recording, cell))
+    (readings,) = dated([observe(arguments.recording, cell)], arguments.date, "predict")
+    answer = evaluate(cell, given, readings)
     report_progress(arguments, 0.5, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, answer.files(report=arguments.report))
     where = f"\npredictions: {arguments.out / PREDICTIONS}" if isinstance(answer, PredictedRecording) else ""
@@ -66,7 +69,7 @@ class PredictedRecording:
     @property
     def summary(self) -> str:
         """The traffic light and the errors, mm."""
-        return f"{light_of(self.content).line}\n{prediction_summary(self.found)}"
+        return "\n".join(self.content["summary"])
 
     def files(self, *, report: bool) -> dict[str, Content]:
         """Return all files: file name -> content."""
@@ -132,7 +135,8 @@ def prediction_result(found: Prediction, cell: Cell) -> dict[str, Any]:
         notes=[vars(note) for note in readings.notes],
         input=input_record(cell, readings.provenance, found.inputs),
     )
-    return with_light(content, WITHIN, _beyond(found))
+    content = with_light(content, WITHIN, _beyond(found))
+    return {**content, "summary": [*light_of(content).lines, *prediction_summary(found).splitlines()]}
 
 
 def _beyond(found: Prediction) -> tuple[str, str]:
@@ -142,8 +146,10 @@ def _beyond(found: Prediction) -> tuple[str, str]:
     text = f"the error is {check.ratio:.2g} times what {allowed}"
     if not check.with_intervals:
         text += ", and the model states no intervals"
-    step = "run diagnose with this recording and the model, to see what the model leaves out of it"
-    return text, step
+    if check.only_positions:
+        meaning, step = only_positions(nominal=not found.parameters.geometry.any())
+        return f"{meaning}; {text}", step
+    return text, "run diagnose with this recording and the model, to see what the model leaves out of it"
 
 
 def prediction_summary(found: Prediction) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from calibration_core.commands.planning.plan import PLAN, plan_files
 from calibration_core.commands.shared.common import report_line, report_progress, typed
 from calibration_core.model.identified.given import read_given
 from calibration_core.outcomes.inputs import digest_of, refuse_lengths
-from calibration_core.outcomes.simulation import BAG, TABLE, Simulated, for_streams, simulate
+from calibration_core.outcomes.simulation import BAG, TABLE, Simulated, as_stated, for_streams, simulate
 from calibration_core.planning.plans.plan_file import read_plan
 from calibration_core.recording.bags.writer import write_bag
 from calibration_core.recording.tables.table import write_table
@@ -20,6 +21,7 @@ from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import result_json
 from calibration_core.report.rounding import counted, spread
 from calibration_core.report.writing.output import RESULT, Content, write_files
+from calibration_core.timeseries import TimeSeries
 
 
 def run(arguments: argparse.Namespace) -> str:
@@ -37,20 +39,25 @@ def run(arguments: argparse.Namespace) -> str:
     inputs = {} if arguments.plan is None else {"plan": digest_of(arguments.plan)}
     simulated = simulate(cell, plan, given, arguments.seed, inputs)
     report_progress(arguments, 0.5, "drawing the report" if arguments.report else "writing the results")
-    write_files(arguments.out, files_of(simulated, cell, report=arguments.report))
+    following = f"next: {typed('identify', arguments.out / BAG, '--cell', arguments.cell)}"
+    write_files(arguments.out, files_of(simulated, cell, report=arguments.report, following=following))
     where = f"recording: {arguments.out / BAG} and {arguments.out / TABLE}"
-    following = typed("identify", arguments.out / BAG, "--cell", arguments.cell)
-    return f"{simulation_summary(simulated)}\n{where}\n{report_line(arguments)}\nnext: {following}"
+    return f"{simulation_summary(simulated)}\n{where}\n{report_line(arguments)}\n{following}"
 
 
-def files_of(simulated: Simulated, cell: Cell, *, report: bool) -> dict[str, Content]:
-    """Return all files of a simulation: name -> content."""
-    result = result_json(simulation_result(simulated, cell))
-    bag_cell = for_streams(cell)
+def files_of(simulated: Simulated, cell: Cell, *, report: bool, following: str = "") -> dict[str, Content]:
+    """Return all files of a simulation, name -> content; the summary in result.json ends with what `following` says."""
+    content = simulation_result(simulated, cell)
+    result = result_json({**content, "summary": [*content["summary"], *([following] if following else [])]})
+    bag_cell, recording = for_streams(cell), simulated.recording
+    if cell.robot.joint_coupling:
+        back, joints = np.linalg.inv(cell.robot.coupling).T, recording.joints
+        stated = TimeSeries(joints.time, joints.values @ back, joints.received, joints.frame)
+        recording = dataclasses.replace(recording, joints=stated)
     files: dict[str, Content] = {
         RESULT: result,
-        BAG: lambda path: write_bag(path, simulated.recording, bag_cell),
-        TABLE: lambda path: write_table(path, simulated.readings),
+        BAG: lambda path: write_bag(path, recording, bag_cell),
+        TABLE: lambda path: write_table(path, as_stated(simulated.readings, cell)),
         **(plan_files(simulated.plan, cell) if simulated.made else {}),
     }
     if not report:
@@ -92,6 +99,7 @@ def simulation_result(simulated: Simulated, cell: Cell) -> dict[str, Any]:
         messages=dict(simulated.recording.provenance.messages),
         notes=[vars(note) for note in simulated.notes],
         input=input_record(cell, None, simulated.inputs),
+        summary=simulation_summary(simulated).splitlines(),
     )
 
 

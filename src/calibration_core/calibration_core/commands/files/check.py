@@ -33,7 +33,15 @@ def run(arguments: argparse.Namespace) -> str:
         _print_all(faults)
         count = counted(len(faults), "error")
         raise InputError(arguments.cell, "", count, "none; each is a line above")
-    result = result_json(_result(checked, arguments.recording))
+    recording = "RECORDING" if arguments.recording is None else arguments.recording
+    following = typed("identify", recording, "--cell", arguments.cell)
+    if arguments.recording is None and checked.cell.frames.tracker is not None:
+        following = f"{typed('plan', '--cell', arguments.cell)}; once it is measured: {following}"
+    lines = [f"{label}: {text}" for label, text in checked.words]
+    lines += [f"Unusual: {_unusual(one)}" for one in checked.unusual]
+    lines += [f"{one.role} ({one.topic}): {one.text}" for one in checked.topics]
+    lines += [*checked.readings, f"next: {following}"]
+    result = result_json({**_result(checked, arguments.recording), "summary": lines})
     files: dict[str, Content] = {RESULT: result}
     report_progress(arguments, 0.5, "drawing the cell")
     from calibration_core.report.view3d import cell_view, page
@@ -48,15 +56,8 @@ def run(arguments: argparse.Namespace) -> str:
 
         files |= rendered(check_document(checked, view, result), view)
     write_files(arguments.out, files)
-    lines = [f"{label}: {text}" for label, text in checked.words]
-    lines += [f"Unusual: {_unusual(one)}" for one in checked.unusual]
-    lines += [f"{one.role} ({one.topic}): {one.text}" for one in checked.topics]
-    lines += [*checked.readings, f"drawing: {arguments.out / DRAWING} and {arguments.out / PICTURE}"]
-    recording = "RECORDING" if arguments.recording is None else arguments.recording
-    following = typed("identify", recording, "--cell", arguments.cell)
-    if arguments.recording is None and checked.cell.frames.tracker is not None:
-        following = f"{typed('plan', '--cell', arguments.cell)}; once it is measured: {following}"
-    return "\n".join([*lines, report_line(arguments), f"next: {following}"])
+    drawing = f"drawing: {arguments.out / DRAWING} and {arguments.out / PICTURE}"
+    return "\n".join([*lines[:-1], drawing, report_line(arguments), lines[-1]])
 
 
 def _unusual(one: Remark) -> str:

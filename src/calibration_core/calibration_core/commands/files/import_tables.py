@@ -33,14 +33,14 @@ def run(arguments: argparse.Namespace) -> str:
         OutputError: The results cannot be written.
     """
     imported = import_files(arguments.files, _map(arguments.map, arguments.files))
-    result = json_bytes(_result(imported, arguments))
+    table = arguments.out / TABLE
+    lines = [*summary(imported), f"table: {table}", f"next: {typed('identify', table, '--cell', 'CELL.yaml')}"]
+    result = json_bytes({**_result(imported, arguments), "summary": lines})
     write_files(
         arguments.out,
         {TABLE: lambda path: write_table(path, imported.readings), RESULT: result},
     )
-    table = arguments.out / TABLE
-    following = typed("identify", table, "--cell", "CELL.yaml")
-    return "\n".join([*summary(imported), f"table: {table}", f"next: {following}"])
+    return "\n".join(lines)
 
 
 def summary(imported: Imported) -> list[str]:

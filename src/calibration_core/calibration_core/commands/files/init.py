@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
+from xml.etree import ElementTree as ET
 
 from calibration_core.cell import load_cell
 from calibration_core.cell.library import library_robot
@@ -22,16 +24,18 @@ from calibration_core.errors import InputError, OutputError, RecordingError, sho
 from calibration_core.files.regular import read_regular
 from calibration_core.files.written import json_bytes
 from calibration_core.model.robot import chain_of
+from calibration_core.model.urdf.bodies import MESHES, SHOWN, mesh_file, mesh_place
 from calibration_core.outcomes.inputs import digest_of
 from calibration_core.recording.bags.bag import read_contents
 from calibration_core.recording.bags.files import bag_files
+from calibration_core.recording.source import BAG_SUFFIXES, storage_suffix
 from calibration_core.report.results.provenance import software
 from calibration_core.report.results.result import SCHEMA
-from calibration_core.report.writing.output import RESULT, write_files
+from calibration_core.report.rounding import counted
+from calibration_core.report.writing.output import RESULT, Content, write_files
 
 CELL_NAME = "cell.yaml"
 TOPIC = "/robot_description"
-BAGS = (".mcap", ".db3")
 OPTIONS = {
     "name": "--name",
     "robot.rated_load": "--rated-load",
@@ -64,11 +68,15 @@ def run(arguments: argparse.Namespace) -> str:
             chain = serial_chain(urdf, arguments.base_link, arguments.flange)
             asked = _asked(arguments, answers or _stated(arguments, origin, chain))
             text, joints = _tested(Path(folder), asked, chain)
-        files = {
+        meshes, missing = _meshes(urdf, Path(arguments.robot), arguments.meshes)
+        files: dict[str, Content] = {
             CELL_NAME: text.encode(),
             URDF_NAME: urdf.read_bytes(),
             SCHEMA_NAME: cell_schema_text().encode(),
         }
+        if meshes:
+            files[MESHES] = lambda folder: _copied(folder, meshes)
+        remarks = [*chain.remarks, *missing]
         result = {
             "schema": SCHEMA,
             "command": "init",
@@ -77,15 +85,39 @@ def run(arguments: argparse.Namespace) -> str:
             "joints": list(joints),
             "rated_load": asked.rated_load,
             "guessed": list(guessed(asked)),
+            "remarks": remarks,
             "sha256": [{"role": "urdf", "file": n, "sha256": d} for n, d in digest_of(urdf).items()],
             "software": software(),
         }
-    content = json_bytes(result)
-    write_files(arguments.out, {**files, RESULT: content})
     lines = [f"Robot: {asked.robot}, {len(joints)} joints, {asked.rated_load:g} kg", f"Source: {asked.source}"]
     if guessed(asked):
         lines.append("Usual values, to be measured: " + ", ".join(guessed(asked)))
-    return "\n".join([*lines, f"cell file: {target}", f"next: {typed('check', target)}"])
+    lines += [f"Meshes: {counted(len(meshes), 'file')}, copied beside the URDF"] if meshes else []
+    lines += [*remarks, f"cell file: {target}", f"next: {typed('check', target)}"]
+    write_files(arguments.out, {**files, RESULT: json_bytes({**result, "summary": lines})})
+    return "\n".join(lines)
+
+
+def _meshes(urdf: Path, robot: Path, given: Path | None) -> tuple[dict[Path, Path], list[str]]:
+    """Return the meshes that a URDF names, place in a folder of them -> file, and a sentence on those not found.
+
+    They are looked for in the folder that is given, where the URDF or bag lay, and where ROS looks.
+    """
+    names = sorted({str(mesh.get("filename")) for mesh in ET.fromstring(urdf.read_bytes()).iter("mesh")})
+    found = {name: mesh_file(robot.absolute(), name, () if given is None else (given.absolute(),)) for name in names}
+    lost = [name for name, path in found.items() if path is None]
+    files = {mesh_place(name): path for name, path in found.items() if path is not None}
+    if not lost:
+        return files, []
+    shown = ", ".join(lost[:SHOWN]) + (", ..." if len(lost) > SHOWN else "")
+    text = f"Meshes: {len(lost)} of {len(names)} not found ({shown}). Planning takes capsules along the links instead."
+    return files, [f"{text} To have them, set ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or give --meshes FOLDER."]
+
+
+def _copied(folder: Path, meshes: dict[Path, Path]) -> None:
+    for place, path in meshes.items():
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, folder / place)
 
 
 def _robot(arguments: argparse.Namespace, urdf: Path) -> tuple[str, Answers | None]:
@@ -96,7 +128,7 @@ def _robot(arguments: argparse.Namespace, urdf: Path) -> tuple[str, Answers | No
         if robot.suffix.lower() == ".xacro":
             serial_chain(robot)  # says what to do
         return str(robot), None
-    if robot.is_dir() or robot.suffix.lower() in BAGS:
+    if robot.is_dir() or storage_suffix(robot) in BAG_SUFFIXES:
         contents = read_contents(bag_files(robot), {}, text_topic=TOPIC)
         if not contents.text:
             found = f"no message on {TOPIC}"
@@ -131,7 +163,8 @@ def _stated(arguments: argparse.Namespace, origin: str, chain: SerialChain) -> A
         load = _question(arguments, "Rated load of the robot in kg", None, float)
     if load is None:
         raise InputError(origin, "rated load", "nothing (a URDF does not state it)", "--rated-load KG")
-    return Answers(_name(arguments, chain.name), chain.name, origin, load, **_options(arguments))
+    name = chain.name or Path(arguments.robot).stem
+    return Answers(_name(arguments, name), name, origin, load, **_options(arguments))
 
 
 def _name(arguments: argparse.Namespace, robot: str) -> str:

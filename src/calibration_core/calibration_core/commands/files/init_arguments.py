@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
+from calibration_core.engine.command_line import path
+
 
 def numbers(words: list[str]) -> tuple[float, ...]:
     """Return three or six numbers.
@@ -55,6 +57,12 @@ def init_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", metavar="ROBOT", help="a URDF, a bag with /robot_description, or a robot's name")
     parser.add_argument("--name", help="name of the cell")
     parser.add_argument("--rated-load", type=float, metavar="KG", help="rated load (needed with a URDF)")
+    parser.add_argument(
+        "--meshes",
+        type=path,
+        metavar="DIR",
+        help="where the URDF's meshes or packages lie (default: around the URDF, and where ROS looks)",
+    )
     parser.add_argument("--base-link", metavar="LINK", help="the URDF's link that is the base (default: by its name)")
     parser.add_argument("--flange", metavar="LINK", help="the URDF's link that is the flange (default: by its name)")
     pose = ("X", "Y", "Z", "ROLL", "PITCH", "YAW")

@@ -7,7 +7,7 @@ import functools
 from collections.abc import Sequence
 from pathlib import Path
 
-from calibration_core.commands.shared.common import report_progress
+from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.engine.cluster import INSTALL, Cluster, connected, dashboard_of, default_jobs, require
 from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.engine.pieces import run_all
@@ -16,6 +16,7 @@ from calibration_core.fleet.recordings.manifest import Entry, read_entries
 from calibration_core.fleet.recordings.rows import Row, failed
 from calibration_core.fleet.recordings.store import DATASET, claimed, keep, kept, write_dataset
 from calibration_core.fleet.recordings.task import VERSION, EvaluatedRecording, measure
+from calibration_core.report.rounding import counted
 from calibration_core.report.writing.output import Content, write_files
 
 MEASURING = 0.9  # share of the time that the recordings take
@@ -40,12 +41,18 @@ def run(arguments: argparse.Namespace) -> str:
         report_progress(arguments, MEASURING, "comparing the robots")
         from calibration_core.commands.fleet.results import fleet_files, fleet_summary
         from calibration_core.fleet.plant import evaluate_plant
+        from calibration_core.fleet.proposals import proposals
 
         plant = evaluate_plant(rows, arguments.alone)
         files: dict[str, Content] = {DATASET: functools.partial(write_dataset, rows)}
         files |= fleet_files(plant, rows, str(arguments.recording), report=arguments.report)
         write_files(arguments.out, files)
-    return fleet_summary(plant, arguments, evaluated)
+    lines = fleet_summary(plant, proposals(plant))
+    if "--jobs" in arguments.stated and arguments.jobs > evaluated:
+        beyond = f" beyond that of --jobs {evaluated}" if evaluated else ""
+        few = counted(evaluated, "recording") if evaluated else "no recording"
+        lines.append(f"--jobs {arguments.jobs} had no effect{beyond}: {few} had to be evaluated")
+    return "\n".join([*lines, report_line(arguments)])
 
 
 def _refuse_idle(arguments: argparse.Namespace) -> None:

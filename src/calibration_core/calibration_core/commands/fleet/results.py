@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from calibration_core.commands.shared.common import report_line
 from calibration_core.fleet.next_robot.population_file import population_text
 from calibration_core.fleet.plant import CONSPICUOUS, Plant
 from calibration_core.fleet.proposals import Proposal, proposals
@@ -80,19 +78,14 @@ def fleet_result(plant: Plant, rows: Sequence[Row], source: str, proposed: Seque
             if not row.measured or row.usable == "no"
         ],
         "next_measurements": [{"type": one.type, "robot": one.robot, "why": one.why} for one in proposed],
+        "summary": fleet_summary(plant, proposed),
         "software": software(),
     }
     return {key: plain(value) for key, value in content.items()}
 
 
-def fleet_summary(plant: Plant, arguments: argparse.Namespace, evaluated: int) -> str:
-    """Return what came out, a few lines.
-
-    Args:
-        plant: What all rows say.
-        arguments: Options of the command.
-        evaluated: How many recordings were evaluated now; the others were done before.
-    """
+def fleet_summary(plant: Plant, proposed: Sequence[Proposal]) -> list[str]:
+    """Return what came out, a few lines; arguments as for `fleet_result`."""
     states = Counter(robot.state for robot in plant.robots)
     lines = [
         f"{counted(plant.rows, 'recording')}, {plant.failed} of them not usable",
@@ -102,8 +95,6 @@ def fleet_summary(plant: Plant, arguments: argparse.Namespace, evaluated: int) -
     lines += [
         f"  {robot.type} {robot.robot}: {robot.reasons[0].text}" for robot in plant.robots[:SHOWN] if robot.reasons
     ]
-    if "--jobs" in arguments.stated and arguments.jobs > evaluated:
-        beyond = f" beyond that of --jobs {evaluated}" if evaluated else ""
-        few = counted(evaluated, "recording") if evaluated else "no recording"
-        lines.append(f"--jobs {arguments.jobs} had no effect{beyond}: {few} had to be evaluated")
-    return "\n".join([*lines, report_line(arguments)])
+    if plant.failed:
+        return [*lines, "next: put right the recordings that are not usable (failures), then run fleet again"]
+    return [*lines, *(f"next: measure {one.type} {one.robot}: {one.why}" for one in proposed[:1])]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 
 from calibration_core.commands.shared.population_arguments import population_arguments
-from calibration_core.engine.command_line import path, refuse_without_effect, whole
+from calibration_core.engine.command_line import group, path, refuse_without_effect, whole
 
 OF_VERIFY = ("--tolerance", "--risk")
 LOAD_STEPS = ("--load-levels", "--protocol")
+LOAD_SHARE = 0.9  # of the rated load: readings of a pull of 100 % scatter beyond the standard's limit (5.1)
 LOAD_SIZES = ("--load-share", "--largest-force", "--largest-torque")
 CHOICE = ("--configurations", "--spares", "--criterion")
 WITHOUT_EFFECT = {
@@ -25,6 +26,7 @@ WITHOUT_EFFECT = {
 
 def plan_arguments(parser: argparse.ArgumentParser) -> None:
     """State the arguments of `plan`."""
+    verify, loads, space = (group(parser, title) for title in ("with --for verify", "loads", "operating space"))
     parser.add_argument(
         "--configurations",
         type=int,
@@ -54,8 +56,8 @@ def plan_arguments(parser: argparse.ArgumentParser) -> None:
         help="what is to be found: joint stiffnesses (default); frames and geometry, without loads; or, with 5 to 8 "
         "poses, whether the calibration of --model still holds",
     )
-    parser.add_argument("--tolerance", type=float, metavar="M", help="--for verify: error that may not be exceeded, m")
-    parser.add_argument(
+    verify.add_argument("--tolerance", type=float, metavar="M", help="--for verify: error that may not be exceeded, m")
+    verify.add_argument(
         "--risk", type=float, default=0.05, help="--for verify: probability of either wrong answer (default 0.05)"
     )
     parser.add_argument(
@@ -63,35 +65,35 @@ def plan_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="plan also what finds base frame, geometry, wrist centre and points before (CWA 17384, 7.1 to 7.5)",
     )
-    parser.add_argument(
+    loads.add_argument(
         "--load-levels",
         type=float,
         nargs="+",
         metavar="SHARE",
         help="load steps as shares of the full pull, the first 0 (default 0 0.25 0.5 0.75 1 0.75 0.5 0.25 0)",
     )
-    parser.add_argument(
+    loads.add_argument(
         "--protocol",
         metavar="NAME",
         help="load steps by name: loading, unloading, small-steps, reversed or references (see the report of a plan)",
     )
-    parser.add_argument(
+    loads.add_argument(
         "--load-share",
         type=float,
-        default=1.0,
+        default=LOAD_SHARE,
         metavar="SHARE",
-        help="full pull as a share of the rated load (default 1)",
+        help=f"full pull and end effector as a share of the rated load (default {LOAD_SHARE:g})",
     )
-    parser.add_argument("--largest-force", type=float, metavar="N", help="range of the force/torque sensor, force")
-    parser.add_argument("--largest-torque", type=float, metavar="NM", help="range of the force/torque sensor, torque")
-    parser.add_argument(
+    loads.add_argument("--largest-force", type=float, metavar="N", help="range of the force/torque sensor, force")
+    loads.add_argument("--largest-torque", type=float, metavar="NM", help="range of the force/torque sensor, torque")
+    space.add_argument(
         "--box",
         type=float,
         nargs=6,
         metavar=("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
         help="operating space of the measurement points in the base frame, m (default: all that can be reached)",
     )
-    parser.add_argument(
+    space.add_argument(
         "--cube",
         type=float,
         nargs="?",
@@ -99,21 +101,22 @@ def plan_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SIDE",
         help="the operating space is a cube of ISO 9283, of this side in m (without SIDE: the largest that fits)",
     )
-    parser.add_argument(
+    space.add_argument(
         "--task",
         type=path,
         metavar="FILE.csv",
         help="the operating space is that of a task: columns x, y, z (m), or q1 ... (rad), or theta_1 ... (degrees)",
     )
     population_arguments(parser)
-    parser.add_argument(
+    group(parser, "robots of the same type").add_argument(
         "--accuracy",
         type=float,
         default=0.01,
         metavar="SHARE",
         help="--population: wanted standard deviation of every stiffness, of its value (default 0.01)",
     )
-    parser.add_argument("--model", type=path, metavar="MODEL.yaml", help="an identified model instead of the cell's")
+    text = "an identified model instead of the cell's"
+    group(parser, "input").add_argument("--model", type=path, metavar="MODEL.yaml", help=text)
 
 
 def refuse_idle(arguments: argparse.Namespace) -> None:

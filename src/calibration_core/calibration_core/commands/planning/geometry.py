@@ -6,7 +6,7 @@ import dataclasses
 from typing import Any
 
 from calibration_core.cell import Cell
-from calibration_core.identification.geometry.pose_information import geometry_terms, pose_information
+from calibration_core.identification.geometry.identifiability import geometry_terms, pose_information
 from calibration_core.identification.geometry.terms import names_of
 from calibration_core.identification.result.estimate import Unidentified
 from calibration_core.model.parameters import ModelParameters

@@ -50,6 +50,7 @@ from calibration_core.model.identified.model_file import read_calibrated
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulation.simulate import Schedule
+from calibration_core.model.urdf import lost_meshes, urdf_shapes
 from calibration_core.outcomes.inputs import digest_of, naming_model, refuse_lengths
 from calibration_core.outcomes.spaces import scheduled_space
 from calibration_core.planning.feasible.loads import NINE_STEPS, LoadRules
@@ -85,7 +86,7 @@ class Planned:
         geometry: What is promised of frames and geometry; None for a plan for stiffness.
         again: What is promised of a re-check; None for a plan to calibrate by.
         sisters: What robots of the same type are worth; None where none are known.
-        notes: What must be stated of the given model.
+        notes: What must be stated of the given model, and of meshes that are missing.
     """
 
     plan: Plan
@@ -98,12 +99,14 @@ class Planned:
     again: Recheck | None = None
     sisters: Sisters | None = None
     notes: tuple[Note, ...] = ()
+    following: str = ""
 
     @functools.cached_property
     def content(self) -> dict[str, Any]:
         """The content of result.json."""
         content = plan_result(self.plan, self.cell, self.space, self.inputs, seed=self.seed, protocols=self.protocols)
         content["notes"] = [vars(note) for note in self.notes]
+        content["summary"] = self.summary.splitlines()
         if self.sisters is not None:
             content = {**content, "population": sisters_result(self.sisters)}
         if self.again is not None:
@@ -117,6 +120,7 @@ class Planned:
         expected = expected if self.again is None else recheck_summary(self.again)
         expected += [] if self.sisters is None else sisters_summary(self.sisters)
         expected += [note.line for note in self.notes]
+        expected += [f"next: measure it, then {self.following}"] if self.following else []
         return "\n".join([plan_summary(self.plan), *describe_arcs(self.plan, self.cell), *expected])
 
     def files(self, *, report: bool) -> dict[str, Content]:
@@ -158,8 +162,9 @@ def run(arguments: argparse.Namespace) -> str:
     planned = make(arguments, cell, None if arguments.model is None else read_given(arguments.model, cell))
     report_progress(arguments, 0.8, "drawing the report" if arguments.report else "writing the results")
     write_files(arguments.out, planned.files(report=arguments.report))
+    *lines, following = planned.summary.splitlines()
     where = f"plan: {arguments.out / PLAN} and {arguments.out / TABLE_1}"
-    return f"{planned.summary}\n{where}\n{report_line(arguments)}\nnext: measure it, then {next_step(arguments)}"
+    return "\n".join([*lines, where, report_line(arguments), following])
 
 
 def next_step(arguments: argparse.Namespace) -> str:
@@ -225,7 +230,18 @@ def make(arguments: argparse.Namespace, cell: Cell, given: GivenModel | None) ->
     space = scheduled_space(Schedule.of(plan.primary), cell, parameters)
     sisters = None if population is None else sisters_of(plan, population, arguments.accuracy)
     notes = () if given is None else given.notes
-    return Planned(plan, cell, space, arguments.seed, inputs, protocols, geometry, again, sisters, notes)
+    if cell.robot.joint_coupling:
+        text = (
+            "Table 1 states the angles of the robot file; on the robot's own display the coupled joints stand elsewhere"
+        )
+        notes = (*notes, Note("joint_coupling", "robot.joint_coupling", text))
+    if arguments.purpose == "stiffness" and rules.load.levels[-1] != 0.0:
+        text = "no step returns to zero load: drift of tracker or robot within a configuration will not be seen"
+        notes = (*notes, Note("no_return_to_zero", "--load-levels", text))
+    missing = lost_meshes(urdf_shapes(cell)[1])
+    notes = (*notes, Note("missing_mesh", "robot.urdf", missing)) if missing else notes
+    following = next_step(arguments)
+    return Planned(plan, cell, space, arguments.seed, inputs, protocols, geometry, again, sisters, notes, following)
 
 
 def rules_of(arguments: argparse.Namespace) -> PlanningRules:

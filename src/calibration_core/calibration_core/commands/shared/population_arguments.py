@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration_core.engine.command_line import path
+from calibration_core.engine.command_line import group, path
 from calibration_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 def population_arguments(parser: argparse.ArgumentParser) -> None:
     """State the arguments."""
-    parser.add_argument(
+    known = group(parser, "robots of the same type")
+    known.add_argument(
         "--population",
         type=path,
         metavar="POPULATION.yaml",
         help="what is known of robots of this type, from calibration fleet: stands beside what is found, and into it",
     )
-    parser.add_argument("--type", metavar="TYPE", help="which type of the population file (default: the only one)")
+    known.add_argument("--type", metavar="TYPE", help="which type of the population file (default: the only one)")
 
 
 def asked_population(arguments: argparse.Namespace, cell: Cell) -> TypePopulation | None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calibration_core.cell import Cell
 from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.errors import InputError
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.several.members import cells_of, members_of
 from calibration_core.identification.stiffness.loaded import Options
@@ -28,7 +30,31 @@ def read_recordings(arguments: argparse.Namespace) -> tuple[tuple[Cell, ...], tu
     """
     paths = arguments.recordings
     cells = cells_of(arguments.cells, len(paths), arguments.command)
-    return cells, tuple(observe(path, cell) for path, cell in zip(paths, cells, strict=True))
+    recordings = [observe(path, cell) for path, cell in zip(paths, cells, strict=True)]
+    return cells, dated(recordings, arguments.date, arguments.command)
+
+
+def dated(recordings: Sequence[Readings], day: str | None, who: str) -> tuple[Readings, ...]:
+    """Return recordings with a stated day where they do not say when they were measured.
+
+    Args:
+        recordings: One or more.
+        day: ISO 8601; None: nothing is stated.
+        who: The command, for the message.
+
+    Raises:
+        InputError: All of them say it.
+    """
+    starts = [readings.provenance.start for readings in recordings]
+    if day is None:
+        return tuple(recordings)
+    if all(starts):
+        found = f"{day} for a recording that states its own date, {starts[0]}"
+        raise InputError(who, "--date", found, "a recording without a date, or no --date")
+    return tuple(
+        dataclasses.replace(one, provenance=dataclasses.replace(one.provenance, start=one.provenance.start or day))
+        for one in recordings
+    )
 
 
 def look_at_all(

@@ -13,22 +13,20 @@ PATIENCE = 1.0  # s: a shorter command shows nothing
 class Display:
     """Shows the stages of one command, as a context manager; `report_progress` may be called from any thread.
 
-    On a terminal (stderr), a bar with the stage, the elapsed time and the time left is drawn and removed at the end.
-    Elsewhere each stage but the first is one line on `plain`: a command that cannot read its input prints one line, its
-    error.
+    On a terminal, a bar with the stage, the elapsed time and the time left is drawn and removed at the end.  Elsewhere
+    each stage but the first is a line: a command that cannot read its input prints one line, its error.
     """
 
-    def __init__(self, command: str, *, terminal: IO[str] | None, plain: IO[str] | None) -> None:
+    def __init__(self, command: str, stream: IO[str] | None) -> None:
         """Prepare; nothing is shown before `PATIENCE` has passed.
 
         Args:
             command: Name of the command.
-            terminal: Where the bar goes, if it is a terminal.
-            plain: Where lines go otherwise; None: nowhere.
+            stream: Where to, stderr: what a command finds, on stdout, does not depend on how long it takes.  None:
+                nowhere.
         """
         self._command = command
-        self._terminal = terminal if terminal is not None and terminal.isatty() else None
-        self._plain = plain
+        self._stream = stream
         self._lock = threading.Lock()
         self._timer = threading.Timer(PATIENCE, self._begin)
         self._timer.daemon = True
@@ -39,7 +37,7 @@ class Display:
 
     def __enter__(self) -> Display:
         """Begin to wait."""
-        if self._terminal is not None or self._plain is not None:
+        if self._stream is not None:
             self._timer.start()
         return self
 
@@ -68,8 +66,8 @@ class Display:
     def _begin(self) -> None:
         with self._lock:
             self._shown = True
-            if self._terminal is not None:
-                self._bar = _bar(self._terminal)
+            if self._stream is not None and self._stream.isatty():
+                self._bar = _bar(self._stream)
                 self._task = self._bar.add_task(self._command, total=1.0)
                 self._bar.start()
             self._show()
@@ -78,11 +76,11 @@ class Display:
         share, text = self._stage
         if self._bar is not None:
             self._bar.update(self._task, completed=share, description=f"{self._command}: {text}")
-        elif self._plain is not None and share > 0.0:
+        elif self._stream is not None and share > 0.0:
             try:
-                print(f"{self._command}: {text} ({share:.0%} done)", file=self._plain, flush=True)
+                print(f"{self._command}: {text} ({share:.0%} done)", file=self._stream, flush=True)
             except (OSError, ValueError):  # the reader has gone; what matters is said at the end, by the exit code
-                self._plain = None
+                self._stream = None
 
 
 def _bar(terminal: IO[str]) -> Any:
@@ -102,7 +100,4 @@ def _bar(terminal: IO[str]) -> Any:
 
 def display_of(options: Any) -> Display:
     """Return the display that the options of a command ask for."""
-    silent = options.quiet or options.json
-    return Display(
-        options.command, terminal=None if options.quiet else sys.stderr, plain=None if silent else sys.stdout
-    )
+    return Display(options.command, None if options.quiet or options.json else sys.stderr)

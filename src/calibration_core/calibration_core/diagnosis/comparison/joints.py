@@ -55,6 +55,9 @@ def relation(recorded: Float2D, simulated: Float2D) -> tuple[Link, ...] | None:
         same = float(np.abs(recorded - simulated).max(initial=0.0)) < SAME
         return tuple(Link(i, 1, "rad", 0.0, 0.0) for i in range(recorded.shape[1])) if same else None
     n = recorded.shape[1]
+    own = tuple(_link(recorded[:, i], simulated[:, i], i) for i in range(n))
+    if all(link.plain and link.misfit < SAME for link in own):
+        return own
     links = [[_link(recorded[:, i], simulated[:, j], j) for j in range(n)] for i in range(n)]
     cost = np.array([[_cost(links[i][j], i == j) for j in range(n)] for i in range(n)])
     rows, columns = _assigned(cost)

@@ -7,8 +7,10 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.comparison.points import rigid
 from calibration_core.diagnosis.comparison.result import Reproduction
-from calibration_core.errors import EquilibriumError
+from calibration_core.diagnosis.comparison.steps import UNLOADED
+from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.statistics.offsets import normal_equations, without_offsets
 from calibration_core.identification.stiffness.fit import fit_compliance
 from calibration_core.identification.stiffness.predict import predict_readings
@@ -23,9 +25,10 @@ from calibration_core.timeseries import Float1D, Readings
 NOISE = 1.1  # times the claimed noise, that a model may leave and still be called the same
 OTHER = 0.02  # relative change of a stiffness that is worth a word
 FEWEST = 2  # configurations with several steps
+FEWEST_LIGHT = 4  # readings without load that show how far apart two shapes are
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Misfit:
     """How far readings are from what the cell file's model predicts for them.
 
@@ -76,6 +79,32 @@ def reproduction(readings: Readings, cell: Cell, seen: float | None = None) -> R
         return Reproduction(False, nan, nan, nan, {}, text)
 
 
+def rigid_misfit(readings: Readings, cell: Cell) -> float:
+    """Return what the cell file's model leaves of the positions after the best rigid frame, m per coordinate.
+
+    Of readings at which next to nothing pulls, where there are enough.
+    """
+    if readings.wrench is not None:
+        force = np.linalg.norm(readings.wrench[:, :3], axis=1)
+        light = force <= UNLOADED * force.max()
+        readings = dataclasses.replace(readings.select(light) if light.sum() >= FEWEST_LIGHT else readings, wrench=None)
+    return rigid(readings.position, predict_readings(readings, cell, nominal_parameters(cell)))[2]
+
+
+def refitted(readings: Readings, cell: Cell) -> float:
+    """Return what the cell file's model leaves of the deflections with fitted stiffnesses, m per coordinate.
+
+    NaN where the loads bend no robot.
+    """
+    model = nominal_parameters(cell)
+    try:
+        problem = build_problem(readings, cell, chain_of(cell), model)
+        ratio = _ratio(problem, fit_compliance(problem, model.compliance).compliance)
+    except (EquilibriumError, IdentificationError):
+        return float("nan")
+    return ratio * coordinate_std(position_covariance(readings, cell))
+
+
 def _reproduction(readings: Readings, cell: Cell, model: ModelParameters, seen: float | None) -> Reproduction:
     noise = coordinate_std(position_covariance(readings, cell))
     absolute = _absolute(readings, cell, model)
@@ -107,7 +136,7 @@ def _reproduction(readings: Readings, cell: Cell, model: ModelParameters, seen: 
         text += f"; with other stiffnesses it does ({listed or 'all within 2 %'} against the cell file)."
     else:
         text += f", with refitted stiffnesses {again:.1f} times: the simulation holds physics that the model does not."
-    return Reproduction(False, ratio, again, absolute, changes, text)
+    return Reproduction(False, ratio, again, absolute, changes, text, fit.compliance if again <= most else None)
 
 
 def _bends(readings: Readings, model: ModelParameters) -> bool:

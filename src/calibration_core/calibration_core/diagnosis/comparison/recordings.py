@@ -9,18 +9,21 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.joints import by_posture, joint_differences, postures, relation
-from calibration_core.diagnosis.comparison.model import Misfit, misfit, reproduction
+from calibration_core.diagnosis.comparison.model import Misfit, misfit, reproduction, rigid_misfit
 from calibration_core.diagnosis.comparison.points import Placed, place, position_unit, rigid
 from calibration_core.diagnosis.comparison.result import (
     Comparison,
     Difference,
     OwnFaults,
+    Reproduction,
     Side,
     StepByStep,
+    Witness,
     farther_off,
 )
-from calibration_core.diagnosis.comparison.steps import UNLOADED, step_by_step
-from calibration_core.diagnosis.comparison.wrench import wrench_differences
+from calibration_core.diagnosis.comparison.steps import UNLOADED, deflection, step_by_step
+from calibration_core.diagnosis.comparison.witnesses import witnesses
+from calibration_core.diagnosis.comparison.wrench import SMALL, read_as, wrench_differences
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
 from calibration_core.input_checks.check import check_inputs
 from calibration_core.model.chain import Chain
@@ -30,10 +33,19 @@ from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Bool1D, Float3D, Int1D, Readings
 
 FEWEST = 4  # readings that a comparison needs
+NEARER = 0.3  # times the distance: without weight so much nearer, a simulation was made without
+IN_MM = 1e-3  # m
+WRENCHES = ("wrench_sign", "wrench_unit", "wrench_frame")
 WRONG_FILE = 0.0025  # of the reach, m per coordinate: farther apart, the two are not the same robot
 
 
-def compare(recorded: Readings, simulated: Readings, cell: Cell, own: OwnFaults | None = None) -> Comparison:
+def compare(
+    recorded: Readings,
+    simulated: Readings,
+    cell: Cell,
+    own: OwnFaults | None = None,
+    described: Sequence[Difference] = (),
+) -> Comparison:
     """Compare a recording with a simulation.
 
     Args:
@@ -41,27 +53,33 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell, own: OwnFaults 
         simulated: What a simulation says of the same measurement.
         cell: The cell file, by which both are read.
         own: What is wrong with the simulation by itself; None: nothing.
+        described: What was put right in the simulation before.
     """
     own = OwnFaults((), np.ones(len(simulated), dtype=bool), None) if own is None else own
     sound = simulated.select(own.sound)
     same = reproduction(sound, cell, own.noise)
+    weightless, off = _without_weight(sound, cell, own.noise, same)
+    same = weightless or same
     pairing = _paired(recorded, simulated, cell).without(~own.sound)
-    found = list(pairing.differences)
+    found = [*described, *off, *pairing.differences]
+    heard: tuple[Witness, ...] = ()
     steps = postures = None
     if len(pairing.recorded) >= FEWEST:
         ours, theirs = recorded.select(pairing.recorded), simulated.select(pairing.simulated)
         chain = chain_of(cell)
+        if ours.wrench is not None and theirs.wrench is None:
+            same = dataclasses.replace(same, compliance=np.zeros(chain.n))
         far = misfit(recorded, cell), misfit(sound, cell)
         more, placed = _frames(ours, theirs, cell, chain, far, known=bool(found))
         found += more
         if ours.wrench is not None and theirs.wrench is not None:
             side = farther_off(far[0].deflection, far[1].deflection)
             found += wrench_differences(ours.wrench, theirs.wrench, sensor_axes(ours, cell, chain), side)
-        elif (ours.wrench is None) != (theirs.wrench is None):
-            which: Side = "recording" if ours.wrench is None else "simulation"
-            text = f"The {which} holds no wrench, the other does."
-            found.append(Difference("loads", {"sensor": "force_torque"}, which, 0.0, "N", text, True))
+        elif theirs.wrench is not None:
+            text = "The recording holds no load, the simulation does."
+            found.append(Difference("loads", {"sensor": "force_torque"}, "recording", 0.0, "N", text, True))
         found = _decided(found, recorded, sound, cell)
+        heard = tuple(witnesses(ours, theirs, cell, known=any(d.spoils for d in found)))
         if not any(d.spoils for d in found):
             steps, postures = step_by_step(ours, theirs, placed, cell, own.noise)
     else:
@@ -71,7 +89,7 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell, own: OwnFaults 
         same = dataclasses.replace(same, text="The core's model does not reproduce the simulation as it stands.")
     found += own.differences
     numbers = np.unique(recorded.configuration[pairing.recorded])
-    notes = [same.text, own.note] if own.note else [same.text]
+    notes = [one for one in (same.text, own.note, *(one.text for one in heard)) if one]
     return Comparison(
         recording=recorded.provenance.path,
         simulation=simulated.provenance.path,
@@ -83,7 +101,80 @@ def compare(recorded: Readings, simulated: Readings, cell: Cell, own: OwnFaults 
         steps=steps,
         postures=postures,
         sentences=_sentences(notes, found, steps, postures),
+        witnesses=heard,
+        rows=pairing.recorded,
+        positions=simulated.position[pairing.simulated],
     )
+
+
+def _without_weight(
+    simulated: Readings, cell: Cell, seen: float | None, same: Reproduction
+) -> tuple[Reproduction | None, tuple[Difference, ...]]:
+    """Tell whether a simulation leaves the robot's own weight out; then how the model without weight reproduces it."""
+    if same.reproduced or not np.isfinite(same.absolute_rms) or chain_of(cell).mass is None:
+        return None, ()
+    robot = cell.robot.model_copy(update={"gravity": (0.0, 0.0, 0.0)})
+    again = reproduction(simulated, cell.model_copy(update={"robot": robot}), seen)
+    if not again.absolute_rms < NEARER * same.absolute_rms:
+        return None, ()
+    text = (
+        f"The simulation leaves the robot's own weight out: without it its positions are "
+        f"{1e6 * again.absolute_rms:.0f} µm from the cell file's, with it {1e6 * same.absolute_rms:.0f} µm."
+    )
+    return again, (Difference("gravity", {"robot": "robot"}, "simulation", same.absolute_rms, "m", text, False),)
+
+
+def with_loads(recorded: Readings, simulated: Readings, cell: Cell) -> tuple[Readings, tuple[Difference, ...]]:
+    """Return a simulation whose loads are stated, and what had to be taken for granted; zeros state no load.
+
+    One that bends was made under loads, and they are taken to be the recorded ones.
+    """
+    if simulated.wrench is not None and np.abs(simulated.wrench).max(initial=0.0) > SMALL:
+        return simulated, ()
+    simulated = dataclasses.replace(simulated, wrench=None)
+    if recorded.wrench is None or not np.abs(recorded.wrench).max(initial=0.0) > SMALL:
+        return simulated, ()
+    pairing = _paired(recorded, simulated, cell)
+    if len(pairing.recorded) < FEWEST:
+        return simulated, ()
+    ours, theirs = recorded.select(pairing.recorded), simulated.select(pairing.simulated)
+    if not np.any(np.ptp(ours.step) > 0):
+        return simulated, ()
+    size, bent = (float(np.sqrt(np.mean(deflection(r, r.position) ** 2))) for r in (ours, theirs))
+    if bent <= UNLOADED * size:
+        text = "The simulation states no load and does not bend: it is compared as the rigid robot."
+    else:
+        text = "The simulation states no load and bends: its loads are taken to be the recorded ones."
+        simulated = dataclasses.replace(theirs, wrench=ours.wrench)
+    return simulated, (Difference("loads", {"sensor": "force_torque"}, "simulation", 0.0, "N", text, False),)
+
+
+def put_right(recorded: Readings, simulated: Readings, cell: Cell, wrong: Sequence[Difference]) -> Readings | None:
+    """Return a simulation in the recording's units, signs and axes, rows that correspond; None where there is no way.
+
+    Args:
+        recorded: The recording.
+        simulated: The simulation.
+        cell: The cell file.
+        wrong: What is wrong with the simulation.
+    """
+    pairing = _paired(recorded, simulated, cell)
+    ours, theirs = recorded.select(pairing.recorded), simulated.select(pairing.simulated)
+    wrench = theirs.wrench
+    for difference in wrong:
+        if difference.kind == "position_unit":
+            theirs = dataclasses.replace(theirs, position=theirs.position * IN_MM)
+        elif difference.kind == "angle_unit":
+            columns = [cell.robot.joints.index(name) for name in difference.further["joints"]]
+            q = theirs.q.copy()
+            q[:, columns] /= difference.further["factor"]
+            theirs = dataclasses.replace(theirs, q=q)
+        elif difference.kind in WRENCHES and ours.wrench is not None and wrench is not None:
+            axes = sensor_axes(ours, cell, chain_of(cell))
+            theirs = dataclasses.replace(theirs, wrench=read_as(ours.wrench, wrench, axes))
+        else:
+            return None
+    return theirs
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -170,7 +261,7 @@ def _joint_side(ours: Readings, theirs: Readings, cell: Cell) -> Side:
     if cell.measurements.points == "displacement":
         return farther_off(misfit(ours, cell).deflection, misfit(theirs, cell).deflection)
     left = {
-        (whose, angles): _rigid_misfit(dataclasses.replace(readings, q=q), cell)
+        (whose, angles): rigid_misfit(dataclasses.replace(readings, q=q), cell)
         for whose, readings in (("recording", ours), ("simulation", theirs))
         for angles, q in (("recording", ours.q), ("simulation", theirs.q))
     }
@@ -180,18 +271,6 @@ def _joint_side(ours: Readings, theirs: Readings, cell: Cell) -> Side:
     if side == "either":
         side = farther_off(misfit(ours, cell).absolute, misfit(theirs, cell).absolute)
     return side
-
-
-def _rigid_misfit(readings: Readings, cell: Cell) -> float:
-    """Return what the cell file's model leaves of the positions after the best rigid frame, m per coordinate.
-
-    Of readings at which next to nothing pulls, where there are enough.
-    """
-    if readings.wrench is not None:
-        force = np.linalg.norm(readings.wrench[:, :3], axis=1)
-        light = force <= UNLOADED * force.max()
-        readings = dataclasses.replace(readings.select(light) if light.sum() >= FEWEST else readings, wrench=None)
-    return rigid(readings.position, predict_readings(readings, cell, nominal_parameters(cell)))[2]
 
 
 def _decided(found: Sequence[Difference], recorded: Readings, simulated: Readings, cell: Cell) -> list[Difference]:
@@ -234,7 +313,7 @@ def _frames(
     placed = place(ours.position, theirs.position, ours.point, ours.points, apart, _flange_axes(ours, cell, chain))
     found = list(placed.differences)
     if placed.rms > WRONG_FILE * chain.reach and not known:
-        side = farther_off(_rigid_misfit(ours, cell), _rigid_misfit(theirs, cell))
+        side = farther_off(rigid_misfit(ours, cell), rigid_misfit(theirs, cell))
         whose = f"the {side} was made with another robot" if side != "either" else "one of them is of another robot"
         text = (
             f"With the best frame recording and simulation are {1e3 * placed.rms:.1f} mm apart (rms per coordinate) at "

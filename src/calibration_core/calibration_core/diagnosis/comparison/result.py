@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 from calibration_core.identification.result.estimate import Anomaly
-from calibration_core.timeseries import Bool1D
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 
 Side = Literal["simulation", "recording", "either"]
 CLEARLY = 3.0  # times worse than the other
@@ -29,7 +30,7 @@ def farther_off(recording: float, simulation: float) -> Side:
 class Difference:
     """Something that differs between two recordings and is no physics: protocol, frames, signs, units, order.
 
-    What the contract lists as an anomaly has the contract's word.  `configurations`, `steps`, `points`, `loads` and
+    What is an anomaly of the input has its word.  `configurations`, `steps`, `points`, `loads` and
     `tracker_frame` are differences between the two and no anomaly of either.
 
     Attributes:
@@ -45,7 +46,7 @@ class Difference:
         text: One sentence.
         spoils: Whether deflections cannot be compared, and the side's physics not be trusted, because of it.
         remedy: How to put the recording right where it is at fault, in words.
-        further: `factor`, `joints`, `points` or `axes` of the anomaly, as the contract has them.
+        further: `factor`, `joints`, `points` or `axes` of the anomaly.
     """
 
     kind: str
@@ -99,7 +100,7 @@ class OwnFaults:
         return not self.differences and not self.note
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Reproduction:
     """Whether the core's model, with the cell file's values, gives what the simulation says.
 
@@ -111,6 +112,7 @@ class Reproduction:
         absolute_rms: m per coordinate, distance of the positions from the cell file's; NaN for displacements.
         stiffness_change: Joint -> simulation's stiffness over the cell file's, less one; where they differ.
         text: One or two sentences.
+        compliance: (n,) rad/(N*m) of the simulation, where the cell file's is another one and no more differs.
     """
 
     reproduced: bool
@@ -119,6 +121,7 @@ class Reproduction:
     absolute_rms: float
     stiffness_change: Mapping[str, float]
     text: str
+    compliance: Float1D | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,7 +141,7 @@ class PartDifference:
     measured: float
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class StepByStep:
     """Deflections (loaded) or positions (absolute) of both, row by row, after the named differences are taken out.
 
@@ -149,6 +152,7 @@ class StepByStep:
         by_configuration: Largest difference first.
         by_step: In the order of steps.
         by_point: In the order of the points.
+        grid: (c, s) m per coordinate, of every configuration in every step, both in order; NaN where nothing was read.
     """
 
     rms: float
@@ -157,9 +161,130 @@ class StepByStep:
     by_configuration: tuple[PartDifference, ...]
     by_step: tuple[PartDifference, ...]
     by_point: tuple[PartDifference, ...]
+    grid: Float2D | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ChangedNumber:
+    """A number of the model before and after its step.
+
+    Attributes:
+        name: As in the model file; of a joint's stiffness `stiffness.JOINT`.
+        before: What the cell file, or the simulation's model, says.
+        after: What the whole model says.
+        low, high: 95 % interval of `after`; NaN where none is known.
+        unit: SI.
+    """
+
+    name: str
+    before: float
+    after: float
+    low: float
+    high: float
+    unit: str
+
+    @property
+    def changed(self) -> bool:
+        """Whether what stood before lies outside the interval."""
+        return bool(self.before < self.low or self.before > self.high)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WaterfallStep:
+    """One step from the simulation to the noise.
+
+    Attributes:
+        name: `simulation`, `frames`, `geometry`, `stiffness`, a finding's effect, `noise`.
+        what: In words.
+        rms: m per coordinate that is left after it.
+        held_out_rms: The same on configurations that the fit did not use; NaN where nothing is fitted.
+        test_rms: The same on the test recording; NaN without one.
+        share: Of the squared difference, that this step takes away; of `noise`, that is left at the end.
+        changed: Its numbers.
+        share_first: Of a finding, that it takes away where it comes before the stiffness and the other findings: what
+            it has beyond `share`, others can take as well.  NaN for other steps.
+    """
+
+    name: str
+    what: str
+    rms: float
+    held_out_rms: float
+    test_rms: float
+    share: float
+    changed: tuple[ChangedNumber, ...] = ()
+    share_first: float = float("nan")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ComparedChannel:
+    """One thing that both recordings say.
+
+    Attributes:
+        name: `fx` to `tz`, a joint, `temperature` or `time`.
+        gain: Recorded over simulated, by least squares; NaN where that says nothing.
+        rms: Of recorded less simulated.
+        unit: Of it.
+    """
+
+    name: str
+    gain: float
+    rms: float
+    unit: str
 
 
 @dataclasses.dataclass(frozen=True)
+class Witness:
+    """What the two say differently of the same measurement, and which of them the measured positions contradict.
+
+    Attributes:
+        what: `wrench`, `joint angles`, `temperature` or `time`.
+        wrong: Which of the two.
+        channels: One by one.
+        left: m per coordinate that a fit leaves with what the recording says, and with what the simulation says; None
+            where positions cannot judge.
+        text: One sentence.
+    """
+
+    what: str
+    wrong: Side
+    channels: tuple[ComparedChannel, ...]
+    left: tuple[float, float] | None
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class FormatLoss:
+    """What the files for one kind of simulator cannot hold of the improved model.
+
+    Attributes:
+        files: Their names.
+        effects: What they leave out, in words.
+        costs: m per coordinate that this adds to what the whole model leaves, squares added.
+    """
+
+    files: tuple[str, ...]
+    effects: tuple[str, ...]
+    costs: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ImprovedSimulation:
+    """The recording simulated once more, by the model that is handed out.
+
+    Attributes:
+        rms: m per coordinate, recording less this simulation.
+        test_rms: The same of the test recording; NaN without one.
+        left_by: Returns `rms` of another model.
+        losses: What each format of the model leaves out.
+    """
+
+    rms: float
+    test_rms: float
+    left_by: Callable[[ModelParameters], float]
+    losses: tuple[FormatLoss, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Comparison:
     """Two recordings of one measurement, one of them simulated.
 
@@ -174,6 +299,12 @@ class Comparison:
         steps: Row by row; None where the two cannot be compared so.
         postures: Beside deflections, the positions of configurations with one step; None where there are none.
         sentences: The whole in words.
+        witnesses: What the two say differently of loads, angles and conditions.
+        rows: Rows of the recording that correspond.
+        positions: (k, 3) m, what the simulation says at these, as it was read.
+        waterfall: From the simulation to the noise; empty where the two cannot be compared so.
+        pattern: The strongest pattern of the difference in words; empty where there is none.
+        improved: The simulation by the model that is handed out; None without a waterfall.
     """
 
     recording: str
@@ -186,6 +317,12 @@ class Comparison:
     steps: StepByStep | None
     postures: StepByStep | None
     sentences: tuple[str, ...]
+    witnesses: tuple[Witness, ...]
+    rows: Int1D
+    positions: Float2D
+    waterfall: tuple[WaterfallStep, ...] = ()
+    pattern: str = ""
+    improved: ImprovedSimulation | None = None
 
     @property
     def recording_spoiled(self) -> bool:

@@ -65,7 +65,7 @@ def _compared(
     ours: Readings, mine: Float2D, other: Float2D, cell: Cell, seen: float | None, *, bends: bool = False
 ) -> StepByStep:
     if bends:
-        mine, other = _deflection(ours, mine), _deflection(ours, other)
+        mine, other = deflection(ours, mine), deflection(ours, other)
     rest = mine - other
     noise = coordinate_std(position_covariance(ours, cell))
     power = float(np.sum(other**2))
@@ -85,10 +85,20 @@ def _compared(
         by_configuration=groups[0],
         by_step=groups[1],
         by_point=groups[2],
+        grid=_grid(ours, rest),
     )
 
 
-def _deflection(readings: Readings, position: Float2D) -> Float2D:
+def _grid(readings: Readings, rest: Float2D) -> Float2D:
+    """Return (configurations, steps) m per coordinate, in the order of their numbers; NaN where nothing was read."""
+    keys = [np.unique(k, return_inverse=True)[1].reshape(-1) for k in (readings.configuration, readings.step)]
+    total, count = (np.zeros((int(keys[0].max()) + 1, int(keys[1].max()) + 1)) for _ in range(2))
+    np.add.at(total, tuple(keys), np.mean(rest**2, axis=1))
+    np.add.at(count, tuple(keys), 1.0)
+    return np.sqrt(np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0))
+
+
+def deflection(readings: Readings, position: Float2D) -> Float2D:
     """Return positions less the mean of their configuration and point."""
     _, group = np.unique(np.column_stack([readings.configuration, readings.point]), axis=0, return_inverse=True)
     group = group.reshape(-1)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from calibration_core.diagnosis.result.finding import Rest
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import WAVE
+from calibration_core.estimation.shifts import FAMILY, around
 from calibration_core.identification.checks.noise_audit import rigid_triangle
-from calibration_core.identification.statistics.beyond_noise import FINEST, beyond_noise
-from calibration_core.timeseries import Bool1D, Readings
+from calibration_core.identification.result.estimate import Anomaly
+from calibration_core.identification.statistics.distributions import FINEST, beyond_noise
+from calibration_core.identification.statistics.sizes import rms_length
+from calibration_core.model.effects.candidate import number_of
+from calibration_core.model.effects.words import listed_location
+from calibration_core.timeseries import Bool1D, Readings, in_time
 
 MISSTATED = 1.5  # factor by which an instrument's claim may be wrong where nothing else shows the noise
 TRUSTED = 60  # degrees of freedom from which on the rigid triangle shows the noise
@@ -98,3 +103,60 @@ def followed(found: Estimate) -> dict[str, float]:
             if share > max(shares.get(joint, 0.0), 0.0):
                 shares[joint] = round(share, 3)
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+EQUIVALENT = 5.0  # nats
+NEAR = 3  # configurations within which two steps are one
+
+
+def shift_anomalies(found: Estimate, readings: Readings) -> tuple[Anomaly, ...]:
+    """Return the steps that were accepted."""
+    hypotheses = found.offered.hypotheses
+    steps = [index for index in found.selection.accepted if hypotheses[index].family == FAMILY]
+    return tuple(_anomaly(found, index, readings) for index in steps)
+
+
+def _anomaly(found: Estimate, index: int, readings: Readings) -> Anomaly:
+    one = found.offered.hypotheses[index]
+    extended, members = found.extended, found.members[index]
+    value, _ = extended.values_of(members[0])
+    shift = extended.shift(members)
+    concerned = np.any(shift != 0, axis=1)
+    size = rms_length(shift[concerned])
+    order, numbers = in_time(readings.configuration), readings.configuration
+    k = number_of(one)
+    inside = around(readings, order, k)
+    first, last = int(order[inside].min()), int(order[inside].max())
+    rows = inside & (order >= k if last + 1 - k <= k - first else order < k)
+    span = (int(numbers[rows][0]), int(numbers[rows][-1]))
+    vector = ", ".join(f"{1e3 * v:+z.2f}" for v in value[:3])
+    constant = {
+        "target_moved": f"in the frame of the flange ({vector} mm)",
+        "tracker_moved": f"in the frame of the base ({vector} mm)",
+        "zero_moved": f"in the angle of {one.location.get('joint')} ({vector} mrad): its zero was lost, or it slipped",
+    }[one.effect]
+    beside = _beside(found, index)
+    alternative = f" A step of {' or '.join(beside)} fits nearly as well." if beside else ""
+    before, after = int(numbers[order == k - 1][-1]), int(numbers[order == k][0])
+    text = (
+        f"between configurations {before} and {after} the readings step by "
+        f"{1e3 * size:.2f} mm, constant {constant}; configurations {span[0]} to {span[1]} stand apart from the "
+        f"others.{alternative}"
+    )
+    place = {key: value for key, value in one.location.items() if isinstance(value, str)}
+    return Anomaly(one.effect, place, span, size, "m", text)
+
+
+def _beside(found: Estimate, index: int) -> Sequence[str]:
+    """Return other kinds of step at the same place in time that explain the data as well."""
+    search, hypotheses = found.search, found.offered.hypotheses
+    gain = search.scores(tuple(i for i in found.selection.accepted if i != index)).nats
+    one, own = hypotheses[index], gain[search.place[index]]
+    others: dict[str, None] = {}
+    for i, k in search.place.items():
+        other = hypotheses[i]
+        if other.family != FAMILY or other.place == one.place or own - gain[k] > EQUIVALENT:
+            continue
+        if abs(number_of(other) - number_of(one)) <= NEAR:
+            others[f"{other.effect} ({listed_location(other.location)})"] = None
+    return tuple(others)

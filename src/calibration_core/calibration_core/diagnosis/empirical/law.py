@@ -11,17 +11,23 @@ Source: Zellner 1986, Liang et al. 2008 (g-prior); Cameron, Gelbach and Miller 2
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from calibration_core.diagnosis.empirical.dictionary import EVEN, DictionaryTerm, dictionary
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
+from calibration_core.diagnosis.evidence.selection import LoadedSelection
+from calibration_core.diagnosis.result.finding import EMPIRICAL, Alternative, Finding, FoundParameter
 from calibration_core.estimation.alternatives.confounding import BY_ANGLE
+from calibration_core.estimation.hypotheses import LAW
+from calibration_core.estimation.refit import Extended
 from calibration_core.identification.statistics.offsets import whitened
+from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects import effects_with
-from calibration_core.model.effects.traits import Trait
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
+from calibration_core.model.effects.absolute import approach_direction
+from calibration_core.model.effects.candidate import Candidate, Trait
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
 
 MOST = 3  # terms
 SAMPLES = 500
@@ -393,3 +399,149 @@ def _rivals(rest: _Rest, scores: Float1D, chosen: int) -> tuple[tuple[Dictionary
         if term.joint != rest.terms[chosen].joint and term.joint not in found:
             found[term.joint] = (term, float(scores[index]))
     return tuple(found.values())
+
+
+EFFECT = "empirical_law"
+WORST = 3  # configurations that are listed
+
+
+def law_findings(law: Law, joints: Sequence[str], readings: Readings) -> tuple[Finding, ...]:
+    """Return one finding for every joint of a law.
+
+    Args:
+        law: The law.
+        joints: Their names.
+        readings: The recording, of which the law holds a shift for every reading.
+    """
+    by_joint: dict[int, list[LawTerm]] = {}
+    for term in law.terms:
+        by_joint.setdefault(term.term.joint, []).append(term)
+    return tuple(_finding(law, joints, number, terms, readings) for number, terms in by_joint.items())
+
+
+def law_sentence(law: Law) -> str:
+    """Return what the law does to the rest, in one sentence."""
+    return (
+        f"An empirical law, which is no physics and not in the extended model, describes {100 * law.explained:z.0f} % "
+        "of it: see the findings."
+    )
+
+
+def _finding(law: Law, joints: Sequence[str], number: int, terms: list[LawTerm], readings: Readings) -> Finding:
+    shift = np.sum([term.shift for term in terms], axis=0)
+    magnitude = rms_length(shift)
+    parameters = tuple(
+        FoundParameter(name, float(value), float(std), "1")
+        for term in terms
+        for name, value, std in zip(term.term.names, term.coefficient, term.std, strict=True)
+    )
+    evidence = max(term.log_bayes_factor for term in terms)
+    rivals = {other.joint: (other, score) for term in terms for other, score in term.rivals}
+    alternatives = tuple(
+        Alternative(EFFECT, EMPIRICAL, {"joint": joints[other.joint]}, score)
+        for other, score in sorted(rivals.values(), key=lambda rival: -rival[1])
+    )
+    words = " and ".join(term.term.words for term in terms)
+    parts = " + ".join(f"{p.value:z.3f} {p.name}" for p in parameters)
+    listed = ", ".join(map(str, _largest(shift, readings.configuration)))
+    text = (
+        f"Empirical, not physics: how far {joints[number]} gives way follows {words}; beside the model it turns by "
+        f"{parts}, in parts of its deflection at its largest torque (functions of angles: times torque over largest "
+        f"torque). It moves the measured points by {1e6 * magnitude:.0f} µm rms, most in configurations {listed}. The "
+        f"law describes {100 * law.explained:z.0f} % of what remains beyond the noise; on configurations left out, the "
+        f"search repeated without them, it saves {100 * law.held_out_gain:z.0f} % of the squared error. It says where "
+        "to look, not why, and stands in no model file."
+    )
+    return Finding(
+        effect=EFFECT,
+        family=EMPIRICAL,
+        location={"joint": joints[number]},
+        variant=words,
+        parameters=parameters,
+        log_bayes_factor=evidence,
+        held_out_gain=law.held_out_gain,
+        magnitude=magnitude,
+        cannot_be_told_from=alternatives,
+        explanation=text,
+        separate_by=f"more configurations that differ in {words}, at the same torque of {joints[number]}",
+    )
+
+
+def _largest(shift: Float2D, configuration: Int1D) -> list[int]:
+    """Return the numbers of the configurations that a shift (m, 3) moves most."""
+    numbers = np.unique(configuration)
+    squares = [float(np.mean(np.sum(shift[configuration == number] ** 2, axis=1))) for number in numbers]
+    return [int(numbers[k]) for k in np.argsort(-np.array(squares), kind="stable")[:WORST]]
+
+
+def with_open_laws(extended: ExtendedLoadedModel, selection: LoadedSelection, law: Law | None) -> ExtendedLoadedModel:
+    """Return the model with compliances as uncertain as the laws of their joints are open.
+
+    Args:
+        extended: The extended model.
+        selection: What was accepted; a law that needs refinements is of another form than the catalogue's.
+        law: An empirical law for what no physics explains; None: there is none.
+    """
+    open_ones = (*_unsettled(extended, selection), *_empirical(law))
+    if not open_ones:
+        return extended
+    state, compliance = extended.state, extended.compliance
+    columns = extended.problem.linearise(extended.base_compliance).columns
+    more = np.zeros(len(compliance))
+    for joint, shift in open_ones:
+        moved = rms_length(state.since_step_zero(columns[:, :, joint] * compliance[joint]))
+        if moved > 0:
+            more[joint] = max(more[joint], compliance[joint] * rms_length(shift) / moved)
+    covariance = extended.covariance.copy()
+    n = len(compliance)
+    covariance[np.arange(n), np.arange(n)] += more**2
+    return dataclasses.replace(extended, covariance=covariance)
+
+
+def with_open_joints(extended: Extended, findings: Sequence[Finding]) -> Extended:
+    """Return the model of positions with compliances as uncertain as the laws of their joints are open.
+
+    A joint that lags under changing loads stands elsewhere by the direction from which it came, too.
+
+    Args:
+        extended: The extended model, loads and postures at rest in one.
+        findings: What was found; of some the form of the law is not settled.
+    """
+    compliances = [str(one.location["joint"]) for one in extended.model.fitted_compliances]
+    covariance = extended.covariance.copy()
+    for one in findings:
+        joint = one.location.get("joint")
+        if one.law_settled or not _is_law(one) or joint not in compliances:
+            continue
+        column = extended.flat - len(compliances) + compliances.index(joint)
+        law = [
+            k
+            for k, part in enumerate(extended.parts)
+            if _is_law(part.candidate) and part.candidate.location == one.location
+        ]
+        compliance = float(extended.parameters.compliance[extended.parameters.joints.index(joint)])
+        by_load = extended.model.state.since_step_zero(extended.moved_by(column) * compliance)
+        loaded = np.any(by_load != 0, axis=1)
+        if loaded.any():
+            share = rms_length(extended.shift(law)[loaded]) / rms_length(by_load[loaded])
+            covariance[column, column] += (compliance * share) ** 2
+    return dataclasses.replace(extended, covariance=covariance)
+
+
+def _is_law(one: Finding | Candidate) -> bool:
+    return one.family == LAW or one.effect == approach_direction.EFFECT.name
+
+
+def _unsettled(extended: ExtendedLoadedModel, selection: LoadedSelection) -> Iterator[tuple[int, Float2D]]:
+    """Yield the joint and the (m, 3) m of each law that was found there with refinements."""
+    for choice in selection.choices:
+        own = extended.design.candidates[choice.candidate]
+        if own.family == LAW and choice.refinements:
+            joint = extended.state.chain.joints.index(str(own.location["joint"]))
+            yield joint, extended.moved((choice.candidate, *choice.refinements))
+
+
+def _empirical(law: Law | None) -> Iterator[tuple[int, Float2D]]:
+    """Yield the joint and the (m, 3) m of each term of an empirical law."""
+    for one in () if law is None else law.terms:
+        yield one.term.joint, one.shift

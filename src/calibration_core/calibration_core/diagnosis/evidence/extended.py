@@ -6,19 +6,22 @@ import dataclasses
 from collections.abc import Collection, Sequence
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.evidence.design import Design, build_design
-from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
-from calibration_core.diagnosis.evidence.estimates import estimates
+from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design, build_design
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
+from calibration_core.estimation.likelihood.small_effects import MOST, shared_power
+from calibration_core.estimation.noise.strata import sensor_lag, sensor_mounting
 from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.statistics.offsets import Rows, without_offsets
 from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.possible import nearest
 from calibration_core.model.effects.recorded_state import recorded_state
+from calibration_core.model.effects.recordings import each_recording
 from calibration_core.model.effects.state import State
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
@@ -251,3 +254,106 @@ def extended_model(parameters: ModelParameters, extended: ExtendedLoadedModel) -
         for index in extended.accepted
     )
     return parameters.replace(compliance=extended.compliance, effects=effects)
+
+
+FAR = 2.0  # times the width of the prior: effects beyond it are none of the usual size
+WIDENED = 3  # times, a prior is compared with the size that was found
+RANK = 1e-10  # of the largest eigenvalue: directions below it are rounding errors
+
+
+def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | float = 0.0) -> tuple[Float1D, Float2D]:
+    """Return values and covariance of null corrections and accepted parameters, in their units.
+
+    Accepted parameters keep their (wide) priors; where an effect is far larger than these, its prior is as wide as it.
+
+    Args:
+        design: The whitened model.
+        accepted: Candidates in the model.
+        share: (c,) signal-to-noise ratio of every candidate's place in the covariance, or one of all.
+    """
+    n, gram = design.n, design.gram()
+    weights = np.zeros(len(design.prior))
+    if np.any(share):
+        each = np.repeat(np.broadcast_to(share, len(design.blocks)), [b.stop - b.start for b in design.blocks])
+        weights[: design.discrepancy.start] = np.minimum(each * _unit(design, gram), MOST / PRIOR_WIDTH)
+    own = [c for i in accepted for c in range(design.blocks[i].start, design.blocks[i].stop)]
+    for i in accepted:
+        weights[design.chances[i]] = 1.0
+    weights[design.discrepancy] = 1.0
+    weights[own] = 0.0
+    active = np.flatnonzero(weights)
+    scaled = gram[:, n + active] * weights[active]
+    lower = cholesky(np.eye(len(active)) + scaled[n + active] * weights[active][:, None], lower=True)
+    half = solve_triangular(lower, scaled.T, lower=True, check_finite=False).T
+    columns = [*range(n), *(n + c for c in own)]
+    metric = gram[columns] - half[columns] @ half.T
+    unit = np.concatenate([np.ones(n), design.prior[own]])
+    counts = [design.blocks[i].stop - design.blocks[i].start for i in accepted]
+    width = np.ones(len(counts))
+    value, inverse = _solved(metric, columns, np.repeat(width, counts))
+    for _ in range(WIDENED):
+        ends = n + np.cumsum(counts)
+        sizes = [np.sqrt(np.mean(value[end - k : end] ** 2)) for k, end in zip(counts, ends, strict=True)]
+        if all(size <= max(one, FAR) for size, one in zip(sizes, width, strict=True)):
+            break
+        width = np.maximum(width, [size if size > FAR else 1.0 for size in sizes])
+        value, inverse = _solved(metric, columns, np.repeat(width, counts))
+    return value * unit, np.asarray(inverse * np.outer(unit, unit), dtype=np.float64)
+
+
+def _solved(metric: Float2D, columns: list[int], width: Float1D) -> tuple[Float1D, Float2D]:
+    """Return values (n + k,), and their covariance, of null corrections and accepted parameters with such priors."""
+    n = len(columns) - len(width)
+    matrix = metric[:, columns] + np.diag(np.concatenate([np.zeros(n), width**-2.0]))
+    scale = np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
+    inverse = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
+    return inverse @ metric[:, -1], inverse
+
+
+def _unit(design: Design, gram: Float2D) -> Float1D:
+    """Return the sizes at which every place moves the points by as much as the noise, null model apart, (p,)."""
+    n, own = design.n, design.discrepancy.start
+    cross = gram[:n, n : n + own]
+    scale = np.sqrt(np.clip(np.diag(gram)[:n], 1e-300, None))
+    values, vectors = np.linalg.eigh(gram[:n, :n] / np.outer(scale, scale))
+    kept = values > RANK * values[-1]
+    taken = (vectors[:, kept] / np.sqrt(values[kept])).T @ (cross / scale[:, None])
+    power = np.maximum(np.diag(gram)[n : n + own] - (taken**2).sum(axis=0), 0.0)
+    return shared_power(power, design.candidates, design.blocks)
+
+
+UNFITTED_ZERO = 3e-4  # rad, where absolute positions say nothing about the geometry
+
+
+def structured_discrepancy(state: State, frames: FrameFit | None) -> Float3D:
+    """Return (m, 3, k) movements of the points, each for one standard deviation of a small effect, m.
+
+    Args:
+        state: The null model.
+        frames: The refitted frames; None where the recording holds displacements.
+    """
+    parts = [each_recording(sensor_lag, state), each_recording(sensor_mounting, state), _geometry(state, frames)]
+    if frames is not None:
+        parts.append(_frames(state, frames))
+    return np.concatenate(parts, axis=2)
+
+
+def _geometry(state: State, frames: FrameFit | None) -> Float3D:
+    """Zeros of the joints stand for all errors of the geometry, as large as the absolute positions show them."""
+    size = UNFITTED_ZERO if frames is None else frames.rms / max(state.chain.reach / 2, 0.1)
+    zeros = effect_named("joint_zero_offset").candidates(state)
+    return np.concatenate([candidate.columns(state) * size for candidate in zeros], axis=2)
+
+
+def _frames(state: State, frames: FrameFit) -> Float3D:
+    """What the refitted frames leave open; readings of one configuration share its geometric error."""
+    steps = len(state.configuration) / max(len(np.unique(state.configuration)), 1) / len(frames.points)
+    std = np.sqrt(np.clip(np.diag(frames.scatter), 0.0, None) * max(steps, 1.0))
+    recordings = 1 if state.setups is None else state.setups.count
+    turned = np.tile(std[3:6], recordings)
+    frame = effect_named("tracker_frame_misalignment").candidates(state)
+    points = np.zeros((len(state.configuration), 3, 3 * len(frames.points)))  # none where no reading shows one
+    for candidate in effect_named("measurement_point_offset").candidates(state):
+        first = 3 * int(str(candidate.location["point"])[1:])
+        points[:, :, first : first + 3] = candidate.columns(state) * std[6 + first : 9 + first]
+    return np.concatenate([points, *(each_recording(one.columns, state) * turned for one in frame)], axis=2)

@@ -32,7 +32,7 @@ from calibration_core.estimation.hypotheses import LAW, Hypothesis, Offered, off
 from calibration_core.estimation.likelihood.small_effects import NONE
 from calibration_core.estimation.search import PART, Search
 from calibration_core.model.effects import effects_with
-from calibration_core.model.effects.traits import Trait
+from calibration_core.model.effects.candidate import Trait
 from calibration_core.timeseries import Float1D, Int1D
 
 BLOCKS = 20  # of whole configurations, left out one after the other

@@ -9,7 +9,7 @@ from calibration_core.estimation.hypotheses import LAW, WAVE, Hypothesis
 from calibration_core.estimation.springs.compensator_geometry import SPRING
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute import approach_direction
-from calibration_core.model.effects.traits import Trait
+from calibration_core.model.effects.candidate import Trait
 
 LOW = 8  # orders of waves that are a gear's, whatever else its joint does
 FROM_WHERE = approach_direction.EFFECT.name

@@ -33,8 +33,7 @@ from calibration_core.identification.statistics.sizes import rms_length
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.absolute.geometry_error import VARIANTS, frame_error
 from calibration_core.model.effects.absolute.joint_zero_offset import EFFECT, zero_offset
-from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import Candidate, typical
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Int2D

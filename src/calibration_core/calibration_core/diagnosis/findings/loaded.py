@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
+from calibration_core.diagnosis.empirical.law import EQUIVALENT, Rival, rival
+from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.evidence.selection import Choice, LoadedSelection
 from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
-from calibration_core.diagnosis.result.evidence_words import UNSETTLED, evidence_words
-from calibration_core.diagnosis.result.finding import Alternative, Finding, Location, by_size
+from calibration_core.diagnosis.result.finding import UNSETTLED, Alternative, Finding, Location, by_size, evidence_words
 from calibration_core.estimation.hypotheses import LAW
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.statistics.sizes import rms_length
@@ -132,3 +134,56 @@ def _bias(changes: dict[str, float], findings: int) -> str:
     listed = ", ".join(f"{joint} {100 * bias:+z.0f} %" for joint, bias in moved.items())
     which = "it" if findings == 1 else "all findings"
     return f" Leaving {which} out biases the stiffness of {listed}."
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RejectedCandidate:
+    """An effect that was accepted and is outdone.
+
+    Attributes:
+        choice: What was accepted.
+        candidate: The effect.
+        rival: What outdoes it.
+        nats: By how much.
+    """
+
+    choice: Choice
+    candidate: Candidate
+    rival: Rival
+    nats: float
+
+
+def rejected_candidates(extended: ExtendedLoadedModel, selection: LoadedSelection) -> tuple[RejectedCandidate, ...]:
+    """Return the choices that a law of the dictionary outdoes by more than what counts as equivalent.
+
+    The effect's evidence is the larger of that by which it was accepted, with the prior of its physics, and that by
+    the measure of the law, which knows no prior.
+
+    Args:
+        extended: The extended model with all choices.
+        selection: The choices.
+    """
+    found = []
+    for choice in selection.choices:
+        law = rival(extended, (choice.candidate, *choice.refinements))
+        if law is None:
+            continue
+        nats = law.log_bayes_factor - max(law.own, choice.log_bayes_factor)
+        if nats > EQUIVALENT:
+            found.append(RejectedCandidate(choice, extended.design.candidates[choice.candidate], law, nats))
+    return tuple(found)
+
+
+def rejection_sentence(one: RejectedCandidate, joints: tuple[str, ...], readings: Readings) -> str:
+    """Say what was not named, and why.
+
+    Args:
+        one: The effect.
+        joints: Names of the robot's joints.
+        readings: The recording.
+    """
+    return (
+        f"Not named, although it comes near: {describe(one.candidate, readings)}. The recording says more that "
+        f"{joints[one.rival.term.joint]} follows {one.rival.term.words}, which is no physics of the catalogue: "
+        f"{evidence_words(one.nats)}."
+    )

@@ -8,8 +8,15 @@ import numpy as np
 
 from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
 from calibration_core.diagnosis.findings.causes import FROM_WHERE, LEFT, causes
-from calibration_core.diagnosis.result.evidence_words import OF_ANY_LAW, UNSETTLED, evidence_words
-from calibration_core.diagnosis.result.finding import Alternative, Finding, FoundParameter, by_size
+from calibration_core.diagnosis.result.finding import (
+    OF_ANY_LAW,
+    UNSETTLED,
+    Alternative,
+    Finding,
+    FoundParameter,
+    by_size,
+    evidence_words,
+)
 from calibration_core.estimation.alternatives.equivalents import LISTED, equivalents, other_places
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis

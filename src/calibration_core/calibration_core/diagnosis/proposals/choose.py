@@ -15,8 +15,7 @@ import numpy as np
 
 from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
-from calibration_core.diagnosis.result.evidence_words import odds_words
-from calibration_core.diagnosis.result.finding import ProposedMeasurement
+from calibration_core.diagnosis.result.finding import ProposedMeasurement, odds_words
 from calibration_core.timeseries import Float1D, Float3D
 
 PROPOSED = 3
@@ -252,6 +251,7 @@ class _Choice:
             return None
         relative = [float(np.sqrt(variance[list(one.places)].sum())) / one.size for one in asked]
         now, worst = max(zip(relative, asked, strict=True), key=lambda pair: pair[0])
+        unknown, now = now > 1.0, min(now, 1.0)
 
         def judge(table: OfferTable) -> _Judged:
             left = posterior.variances_after(table.of(accepted), list(worst.places)).sum(axis=1)
@@ -264,10 +264,10 @@ class _Choice:
         offer, then, usual = found[0], -found[1], -found[2]
         if now - then < self.known.worth * now:
             return None
-        why = (
-            f"makes {worst.words} more certain: the standard deviation falls from {100 * now:.2f} % to "
-            f"{100 * then:.2f} % (a configuration taken at random: {100 * usual:.2f} %)"
-        )
+        how = f"makes {worst.words} more certain: the standard deviation falls from {100 * now:.2f} %"
+        if unknown:
+            how = f"shows {worst.words}, of which the recording says nothing: the standard deviation falls"
+        why = f"{how} to {100 * then:.2f} % (a configuration taken at random: {100 * usual:.2f} %)"
         return _measurement(offer, why, 100 * (now - then), 100 * (now - usual), "%")
 
     def _uncertain(self, mean: Float1D, variance: Float1D) -> list[Uncertain]:

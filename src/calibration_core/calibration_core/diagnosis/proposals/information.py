@@ -22,6 +22,7 @@ from scipy.linalg.lapack import dtrtri
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 FREE = 1e-9  # prior precision of the null model's columns, these being of length one
+LEAST_SCALE = 1e-2  # of the longest of these: a shorter one counts as so long, one that no load has shown as any other
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,6 +62,7 @@ class HypothesisPosterior:
     def from_products(matrix: Float2D, vector: Float1D, free: int) -> HypothesisPosterior:
         """Learn the same from the products of the columns with each other, (p, p), and with the residual, (p,)."""
         length = np.sqrt(np.diag(matrix))
+        length[:free] = np.maximum(length[:free], LEAST_SCALE * length[:free].max(initial=0.0))
         scale = np.where(length > 0, length, 1.0)
         prior = 1 / scale**2
         prior[:free] = FREE

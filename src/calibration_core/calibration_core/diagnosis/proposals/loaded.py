@@ -10,8 +10,12 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.data_checks.noise import Scatter, claimed
 from calibration_core.diagnosis.evidence.design import build_design
-from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
-from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel, extend, loaded_state
+from calibration_core.diagnosis.evidence.extended import (
+    ExtendedLoadedModel,
+    extend,
+    loaded_state,
+    structured_discrepancy,
+)
 from calibration_core.diagnosis.evidence.selection import LoadedSelection
 from calibration_core.diagnosis.proposals.candidates import Offer, Offers
 from calibration_core.diagnosis.proposals.choose import Knowledge, OfferTable, Proposals, Uncertain, choose

@@ -21,7 +21,7 @@ from calibration_core.estimation.rows import NullModel, state_at
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.geometry.problem import problem_of
 from calibration_core.model.effects import effects_with
-from calibration_core.model.effects.traits import Trait
+from calibration_core.model.effects.candidate import Trait
 from calibration_core.model.effects.words import effect_sentence
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import position_covariance
@@ -77,7 +77,7 @@ def propose_postures(known: Known, cell: Cell, offers: Offers) -> Proposals:
 class _Postures(Knowledge):
     """The rows of the search, and those of offers; hypotheses are those of the search."""
 
-    worth = 0.0  # a posture takes seconds
+    worth = 0.02
     nothing_offered = NO_POSTURE
 
     def __init__(self, known: Known, cell: Cell, offers: Offers) -> None:

@@ -22,8 +22,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design, build_design
-from calibration_core.diagnosis.evidence.discrepancy import structured_discrepancy
-from calibration_core.diagnosis.evidence.extended import loaded_state
+from calibration_core.diagnosis.evidence.extended import loaded_state, structured_discrepancy
 from calibration_core.diagnosis.proposals.candidates import Offer
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.chain import Chain

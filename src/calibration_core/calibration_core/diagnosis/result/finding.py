@@ -1,4 +1,4 @@
-"""What a diagnosis says (contract, section 5)."""
+"""What a diagnosis says."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from calibration_core.identification.result.estimate import Anomaly, Identificat
 from calibration_core.identification.result.tested import TestResult
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Float1D, Float2D
+from calibration_core.timeseries import NO_INTERVALS, Float1D, Float2D, Note
 
 Location = Mapping[str, str | tuple[str, ...]]
 EMPIRICAL = "empirical"  # family of a law that fits and is no physics
+HANDED_OUT, FRAMES = "model", "frames"
+ANSWERED = frozenset({NO_INTERVALS, HANDED_OUT, FRAMES})  # kinds of notes that belong to the answer
 Verdict = Literal["consistent", "missing_physics", "partly_explained", "unexplained"]
 
 
@@ -66,7 +68,7 @@ class Finding:
     """One effect that is missing in the model.
 
     Attributes:
-        effect: Name of the contract, section 6.
+        effect: Name in the catalogue of effects.
         family: Family.
         location: Where; a joint or link is left open (empty) where too many come into question.
         variant: Form of the law, as in the catalogue.
@@ -101,7 +103,7 @@ class Finding:
 
 
 def by_size(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings in the order of the contract: largest effect on the measured points first."""
+    """Return findings in order: largest effect on the measured points first."""
     return tuple(sorted(findings, key=lambda finding: -finding.magnitude))
 
 
@@ -161,7 +163,7 @@ class Diagnosis:
     """The complete answer of `calibration diagnose`.
 
     Attributes:
-        verdict: As in the contract.
+        verdict: One of the verdicts of result.json.
         findings: Largest effect on the measured point first; empirical laws among them are no physics.
         anomalies: Found before any physics.
         rest: What remains.
@@ -227,6 +229,45 @@ class Diagnosis:
         return any(one.recording_spoiled for one in self.comparisons)
 
     @property
+    def noise_known(self) -> float:
+        """Standard deviation of one coordinate: as used, or as the readings show it where they were claimed better."""
+        return max((a.magnitude for a in self.anomalies if a.kind == "noise_understated"), default=self.noise)
+
+    @property
+    def handed_out(self) -> tuple[ModelParameters, GaussianEstimate]:
+        """The model that is written for use, with its uncertainty: the extended one, else the standard's."""
+        if self.model is None:
+            return self.identification.model, self.identification.estimate
+        return self.model, self.estimate
+
+    @property
+    def remarks(self) -> tuple[Note, ...]:
+        """Notes that belong to the answer: which model is written, what the cell file has elsewhere."""
+        return tuple(note for note in self.identification.notes if note.kind in ANSWERED)
+
+    @property
     def physics(self) -> tuple[Finding, ...]:
         """Findings that are effects of the catalogue, not empirical laws."""
         return tuple(finding for finding in self.findings if finding.family != EMPIRICAL)
+
+
+SCALE = ((100.0, "overwhelming"), (5.0, "very strong"), (3.0, "strong"), (1.0, "positive"))
+UNSETTLED = " The joint and the kind of cause are settled, the form of its law is not: another law remains beside it."
+OF_ANY_LAW = (
+    " The joint and the kind of cause are settled, the form of its law is not: it is none of the catalogue's, or an "
+    "error of the joint's gear is part of it."
+)
+MOST = 1_000  # of odds, of which nobody needs the number
+
+
+def evidence_words(log_bayes_factor: float) -> str:
+    """Return for example `very strong evidence`."""
+    return next((word for least, word in SCALE if log_bayes_factor >= least), "hardly any") + " evidence"
+
+
+def odds_words(log_bayes_factor: float) -> str:
+    """Return by what a log Bayes factor, nats, changes the odds of two explanations, for example `12-fold`."""
+    if log_bayes_factor > math.log(MOST):
+        return f"more than {MOST:,}-fold"
+    factor = math.exp(log_bayes_factor)
+    return f"{factor:.0f}-fold" if factor >= 10.0 else f"{factor:.1f}-fold"

@@ -14,9 +14,8 @@ from calibration_core.estimation.hypotheses import LAW
 from calibration_core.estimation.likelihood.small_effects import visible
 from calibration_core.estimation.search import Search
 from calibration_core.model.effects import effects_with
-from calibration_core.model.effects.candidate import Candidate, link_name
+from calibration_core.model.effects.candidate import Candidate, Trait, link_name
 from calibration_core.model.effects.structure import pose_dependent_stiffness
-from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D
 
 TOOL = 1 << 20  # beyond the last joint

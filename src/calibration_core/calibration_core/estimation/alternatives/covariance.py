@@ -20,6 +20,7 @@ import numpy as np
 
 from calibration_core.estimation.alternatives.equivalents import other_places
 from calibration_core.estimation.controls import EQUIVALENT
+from calibration_core.estimation.hypotheses import typical_sizes
 from calibration_core.estimation.leave_out import RIDGE
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.search import Search, Selection
@@ -73,7 +74,7 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
         other = candidates[hypotheses[i].members[0]]
         candidate = fuller_form(other, candidates) or other
         columns = white_columns(extended, candidate)
-        prior = max(float(size[search.place[i]]), extended.parts[part].size) * _typical(candidate)
+        prior = max(float(size[search.place[i]]), extended.parts[part].size) * typical_sizes(candidate)
         ways = instead(
             extended.gram + np.diag(extended.ridge),
             own,
@@ -84,10 +85,6 @@ def _elsewhere(extended: Extended, search: Search, selection: Selection, index: 
             extended.variance,
         )
         yield np.sqrt(share) * ways / length[:, None]
-
-
-def _typical(candidate: Candidate) -> Float1D:
-    return np.array([one.typical for one in candidate.parameters])
 
 
 def other_forms(search: Search, selection: Selection, index: int) -> list[tuple[int, float]]:
@@ -160,7 +157,7 @@ def neglected(mine: Float2D, fuller: Float2D, mine_one: Candidate, fuller_one: C
         fuller_one: The other one.
         value: (c,) sizes of the effect.
     """
-    usual, typical = _typical(mine_one), _typical(fuller_one)
+    usual, typical = typical_sizes(mine_one), typical_sizes(fuller_one)
     along, *_ = np.linalg.lstsq(fuller * typical, mine * usual, rcond=SEEN)
     across = np.linalg.svd(along.T)[2][len(usual) :].T  # combinations that leave what is fitted as it is
     return np.asarray(UNEQUAL * np.abs(value / usual).max() * (fuller * typical) @ across)

@@ -12,9 +12,14 @@ from calibration_core.estimation.likelihood.restricted import Gram, fit_sizes
 from calibration_core.estimation.noise.whitening import Strata, Whitening, whiten
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY
-from calibration_core.model.effects.candidate import number_of
+from calibration_core.model.effects import effect_named
+from calibration_core.model.effects.candidate import number_of, typical
+from calibration_core.model.effects.joint_law.hysteresis import stop
+from calibration_core.model.effects.recordings import each_recording
+from calibration_core.model.effects.springs import largest
+from calibration_core.model.effects.state import State
 from calibration_core.observations.covariance import wrench_covariance
-from calibration_core.timeseries import Float1D, Float2D, Int1D, in_time
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, in_time
 
 SHARED = (0.0, 0.5, 1.0, 1.5)  # of the own noise: slow tracker noise, common to the points of a step
 OFFSETS = (0.0, 0.5, 2.0, 8.0, 30.0)  # of the own noise
@@ -102,3 +107,35 @@ def _wrench(model: NullModel, cell: Cell) -> Float2D:
     root = vectors * np.sqrt(np.clip(values, 0.0, None))[:, None, :]
     moved = model.state.by_wrench @ root
     return weighted(model.problem, model.parameters, moved).reshape(len(model.readings), 3, 6)
+
+
+LAG_RADIUS = 0.3  # of the largest load: change after which a sensor's lag has turned over
+SENSOR_MOUNTING = 5.0  # times better a tracker is registered than a sensor is screwed on
+
+
+def usual_errors(state: State) -> Float3D:
+    """Return (m, 3, k) movements of the points, each for one standard deviation of what is usual, m."""
+    if not state.loaded:
+        return np.zeros((state.m, 3, 0))
+    return np.concatenate([each_recording(sensor_lag, state), each_recording(sensor_mounting, state)], axis=2)
+
+
+def sensor_lag(state: State) -> Float3D:
+    """Return (m, 3, 6) what the lag of every axis of the sensor moves, m."""
+    share = typical("wrench_hysteresis", state.rated_load)
+    force = largest(np.linalg.norm(state.wrench[:, :3], axis=1))
+    torque = largest(np.linalg.norm(state.wrench[:, 3:], axis=1))
+    columns = []
+    for axis in range(6):
+        values = state.wrench[:, axis]
+        span = force if axis < 3 else torque
+        lag = state.along_steps(values, lambda v, span=span: stop(v, LAG_RADIUS * span, 0.0))  # type: ignore[misc]
+        columns.append(state.by_wrench[:, :, axis] * (share * lag / LAG_RADIUS)[:, None])
+    return np.stack(columns, axis=-1)
+
+
+def sensor_mounting(state: State) -> Float3D:
+    """Return (m, 3, 3) what a turn of the sensor's mounting moves, m."""
+    turned = effect_named("wrench_frame_misalignment")
+    size = typical("registration_rotation", state.rated_load) * SENSOR_MOUNTING
+    return np.concatenate([candidate.columns(state) * size for candidate in turned.candidates(state)], axis=2)

@@ -15,7 +15,7 @@ from calibration_core.estimation.hypotheses import typical_sizes
 from calibration_core.estimation.likelihood.gains import beside
 from calibration_core.estimation.rows import NullModel
 from calibration_core.estimation.springs.compensator_geometry import SPRING
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import typical
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.structure.gravity_compensator import carriers
 from calibration_core.timeseries import Float1D

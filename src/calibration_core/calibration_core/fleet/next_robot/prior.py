@@ -29,7 +29,7 @@ COVERAGE = 1.959964
 COMPLIANCE = "compliance."
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class PooledJoint:
     """One joint beside its sisters, N*m/rad (N/m where a joint slides).
 
@@ -127,11 +127,11 @@ def prior_record(
 
 def prior_lines(joints: Sequence[PooledJoint], population: TypePopulation) -> list[str]:
     """Return the joints with and without the population, a line each."""
-    lines = [f"with the population of type {population.type} ({population.source}):"]
+    lines = [f"with the population of type {population.type} ({population.source}; ± 95 %):"]
     for one in joints:
-        raw = f"{one.joint}: {1e-5 * one.raw:.4g} ± {1e-5 * one.raw_std:.2g}"
+        raw = f"{one.joint}: {1e-5 * one.raw:.4g} ± {COVERAGE * 1e-5 * one.raw_std:.2g}"
         if one.belongs:
-            pooled = f"{1e-5 * one.pooled:.4g} ± {1e-5 * one.pooled_std:.2g}"
+            pooled = f"{1e-5 * one.pooled:.4g} ± {COVERAGE * 1e-5 * one.pooled_std:.2g}"
             lines.append(f"  {raw} alone, {pooled} with its sisters, 10⁵ N·m/rad")
         else:
             far = f"{one.deviation:+z.1f} standard deviations"

@@ -14,7 +14,7 @@ from calibration_core.errors import InputError, quoted
 from calibration_core.files.csv_cells import meant
 from calibration_core.files.names import NAME, is_name
 from calibration_core.files.regular import read_regular
-from calibration_core.recording.source import BAG_SUFFIXES, SESSION_DATABASE
+from calibration_core.recording.source import BAG_SUFFIXES, SESSION_DATABASE, storage_suffix
 
 COLUMNS = ("recording", "cell", "robot", "type", "date")
 CELL = "cell.yaml"
@@ -200,6 +200,6 @@ def _recording_in(folder: Path) -> Path:
         child
         for child in sorted(folder.iterdir())
         if (child.is_dir() and ((child / "metadata.yaml").is_file() or (child / SESSION_DATABASE).is_file()))
-        or (child.is_file() and child.suffix.lower() in {".csv", *BAG_SUFFIXES})
+        or (child.is_file() and storage_suffix(child) in {".csv", *BAG_SUFFIXES})
     ]
     return found[0] if len(found) == 1 else folder

@@ -29,7 +29,7 @@ class Row:
         status: `measured` or `failed`.
         error: Why it failed, in one line; empty where it was measured.
         key: SHA-256 of all inputs and the version.
-        usable: Traffic light of its result (contract, section 7); empty where it failed.
+        usable: Traffic light of its result; empty where it failed.
         reason: Why.
         verdict: Of the diagnosis.
         configurations: How many were measured.

@@ -17,7 +17,8 @@ from calibration_core.identification.geometry.fit import AbsoluteProblem, Geomet
 from calibration_core.identification.geometry.identifiability import LEAST_REST, columns_rest
 from calibration_core.identification.geometry.terms import ElasticityTerm, HarmonicTerm, Term
 from calibration_core.identification.statistics.sizes import rms_length
-from calibration_core.timeseries import Float1D, Float2D, Int1D
+from calibration_core.model.effects.absolute.joint_elasticity import turned
+from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that the best control may keep: most of it must go
 UNLOADED = 1e-6  # length of a joint's column, relative to the longest, below which gravity does not load it
@@ -62,11 +63,14 @@ def judge_elasticity(
     """
     n = problem.chain.n
     joints = tuple(range(n))
-    turned = _turned(problem.chain.gravity)
+    sideways = [tuple(gravity.tolist()) for gravity in turned(problem.chain.gravity)]
     blocks: list[Term] = [
         *geometry.terms,
         ElasticityTerm(joints, tuple(f"C{j}" for j in joints)),
-        *(ElasticityTerm(joints, tuple(f"{k}C{j}" for j in joints), g, either_sign=True) for k, g in enumerate(turned)),
+        *(
+            ElasticityTerm(joints, tuple(f"{k}C{j}" for j in joints), g, either_sign=True)
+            for k, g in enumerate(sideways)
+        ),
         HarmonicTerm(joints),
     ]
     model = LinearModel(problem, geometry.parameters, blocks, fold)
@@ -83,13 +87,13 @@ def judge_elasticity(
     if not chosen or not main.clear:
         reason = f"no joint's compliance helps clearly; all together: {main.text}"
         return ElasticityVerdict(chosen, loaded, believed=False, reason=reason, rms=fitted, held_out_rms=main.after)
-    others = [_sound(model, base, [real + (k + 1) * n + j for j in chosen]) for k in range(len(turned))]
+    others = [_sound(model, base, [real + (k + 1) * n + j for j in chosen]) for k in range(len(sideways))]
     controls = [model.held_out([*base, *columns]) for columns in others]
     gains = [compare(before, control, configuration).gain for control in controls]
     best = int(np.argmax(gains))
     kept = max(gains[best], 0.0) / main.gain
     against = compare(controls[best], after, configuration)
-    first = real + (1 + len(turned)) * n
+    first = real + (1 + len(sideways)) * n
     waves = [*base, *_sound(model, base, [first + 2 * j + part for j in chosen for part in (0, 1)])]
     wave = model.held_out(waves)
     beyond = compare(wave, model.held_out([*waves, *(real + j for j in chosen)]), configuration)
@@ -143,14 +147,3 @@ def _sound(model: LinearModel, base: Sequence[int], offered: Sequence[int]) -> l
         if matrix[-1, -1] > 0 and columns_rest(matrix, len(index) - 1) >= LEAST_REST:
             taken.append(column)
     return taken
-
-
-def _turned(gravity: Float1D) -> tuple[tuple[float, float, float], ...]:
-    """Return gravity turned by 90 degrees about two axes perpendicular to it and to each other."""
-    size = float(np.linalg.norm(gravity))
-    down = gravity / size
-    helper = np.eye(3)[int(np.argmin(np.abs(down)))]
-    first = np.cross(down, helper)
-    first /= np.linalg.norm(first)
-    second = np.cross(down, first)
-    return tuple((float(v[0]), float(v[1]), float(v[2])) for v in (size * first, size * second))

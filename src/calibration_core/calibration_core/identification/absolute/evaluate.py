@@ -15,7 +15,7 @@ from calibration_core.identification.absolute.staged_selection import (
     StagedSelection,
     select_stages,
 )
-from calibration_core.identification.checks.exclusion_anomalies import anomalies_of, exclusion
+from calibration_core.identification.checks.exclusion_anomalies import anomalies_of, exclusion, overstated
 from calibration_core.identification.checks.noise_audit import rigid_triangle, window_scatter
 from calibration_core.identification.checks.preconditions import check_preconditions
 from calibration_core.identification.checks.space import operating_space
@@ -40,12 +40,11 @@ from calibration_core.identification.result.estimate import (
     Unidentified,
 )
 from calibration_core.identification.result.observability import stiffness_table
-from calibration_core.identification.statistics.normal_matrix import column_scale
 from calibration_core.identification.statistics.sizes import rms
-from calibration_core.identification.statistics.solve import Solution
+from calibration_core.identification.statistics.solve import Solution, column_scale
 from calibration_core.identification.stiffness.outlier_rejection import Key
 from calibration_core.identification.stiffness.tested import tested_on
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import typical
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
@@ -146,7 +145,7 @@ def identification_of(
         stages=case.staged.stages,
         unidentified=(*case.hidden, *case.choice.unidentified),
         exclusions=exclusions,
-        anomalies=anomalies_of(noise, exclusions, readings),
+        anomalies=(*overstated(noise), *anomalies_of(noise, exclusions, readings)),
         preconditions=check_preconditions(readings, cell, space, figures.noise),
         residuals=_residuals(case, readings, covariance, noise.scale),
         space=space,

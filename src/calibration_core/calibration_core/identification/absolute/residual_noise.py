@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from calibration_core.identification.checks.noise_audit import audit, rejects
-from calibration_core.identification.result.estimate import NoiseAudit, NoiseCheck
+from calibration_core.identification.result.estimate import REPEATS, TRIANGLE, NoiseAudit, NoiseCheck
 from calibration_core.timeseries import Float2D, Float3D, Int1D
 
 ENOUGH = 50  # readings below which neighbours say nothing
@@ -103,21 +103,21 @@ def audit_absolute(
     plain = audit(noise, checks, chi2, freedom)
     if neighbours is None:
         return plain
-    seen = NoiseCheck(NEIGHBOURS, neighbours.closest, 3 * neighbours.pairs)
+    repeats = neighbours.distance <= REPEATED
+    seen = NoiseCheck(REPEATS if repeats else NEIGHBOURS, neighbours.closest, 3 * neighbours.pairs)
     with_neighbours = dataclasses.replace(plain, checks=(*plain.checks, seen))
     if plain.scale == 1.0 or not neighbours.systematic:
         return with_neighbours
-    repeats = neighbours.distance <= REPEATED
     share = 1 - min(neighbours.closest / (plain.claimed * plain.scale), 1.0) ** 2
     left, closest = plain.claimed * plain.scale * 1e6, neighbours.closest * 1e6
     text = (
         f"{plain.claimed * 1e6:.1f} µm per coordinate claimed, {left:.1f} µm left by the model. "
-        f"The closest {'repeats of a posture' if repeats else 'neighbouring postures'} "
+        f"The closest {seen.source} "
         f"(within {_angle(neighbours.distance)}) differ by {closest:.1f} µm only: the noise is not larger than that, "
         f"and at least {100 * share:.0f} % of the variance left depends on posture: the model leaves something out. "
         "The standard deviations treat it as independent from pose to pose and are rather too small."
     )
-    others = any(check.source == "rigid triangle" for check in plain.checks) and plain.understated
+    others = any(check.source == TRIANGLE for check in plain.checks) and plain.understated
     understated = others or (repeats and rejects(seen, plain.claimed))
     if understated:
         text += " The readings scatter more than claimed all the same."

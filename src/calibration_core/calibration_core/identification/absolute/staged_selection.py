@@ -108,7 +108,7 @@ def select_stages(
     """Add frames, geometry and elasticity, each kept only if held-out configurations gain clearly.
 
     The rule is `Improvement.clear`, for elasticity with the controls of `elasticity`; the frames are kept always,
-    because the cell file's are nominal (contract, section 4).  Geometry that gains nothing clearly by itself is kept
+    because the cell file's are nominal.  Geometry that gains nothing clearly by itself is kept
     where it does so together with elasticity, which may hide it.
 
     Args:

@@ -19,9 +19,8 @@ from calibration_core.identification.checks.preconditions import (
     TEST_UNCERTAINTY_RATIO,
     TOLERANCE,
 )
-from calibration_core.model.instruments import tracker_covariance
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.simulation.simulate import Loading, Schedule, predict_schedule
+from calibration_core.model.simulation.simulate import Loading, Schedule, predict_schedule, tracker_covariance
 from calibration_core.timeseries import Condition, Float2D, Override
 
 STABLE = 1.0  # K: largest change of temperature over STABLE_TIME (the standard gives no figure)
@@ -128,8 +127,8 @@ def _start_up(state: CellState) -> Condition:
 
 def _rated_load(state: CellState, cell: Cell) -> Condition:
     rated = cell.robot.rated_load * (float(np.linalg.norm(cell.gravity)) or STANDARD_GRAVITY)
-    value = f"{state.largest_force:.0f} N at most"
-    met = state.largest_force <= ROUNDING * rated
+    force = state.largest_force + float(np.linalg.norm(cell.tool_weight))
+    value, met = f"{force:.0f} N at most", force <= ROUNDING * rated
     return Condition("rated_load", "5.1", "load within the rated load", f"{rated:.0f} N", value, met, shall=True)
 
 
@@ -193,5 +192,5 @@ def expected_ratio(planned: Sequence[Loading], cell: Cell) -> float:
         full = rows[np.argmax(np.linalg.norm(schedule.wrench[rows, :3], axis=1))]
         sizes.append(np.sum((position[full] - position[rows[0]]) ** 2, axis=1))
     deflection = float(np.sqrt(np.mean(sizes)))
-    variance = np.einsum("mii->m", tracker_covariance(cell, position.reshape(-1, 3))) / 3
+    variance = np.einsum("mii->m", tracker_covariance(cell, position.reshape(-1, 3)))  # of a length, as the deflection
     return deflection / (2 * math.sqrt(2) * float(np.sqrt(variance.mean()))) if deflection > 0.0 else math.nan

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from calibration_core.identification.result.estimate import Anomaly, Exclusion, NoiseAudit
+from calibration_core.input_checks.loaded import MANY, OVERSTATED, overstated_words
 from calibration_core.timeseries import Readings
 
 OUTLIERS = "outlier_readings"
@@ -59,6 +60,15 @@ def outliers_of(exclusions: Sequence[Exclusion]) -> tuple[Anomaly, ...]:
     return (Anomaly(OUTLIERS, where, (keys[0][0], keys[-1][0]), largest.size, "m", text),)
 
 
+def overstated(noise: NoiseAudit) -> tuple[Anomaly, ...]:
+    """Return the anomaly of positions at rest that scatter far less than is claimed; loads are looked at before."""
+    left = noise.left
+    if left.degrees_of_freedom < MANY or left.seen > OVERSTATED * noise.claimed:
+        return ()
+    text, remedy = overstated_words("the fit leaves", left.seen, noise.claimed)
+    return (Anomaly("noise_overstated", {"tracker": "tracker"}, None, left.seen, "m", text, remedy),)
+
+
 def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: Readings) -> tuple[Anomaly, ...]:
     """Return understated noise, excluded readings and unsettled plateaus.
 
@@ -69,7 +79,7 @@ def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: R
     """
     found = []
     if noise.understated:
-        seen = noise.claimed * noise.scale
+        seen = noise.seen_without_model or noise.claimed * noise.scale
         found.append(Anomaly("noise_understated", {"instrument": "tracker"}, None, seen, "m", noise.text))
     found += outliers_of(exclusions)
     unsettled = [note for note in readings.notes if note.kind == "unsettled"]

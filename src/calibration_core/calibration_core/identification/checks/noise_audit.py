@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.identification.result.estimate import NoiseAudit, NoiseCheck
+from calibration_core.identification.result.estimate import MODEL_FREE, TRIANGLE, NoiseAudit, NoiseCheck
 from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
 from calibration_core.observations.covariance import coordinate_std
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Int1D, Readings
 
-MODEL_FREE = ("rigid triangle",)
 UNLOADED_FORCE = 0.02  # steps below this share of the largest force count as unloaded
 
 
@@ -41,7 +40,7 @@ def rigid_triangle(position: Float2D, readings: Readings, used: Bool1D) -> Noise
         for check, claim in zip(found, claimed, strict=True)
         if check is not None
     )
-    return NoiseCheck("rigid triangle", _claimed(readings, used) * float(np.sqrt(squares / freedom)), freedom)
+    return NoiseCheck(TRIANGLE, _claimed(readings, used) * float(np.sqrt(squares / freedom)), freedom)
 
 
 def _claimed(readings: Readings, rows: Bool1D) -> float:
@@ -71,7 +70,7 @@ def _triangle(position: Float2D, readings: Readings, used: Bool1D, points: Int1D
         shape = shape - shape.mean(axis=0)
     rest = _laid_on(shape, table) - shape
     freedom = (len(table) - 1) * (3 * k - 6)
-    return NoiseCheck("rigid triangle", float(np.sqrt((rest**2).sum() / freedom)), freedom)
+    return NoiseCheck(TRIANGLE, float(np.sqrt((rest**2).sum() / freedom)), freedom)
 
 
 def zero_return(residual: Float2D, readings: Readings, used: Bool1D) -> NoiseCheck | None:

@@ -18,6 +18,7 @@ MIN_CONFIGURATIONS = 12
 STANDARD_GRAVITY = 9.80665  # m/s^2, where the cell file states none
 AMBIENT, TOLERANCE = 20.0, 2.0  # degrees Celsius
 TEST_UNCERTAINTY_RATIO = 5.0
+NO_STIFFNESS = "its stiffness is not stated"
 SAME = 0.01  # rad, m: postures whose joints differ by less are one
 MANY = 2_000  # configurations from which on nobody asks whether twelve of them differ
 UNLOADED = 0.1  # of the range of the force: less above the smallest one is no load
@@ -109,9 +110,10 @@ def _who(override: Override | None) -> str:
 
 def _end_effector(cell: Cell) -> Precondition:
     tool = cell.end_effector
-    found = "its stiffness is not stated" if tool is None else f"its compliance is accounted for ({tool.source})"
+    stated = tool is not None and tool.states_stiffness
+    found = f"its compliance is accounted for ({tool.source})" if tool is not None and stated else NO_STIFFNESS
     requirement = "end effector considerably stiffer than the robot, or its compliance accounted for"
-    return Precondition("5.1", requirement, found, None if tool is None else True, "end_effector")
+    return Precondition("5.1", requirement, found, True if stated else None, "end_effector")
 
 
 def _configurations(space: OperatingSpace) -> Precondition:
@@ -156,21 +158,23 @@ def _temperature(readings: Readings) -> Precondition:
 
 def _rated_load(cell: Cell, space: OperatingSpace) -> Precondition:
     assert space.force is not None  # noqa: S101 - asked for only with a load
-    largest = float(np.linalg.norm(space.force, axis=1).max())
+    largest = float(np.linalg.norm(space.force + cell.tool_weight, axis=1).max())
     rated = cell.robot.rated_load * (float(np.linalg.norm(cell.gravity)) or STANDARD_GRAVITY)
     sensor = cell.instruments.force_torque
     expanded = 2 * np.sqrt(3) * (0.0 if sensor is None else sensor.sigma_force)  # k = 2, three axes
+    weight = float(np.linalg.norm(cell.tool_weight))
     found = f"largest force {largest:,.0f} N, {100 * largest / rated:.1f} %"
+    found += f", with the end effector's weight of {weight:,.0f} N" if weight else ", without the end effector's weight"
     if rated < largest <= rated + expanded:
         found = (
             f"largest reading {largest:.0f} N, above the limit by {largest - rated:.1f} N, which is within the "
-            f"measurement uncertainty of the force (± {expanded:.1f} N, k = 2)"
+            f"measurement uncertainty of the force (± {expanded:.1f} N, k = 2): whether it is met stays open"
         )
     return Precondition(
         "5.1",
         f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:,.0f} N)",
         f"{found} (torques are not part of this check)",
-        bool(largest <= rated + expanded),
+        True if largest <= rated else None if largest <= rated + expanded else False,
         "rated_load",
     )
 
@@ -191,7 +195,7 @@ def _uncertainty_ratio(space: OperatingSpace, sigma: float) -> Precondition:
         found = "no deflection is measured in an absolute recording"
         return Precondition("5.3", requirement, found, None, "uncertainty_ratio", shall=False)
     size = float(np.sqrt(np.mean(np.sum(space.deflection**2, axis=1))))
-    expanded = 2 * np.sqrt(2) * sigma
+    expanded = 2 * np.sqrt(2 * 3) * sigma  # of the length of a difference of two readings, three coordinates
     ratio = size / expanded
     found = (
         f"1:{ratio:.1f} (deflection {1e3 * size:.3f} mm rms, "
@@ -218,7 +222,7 @@ def _calibrated(cell: Cell, start: str) -> list[Precondition]:
 def _calibrated_before(stated: str, start: str) -> tuple[str, bool | None]:
     if not stated:
         return "no calibration date in the cell file", None
-    calibrated, measured = _day(stated), _day(start)
+    calibrated, measured = day_of(stated), day_of(start)
     if calibrated is None:
         return f"“{stated}” in the cell file, which is no date (YYYY-MM-DD)", None
     if measured is None:
@@ -228,7 +232,7 @@ def _calibrated_before(stated: str, start: str) -> tuple[str, bool | None]:
     return stated, True
 
 
-def _day(text: str) -> dt.date | None:
+def day_of(text: str) -> dt.date | None:
     """Return the day at which a text in ISO 8601 begins; None where it begins otherwise."""
     try:
         return dt.date.fromisoformat(text[:10])

@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.model.chain import rotation_rpy
+from calibration_core.model.chain import nearest_rotation, rotation_rpy
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.timeseries import Float1D, Float2D
@@ -73,7 +73,7 @@ def evaluate_sensor_test(wrenches: Float2D, weights: Float2D) -> SensorTest:
     """Fit sign, frame, mass, bias and centre of mass.
 
     Args:
-        wrenches: (n, 6) N and N*m, mean reading at each orientation, as the contract declares it.
+        wrenches: (n, 6) N and N*m, mean reading at each orientation, as recordings declare it.
         weights: (n, 3) m/s^2, gravity at each orientation in the declared sensor axes.
 
     Raises:
@@ -111,10 +111,8 @@ _Fit = tuple[int, float, Float2D, Float1D]
 def _fit(force: Float2D, weights: Float2D, sign: int) -> _Fit:
     a = sign * (weights - weights.mean(axis=0))
     b = force - force.mean(axis=0)
-    u, singular, vt = np.linalg.svd(b.T @ a)
-    flip = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))])
-    rotation = u @ flip @ vt
-    mass = float((singular * np.diag(flip)).sum() / (a**2).sum())
+    rotation = nearest_rotation(b.T @ a)
+    mass = float(np.sum(b * (a @ rotation.T)) / (a**2).sum())
     bias = force.mean(axis=0) - sign * mass * rotation @ weights.mean(axis=0)
     return sign, mass, rotation, bias
 

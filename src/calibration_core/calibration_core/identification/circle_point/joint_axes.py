@@ -12,11 +12,80 @@ from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.circle_point.circle import Circle, fit_circle
 from calibration_core.identification.circle_point.coaxial import fit_coaxial
-from calibration_core.identification.circle_point.sweeps import Sweep, single_joint_sweeps
 from calibration_core.model.chain import Chain, rotation_vector, rpy_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
-from calibration_core.timeseries import Float1D, Float2D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Int1D, Readings
+
+STILL = 2e-4  # rad: how much a joint at rest may seem to move
+LEAST = 5  # poses in a sweep
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sweep:
+    """Consecutive readings of one point with one set of moving joints.
+
+    Attributes:
+        joints: Indices of the joints that move.
+        rows: Indices of the readings, in the order of the recording.
+    """
+
+    joints: tuple[int, ...]
+    rows: Int1D
+
+
+def single_joint_sweeps(q: Float2D, point: Int1D) -> tuple[Sweep, ...]:
+    """Return the sweeps in which exactly one joint moves, of at least five poses each.
+
+    Args:
+        q: (m, n) rad.
+        point: (m,) measurement point of each reading.
+    """
+    found = []
+    for name in np.unique(point):
+        rows = np.flatnonzero(point == name)
+        moved = np.abs(np.diff(q[rows], axis=0)) > STILL
+        passed = 0
+        for start in map(int, np.flatnonzero(moved.sum(axis=1) == 1)):
+            if start < passed:
+                continue
+            end = start + 1
+            while end + 1 < len(rows) and _still(q[rows[start]], q[rows[end + 1]], moved[start]):
+                end += 1
+            if end - start + 1 >= LEAST:
+                found.append(Sweep((int(np.argmax(moved[start])),), rows[start : end + 1]))
+                passed = end
+    return tuple(found)
+
+
+def _still(first: Float2D, other: Float2D, moving: np.ndarray) -> bool:
+    return bool(np.all(np.abs(other - first)[~moving] <= STILL))
+
+
+def wrist_sweep(q: Float2D, point: Int1D, wrist: tuple[int, ...]) -> tuple[Sweep, ...]:
+    """Return, per point, the longest stretch in which the arm stands and only the wrist joints move.
+
+    Args:
+        q: (m, n) rad.
+        point: (m,).
+        wrist: Indices of the wrist joints.
+    """
+    arm = np.ones(q.shape[1], dtype=bool)
+    arm[list(wrist)] = False
+    found = []
+    for name in np.unique(point):
+        rows = np.flatnonzero(point == name)
+        best = rows[:0]
+        start = 0
+        for end in range(1, len(rows) + 1):
+            if end == len(rows) or np.any(np.abs(q[rows[end]] - q[rows[start]])[arm] > STILL):
+                if end - start > len(best):
+                    best = rows[start:end]
+                start = end
+        if len(best) >= LEAST:
+            found.append(Sweep(wrist, best))
+    return tuple(found)
+
 
 SHORT_ARC = np.radians(60)  # below it a base frame to 0.1 mm is out of reach at 20 um
 STEP = 1e-6  # m and rad, of the differences by which uncertainties are carried on

@@ -21,7 +21,7 @@ from calibration_core.identification.geometry.terms import (
     names_of,
     places_of,
 )
-from calibration_core.identification.statistics.normal_matrix import column_scale, scaled_inverse
+from calibration_core.identification.statistics.solve import column_scale, scaled_inverse
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.kinematics import posture

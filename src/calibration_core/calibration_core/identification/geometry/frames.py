@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.model.chain import rotation_about
+from calibration_core.model.chain import aligned, nearest_rotation, rotation_about
 from calibration_core.model.kinematics import Posture
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
@@ -27,9 +27,12 @@ class FrameFit:
         tracker: (4, 4) pose of the tracker frame in the base frame.
         points: (k, 3) m, measurement points in the flange frame.
         covariance: (6 + 3 k, 6 + 3 k) of tracker position (m), tracker rotation (rad, base axes) and points (m),
-            from the residuals' own scatter.
+            `scatter` and what the geometry of a robot is usually off by, as far as the residuals show it: readings of
+            near postures share that.
         rms: Root mean square per coordinate, m.
         rank: Number of parameters that the readings determine; the others keep their first guess.
+        scatter: The part of `covariance` that the residuals show, and the claimed noise at the least.
+        freedom: Degrees of freedom; with none the frames take up whatever the model leaves out.
     """
 
     tracker: Float2D
@@ -37,9 +40,19 @@ class FrameFit:
     covariance: Float2D
     rms: float
     rank: int
+    scatter: Float2D
+    freedom: int
 
 
-def fit_frames(at: Posture, position: Float2D, point: Int1D, points: Float2D, tracker: Float2D | None) -> FrameFit:
+def fit_frames(
+    at: Posture,
+    position: Float2D,
+    point: Int1D,
+    points: Float2D,
+    tracker: Float2D | None,
+    claimed: float = 0.0,
+    usual: tuple[float, float] = (0.0, 0.0),
+) -> FrameFit:
     """Fit the tracker pose and the measurement points to absolute positions by least squares.
 
     Args:
@@ -48,6 +61,8 @@ def fit_frames(at: Posture, position: Float2D, point: Int1D, points: Float2D, tr
         point: (m,) index of the measurement point of each reading.
         points: (k, 3) m, first guess of the points in the flange frame.
         tracker: (4, 4) first guess of the tracker pose; None if there is none.
+        claimed: Standard deviation of a coordinate that the instrument claims, m.
+        usual: Standard deviations of what the frame before a joint is off by, m along and rad about each of its axes.
     """
     pose = _first_guess(at, position, point, points) if tracker is None else np.array(tracker)
     tool = np.array(points, dtype=float)
@@ -66,8 +81,45 @@ def fit_frames(at: Posture, position: Float2D, point: Int1D, points: Float2D, tr
             break
     residual, columns = _linearise(at, position, point, tool, pose)
     inverse, rank = _inverse(columns, scale)
-    variance = float(residual @ residual) / max(len(residual) - rank, 1)
-    return FrameFit(pose, tool, inverse * variance, float(np.sqrt(np.mean(residual**2))), rank)
+    freedom = len(residual) - rank
+    variance = max(float(residual @ residual) / max(freedom, 1), claimed**2)
+    errors = _geometry(at, at.point(tool[point].T), usual)
+    taken_up = inverse @ (columns.T @ errors)
+    shared = taken_up * np.sqrt(_seen(residual, errors - columns @ taken_up, freedom, claimed))
+    scatter, rms = inverse * variance, float(np.sqrt(np.mean(residual**2)))
+    return FrameFit(pose, tool, scatter + shared @ shared.T, rms, rank, scatter, freedom)
+
+
+def _seen(residual: Float1D, expected: Float2D, freedom: int, claimed: float) -> float:
+    """Return which part of the usual variance of a geometry the residual shows, all of it at the most.
+
+    The residual's part that no error of the geometry makes says how large the noise is.  The part is no less than what
+    this noise can hide: the standard deviation of its sum of squares.
+
+    Args:
+        residual: (3 m,) m, what the frames leave.
+        expected: (3 m, e) m, what the usual errors would leave of it, one by one.
+        freedom: Degrees of freedom of the residual; with none it shows nothing.
+        claimed: Standard deviation of a coordinate, m.
+    """
+    basis, size, _ = np.linalg.svd(expected, full_matrices=False)
+    basis = basis[:, size > RANK_TOLERANCE * size.max(initial=0.0)]
+    rank, whole = basis.shape[1], float(np.sum(size**2))
+    if freedom == 0 or rank == 0:
+        return 1.0
+    along = basis.T @ residual
+    others = max(float(residual @ residual - along @ along), 0.0)
+    variance = max(others / (freedom - rank), claimed**2) if freedom > rank else claimed**2
+    excess = float(along @ along) - rank * variance
+    return min(max(excess, np.sqrt(2.0 * rank) * variance) / whole, 1.0)
+
+
+def _geometry(at: Posture, point: Float2D, usual: tuple[float, float]) -> Float2D:
+    """Return (3 m, 6 n) what the usual errors of the frames before the joints move the points, (3, m) m."""
+    shift, turn = usual
+    axes = [(axis, origin) for frame, origin in zip(at.before, at.origin, strict=True) for axis in frame]
+    moved = [np.stack([shift * axis, turn * np.cross(axis, point - origin, axis=0)], axis=-1) for axis, origin in axes]
+    return np.concatenate(moved, axis=-1).transpose(1, 0, 2).reshape(point.size, -1)
 
 
 def _inverse(columns: Float2D, scale: Float1D) -> tuple[Float2D, int]:
@@ -120,15 +172,8 @@ def _first_guess(at: Posture, position: Float2D, point: Int1D, points: Float2D) 
     solution, _, rank, _ = np.linalg.lstsq(flat, target.reshape(-1), rcond=1e-9)
     rotation = solution[:9].reshape(3, 3)
     if rank < flat.shape[1] or np.linalg.det(rotation) <= 0:
-        rotation = _procrustes(position, at.point(points[point].T).T)
-    u, _, vt = np.linalg.svd(rotation)
+        rotation = aligned(at.point(points[point].T).T, position)
     pose = np.eye(4)
-    pose[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    pose[:3, :3] = nearest_rotation(rotation)
     pose[:3, 3] = np.mean(at.point(points[point].T).T - position @ pose[:3, :3].T, axis=0)
     return pose
-
-
-def _procrustes(source: Float2D, target: Float2D) -> Float2D:
-    """Return the rotation that best takes the centred `source` to the centred `target` (Kabsch, 1976)."""
-    u, _, vt = np.linalg.svd((target - target.mean(0)).T @ (source - source.mean(0)))
-    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

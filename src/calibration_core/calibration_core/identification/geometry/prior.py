@@ -21,7 +21,7 @@ from calibration_core.identification.geometry.fit import (
 )
 from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm, Term, TrackerTerm, names_of
 from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
-from calibration_core.identification.statistics.normal_matrix import scaled_inverse
+from calibration_core.identification.statistics.solve import scaled_inverse
 from calibration_core.model.chain import rotation_vector
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D

@@ -18,8 +18,8 @@ from calibration_core.identification.geometry.terms import (
     Term,
     TermContext,
     TrackerTerm,
-    turned_by,
 )
+from calibration_core.model.chain import rotation_about
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float3D, Readings
 
@@ -41,7 +41,8 @@ def fit_each(
     """
     points = {name: believed.points[name] for name in readings.points}
     at_tracker = np.linalg.inv(believed.tracker)
-    setups, blocks, squares = [], np.zeros((6 + 3 * len(points),) * 2), []
+    setups, squares, freedom = [], [], 0
+    covariance, scatter = np.zeros((2, *(6 + 3 * len(points),) * 2))
     for rows in readings.each():
         part = readings.select(rows)
         found = fit(part, believed)
@@ -49,15 +50,19 @@ def fit_each(
         setups.append(at_tracker @ found.tracker)
         points |= {readings.points[k]: found.points[k] for k in own}
         index = np.concatenate([6 + 3 * k + np.arange(3) for k in own])
-        blocks[np.ix_(index, index)] = found.covariance[np.ix_(index, index)]
-        blocks[:6, :6] += found.covariance[:6, :6] / len(readings.each())
+        for whole, part_of in ((covariance, found.covariance), (scatter, found.scatter)):
+            whole[np.ix_(index, index)] = part_of[np.ix_(index, index)]
+            whole[:6, :6] += part_of[:6, :6] / len(readings.each())
         squares.append(found.rms**2 * len(part))
+        freedom += found.freedom
     frames = FrameFit(
         tracker=np.array(believed.tracker),
         points=np.stack(list(points.values())),
-        covariance=blocks,
+        covariance=covariance,
         rms=float(np.sqrt(np.sum(squares) / len(readings))),
         rank=6 + 3 * len(points),
+        scatter=scatter,
+        freedom=freedom,
     )
     return believed.replace(points={**believed.points, **points}, setups=np.stack(setups)), frames
 
@@ -94,7 +99,7 @@ class SetupTerm(PoseSteps):
         """Apply a twist from the left, in the base frame."""
         assert parameters.setups is not None  # noqa: S101 - the term is for several recordings
         twist = np.eye(4)
-        twist[:3, :3], twist[:3, 3] = turned_by(step[3:]), step[:3]
+        twist[:3, :3], twist[:3, 3] = rotation_about(step[3:]), step[:3]
         setups = np.array(parameters.setups)
         base = parameters.tracker
         setups[self.recording] = np.linalg.inv(base) @ twist @ base @ setups[self.recording]

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calibration_core.model.chain import Chain, rotation_xyz, rotation_y, rotation_z
+from calibration_core.model.chain import Chain, rotation_about, rotation_xyz, rotation_y, rotation_z
 from calibration_core.model.equilibrium import Equilibrium
 from calibration_core.model.kinematics import Posture, linear_jacobian, turn
 from calibration_core.model.parameters import ModelParameters
@@ -113,7 +113,7 @@ class TrackerTerm(PoseSteps):
 
     def moved(self, parameters: ModelParameters, step: Float1D) -> ModelParameters:
         """Apply a twist from the left."""
-        tracker = turned_by(step[3:]) @ parameters.tracker[:3, :]
+        tracker = rotation_about(step[3:]) @ parameters.tracker[:3, :]
         tracker[:, 3] += step[:3]
         return parameters.replace(tracker=np.vstack([tracker, [0.0, 0.0, 0.0, 1.0]]))
 
@@ -226,7 +226,7 @@ class ElasticityTerm:
 
     joints: tuple[int, ...]
     labels: tuple[str, ...]
-    gravity: tuple[float, float, float] | None = None
+    gravity: tuple[float, ...] | None = None
     either_sign: bool = False
 
     @property
@@ -343,16 +343,6 @@ def correction_axis(geometry: Float1D, kind: int) -> Float1D:
     if kind < 3:
         return rotation_xyz(rx, ry, rz).T @ unit
     return rotation_z(rz).T @ (rotation_y(ry).T @ unit if kind == 3 else unit)
-
-
-def turned_by(rotation: Float1D) -> Float2D:
-    """Return the (3, 3) rotation exp(w) of a rotation vector w, rad."""
-    angle = float(np.linalg.norm(rotation))
-    x, y, z = rotation
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-8:
-        return np.eye(3) + skew + 0.5 * skew @ skew
-    return np.eye(3) + np.sin(angle) / angle * skew + (1 - np.cos(angle)) / angle**2 * skew @ skew
 
 
 def cross_into(a: Float2D, b: Float2D, out: Float2D) -> None:

@@ -6,8 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from calibration_core.identification.result.phase import Decoupled, PhaseEstimate
-from calibration_core.identification.result.standard_methods import StandardGeometry
+from calibration_core.identification.result.phase import Decoupled, PhaseEstimate, StandardGeometry
 from calibration_core.identification.result.tested import TestResult
 from calibration_core.identification.result.together import Together
 from calibration_core.model.identified.gaussian import GaussianEstimate
@@ -96,9 +95,9 @@ class Exclusion:
     times_sigma: float
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Fit:
-    """Root mean squares per coordinate, m, over all readings after the best frames (contract, section 5).
+    """Root mean squares per coordinate, m, over all readings after the best frames.
 
     Attributes:
         rms_before: Model with the values believed so far, frames refitted; rigid where no stiffness is stated.
@@ -111,6 +110,8 @@ class Fit:
         rms_used: As `rms_after`, over the readings that were used (exclusions left out).
         chi2: Weighted sum of squares over the readings used.
         degrees_of_freedom: Readings used times three, less offsets and parameters.
+        positions: Root mean square per coordinate, m, of what the absolute positions of a loaded recording leave, with
+            tracker and targets fitted and the geometry not; NaN where there are none.
     """
 
     rms_before: float
@@ -123,6 +124,11 @@ class Fit:
     rms_used: float = float("nan")
     chi2: float = float("nan")
     degrees_of_freedom: int = 0
+    positions: float = float("nan")
+
+
+TRIANGLE, REPEATS = "rigid triangle", "repeats of a posture"
+MODEL_FREE = frozenset({TRIANGLE, REPEATS})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,6 +163,16 @@ class NoiseAudit:
     scale: float
     understated: bool
     text: str
+
+    @property
+    def left(self) -> NoiseCheck:
+        """What the fit leaves."""
+        return next(check for check in self.checks if check.source == "residual")
+
+    @property
+    def seen_without_model(self) -> float | None:
+        """The largest noise that readings show by themselves, m; None where they show none."""
+        return max((check.seen for check in self.checks if check.source in MODEL_FREE), default=None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -218,15 +234,15 @@ class Stage:
 
 @dataclasses.dataclass(frozen=True)
 class Anomaly:
-    """Something wrong with the data that is no physics of the robot (contract, sections 5 and 6).
+    """Something wrong with the data that is no physics of the robot.
 
     Attributes:
-        kind: A word of the contract, e.g. `noise_understated`, `unsettled`, `outlier_readings`.
+        kind: One of the kinds, e.g. `noise_understated`, `unsettled`, `outlier_readings`.
         location: For example {"point": "mp1"}.
         configurations: First and last configuration concerned; None if all.
         magnitude, unit: How large, and in which unit.
         text, remedy: What is seen, in one sentence, and what to do about it; empty where the text says it.
-        further: `factor`, `joints`, `points` or `axes` where they apply (contract, section 7).
+        further: `factor`, `joints`, `points` or `axes` where they apply.
     """
 
     kind: str

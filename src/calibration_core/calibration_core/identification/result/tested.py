@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -11,10 +11,12 @@ import numpy as np
 from calibration_core.timeseries import Float2D, Readings
 
 PartKind = Literal["loaded", "at_rest"]
+MISFIT = 1.5  # times the noise: an error on what was not fitted that is none
+WORSE = 1.05  # times the error of the model that it is compared with
 PARTS: Mapping[PartKind, str] = {"loaded": "differences under load", "at_rest": "postures at rest"}
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class TestPart:
     """How two models do on the part of a second recording that shows one kind of thing.
 
@@ -71,6 +73,7 @@ class TestResult:
         sha256: File name -> SHA-256 hex digest of every file of the second recording.
         parts: Its loaded part and its postures at rest, each by itself.
         reason: What of it says nothing, and why; empty where all of it does.
+        own_frames: Whether its tracker or targets stand elsewhere, so that all figures are with its own.
     """
 
     __test__ = False
@@ -85,9 +88,12 @@ class TestResult:
     sha256: Mapping[str, str] = dataclasses.field(default_factory=dict)
     parts: tuple[TestPart, ...] = ()
     reason: str = ""
+    own_frames: bool = False
 
     @classmethod
-    def of(cls, readings: Readings, parts: Sequence[TestPart], after: Float2D, before: Float2D) -> TestResult:
+    def of(
+        cls, readings: Readings, parts: Sequence[TestPart], after: Float2D, before: Float2D, *, own_frames: bool
+    ) -> TestResult:
         """Sum up what two models leave of a recording.
 
         Args:
@@ -95,6 +101,7 @@ class TestResult:
             parts: Its parts by themselves.
             after: (m, 3) m, left by the identified model, of the readings that count.
             before: (m, 3) m, left by the model that it is compared with.
+            own_frames: Whether they are with frames of the recording's own, which stand elsewhere.
         """
         return cls(
             readings.provenance.path,
@@ -103,7 +110,34 @@ class TestResult:
             sha256=readings.provenance.sha256,
             parts=tuple(parts),
             reason="; ".join(f"{PARTS[part.kind]}: {part.reason}" for part in parts if part.reason),
+            own_frames=own_frames,
         )
+
+    def beyond(self, noise: float, kinds: Container[PartKind]) -> TestPart | None:
+        """Return the part that shows most clearly that a model leaves more than noise; None where none does.
+
+        Args:
+            noise: Standard deviation of a coordinate, m.
+            kinds: Of the parts that the fitted recording speaks of.
+        """
+        parts = [one for one in self.parts if one.kind in kinds and one.rms > MISFIT * noise]
+        return max(parts, key=lambda one: one.rms, default=None)
+
+    def worse(self, standard: TestResult, noise: float) -> tuple[TestPart, TestPart] | None:
+        """Return a part that the model predicts worse than the standard's does, beyond the noise, as both predict it.
+
+        The errors of both hold the same noise, so that their squares are compared: the noise makes their difference
+        uncertain by 2 sigma |difference| over all coordinates (here: sigma times the larger).
+
+        Args:
+            standard: What the standard's model does on the same recording.
+            noise: Standard deviation of a coordinate, m.
+        """
+        for one, other in zip(self.parts, standard.parts, strict=True):
+            uncertain = 2 * noise * one.rms / np.sqrt(3 * one.readings)
+            if one.rms > WORSE * other.rms and one.rms**2 - other.rms**2 > 2 * uncertain:
+                return one, other
+        return None
 
 
 def _sizes(after: Float2D, before: Float2D) -> tuple[float, float, float, float, float]:

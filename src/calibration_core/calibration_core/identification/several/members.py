@@ -12,8 +12,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.cell.identity import robot_sha256
 from calibration_core.errors import InputError, RecordingError, quoted
-from calibration_core.observations.kinds import holds_single_steps, is_loaded
-from calibration_core.observations.same import refuse_same
+from calibration_core.observations.kinds import holds_single_steps, is_loaded, refuse_same
 from calibration_core.timeseries import Readings
 
 

@@ -20,13 +20,13 @@ from calibration_core.identification.absolute.evaluate import evaluate_absolute,
 from calibration_core.identification.checks.preconditions import check_preconditions
 from calibration_core.identification.checks.space import operating_space
 from calibration_core.identification.result.estimate import Anomaly, Exclusion, Identification, Residuals, Unidentified
-from calibration_core.identification.several.first import SET_UP, estimate_of_set_up, of_set_up
 from calibration_core.identification.several.members import Member
 from calibration_core.identification.several.merge import Merged, merge, placed, start_of, with_readmitted
 from calibration_core.identification.several.mixture import identify_mixture
 from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.standard.phases import holds_phases
 from calibration_core.identification.stiffness.loaded import MIN_CONFIGURATIONS, Options, identify_steps
+from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
@@ -275,3 +275,37 @@ def _part(readings: Readings, rows: Bool1D) -> Readings:
     own = np.unique(some.point)
     points = tuple(some.points[k] for k in own)
     return dataclasses.replace(some, points=points, point=np.searchsorted(own, some.point))
+
+
+POINTS, TRACKER = "measurement_points.", "tracker."
+SET_UP = ("tracker", "point")  # groups of parameters that belong to no robot
+
+
+def of_set_up(model: ModelParameters, member: Member, alone: Identification) -> ModelParameters:
+    """Return a model of several set-ups with tracker pose and points of one of them.
+
+    Args:
+        model: Of all together.
+        member: The one.
+        alone: What it shows by itself.
+    """
+    tracker = alone.model.tracker
+    if model.setups is not None:
+        tracker = model.tracker @ model.setups[member.number - 1] @ tracker
+    points = {name: np.array(point) for name, point in member.cell.frames.measurement_points.items()}
+    points |= {name: model.points[member.point(name)] for name in member.readings.points}
+    return model.replace(tracker=tracker, points=points, setups=None)
+
+
+def estimate_of_set_up(estimate: GaussianEstimate, member: Member, alone: Identification) -> GaussianEstimate:
+    """Return what is known of the numbers of `of_set_up`: what is shared, and the set-up's own points and tracker.
+
+    The tracker pose, and points that displacements do not show, are known as the set-up shows them by itself.
+    """
+    mark = f"@{member.number}."
+    others = (POINTS, TRACKER)
+    kept = [k for k, name in enumerate(estimate.names) if mark in name or not name.startswith(others)]
+    shared = estimate.chosen(kept)
+    shared = shared.renamed([name.replace(mark, ".") for name in shared.names])
+    own = [k for k, name in enumerate(alone.estimate.names) if name.startswith(others) and name not in shared.names]
+    return GaussianEstimate.independent((shared, alone.estimate.chosen(own)))

@@ -15,8 +15,7 @@ from calibration_core.cell import Cell
 from calibration_core.identification.geometry.fit import moved
 from calibration_core.identification.geometry.prior import GaussianPrior, difference
 from calibration_core.identification.geometry.terms import PointTerm, TermContext, TrackerTerm, names_of, places_of
-from calibration_core.identification.statistics.normal_matrix import scaled_inverse
-from calibration_core.identification.statistics.solve import Solution, solve_non_negative
+from calibration_core.identification.statistics.solve import Solution, scaled_inverse, solve_non_negative
 from calibration_core.identification.stiffness.fit import CONVERGED, LoadedFit, fit_compliance, normal_of
 from calibration_core.identification.stiffness.loaded import Options, PreparedLoaded, require_load
 from calibration_core.identification.stiffness.outlier_rejection import reject_outliers

@@ -18,8 +18,7 @@ from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.absolute.gross_errors import GrossErrorRejection, reject_gross_errors
 from calibration_core.identification.checks.exclusion_anomalies import exclusion
-from calibration_core.identification.circle_point.joint_axes import first_guess
-from calibration_core.identification.circle_point.sweeps import single_joint_sweeps, wrist_sweep
+from calibration_core.identification.circle_point.joint_axes import first_guess, single_joint_sweeps, wrist_sweep
 from calibration_core.identification.geometry.fit import AbsoluteProblem
 from calibration_core.identification.geometry.identifiability import (
     ParameterSelection,
@@ -34,7 +33,7 @@ from calibration_core.identification.result.estimate import Exclusion, Unidentif
 from calibration_core.identification.standard.standard_geometry import unbent
 from calibration_core.identification.stiffness.loaded import UNLOADED
 from calibration_core.identification.wrist.centre import WRIST
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import typical
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of

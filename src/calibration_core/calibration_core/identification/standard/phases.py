@@ -26,8 +26,8 @@ from calibration_core.identification.result.phase import (
     STIFFNESS,
     WRIST_CENTRE,
     PhaseEstimate,
+    StandardGeometry,
 )
-from calibration_core.identification.result.standard_methods import StandardGeometry
 from calibration_core.identification.standard.decoupled import with_decoupled
 from calibration_core.identification.standard.fit_with_prior import FitWithPrior, fit_with_prior
 from calibration_core.identification.standard.kinematic_phases import Kinematics, PhaseRows, identify_kinematics, split

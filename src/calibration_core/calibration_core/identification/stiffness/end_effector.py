@@ -24,7 +24,11 @@ def accounted(cell: Cell, given: GivenModel | None) -> GivenModel | None:
         CellError: Neither a model nor the cell file says where the tracker is, so the directions are not known.
     """
     tool = cell.end_effector
-    if tool is None or (given is not None and any(one.effect == TOOL_COMPLIANCE for one in given.parameters.effects)):
+    if (
+        tool is None
+        or not tool.states_stiffness
+        or (given is not None and any(one.effect == TOOL_COMPLIANCE for one in given.parameters.effects))
+    ):
         return given
     pairs = (("rotation", tool.rotation), ("translation", tool.translation))
     values = {f"{kind}_{axis}": value for kind, row in pairs for axis, value in zip("xyz", row, strict=True)}
@@ -49,7 +53,7 @@ def relative_stiffness(cell: Cell, q: Float2D) -> float:
         q: (m, n) rad, configurations that are measured.
     """
     tool, parameters = cell.end_effector, nominal_parameters(cell)
-    if tool is None or not np.any(parameters.compliance):
+    if tool is None or not tool.states_stiffness or not np.any(parameters.compliance):
         return float("nan")
     point = np.zeros(3) if parameters.wrench_point is None else parameters.wrench_point
     at = posture(chain_of(cell), q)

@@ -24,19 +24,33 @@ from calibration_core.identification.result.estimate import (
 )
 from calibration_core.identification.result.observability import stiffness_table, weak_directions
 from calibration_core.identification.statistics.sizes import rms
-from calibration_core.identification.stiffness.fit import CONVERGED, NEARLY, Deflections, LoadedFit, fit_compliance
-from calibration_core.identification.stiffness.left_out import held_out_compliance
+from calibration_core.identification.stiffness.fit import (
+    CONVERGED,
+    NEARLY,
+    Deflections,
+    LoadedFit,
+    fit_compliance,
+    held_out_compliance,
+)
 from calibration_core.identification.stiffness.outlier_rejection import Key, OutlierRejection, reject_outliers
 from calibration_core.identification.stiffness.predict import from_step_zero
-from calibration_core.identification.stiffness.problem import LoadedProblem, Method, Weights, build_problem
-from calibration_core.identification.stiffness.relative import counted, relative
+from calibration_core.identification.stiffness.problem import (
+    LoadedProblem,
+    Method,
+    Weights,
+    build_problem,
+    counted,
+    relative,
+)
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.chain import Chain
+from calibration_core.model.effects.candidate import typical
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.observations.covariance import coordinate_std, position_covariance
 from calibration_core.observations.kinds import loaded_configurations
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D, Readings
 
@@ -130,7 +144,7 @@ def identify_prepared(
         names=joints,
         covariance=fit.solution.covariance * scale**2,
         condition_number=fit.solution.condition_number,
-        fit=figures,
+        fit=figures if frames is None else dataclasses.replace(figures, positions=frames.rms),
         noise=noise,
         stages=(),
         unidentified=weak_directions(joints, fit.solution, chain.rigid),
@@ -278,7 +292,12 @@ def _fitted_frames(
     some = readings.select(_unloaded(readings))
     rest = solve_equilibrium(chain, some.q, believed.compliance, load_of(some, cell, believed))
     points = np.stack([believed.points[name] for name in readings.points])
-    fit = fit_frames(rest.at, some.position, some.point, points, guess)
+    claimed = coordinate_std(position_covariance(some, cell))
+    usual = (0.0, 0.0)
+    if not np.any(believed.geometry):  # one that was calibrated is no longer so far off
+        load = cell.robot.rated_load
+        usual = typical("registration_geometry_length", load), typical("registration_geometry_angle", load)
+    fit = fit_frames(rest.at, some.position, some.point, points, guess, claimed, usual)
     if guess is None and fit.rank < 6:
         raise IdentificationError(
             readings.provenance.path,

@@ -10,7 +10,8 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.statistics.offsets import Rows
+from calibration_core.identification.statistics.offsets import Rows, without_offsets
+from calibration_core.identification.stiffness.predict import from_step_zero, references
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects.state import wrench_response
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
@@ -19,7 +20,7 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.statics import Load, load_torque
 from calibration_core.observations.covariance import position_covariance, wrench_covariance
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings, in_time
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, in_time
 
 KEPT = 3  # equilibria and linearisations that a problem remembers: the diagnosis comes back to a few compliances
 T = TypeVar("T")
@@ -219,3 +220,24 @@ def _shared_loads(readings: Readings) -> Int1D:
     keys = np.column_stack([readings.configuration, readings.step, readings.wrench])
     _, index = np.unique(keys, axis=0, return_inverse=True)
     return index.reshape(-1).astype(np.int64)
+
+
+def relative(problem: LoadedProblem, linear: Linearised, cell: Cell, used: Int1D | Bool1D | None = None) -> Float2D:
+    """Return the (m, 3) m residuals after the best offsets; for displacement recordings, relative to step 0.
+
+    Args:
+        problem: All readings.
+        linear: The problem at some compliances, with the residuals.
+        cell: The cell file.
+        used: Readings that the offsets rest on, as indices or mask; None: all.
+    """
+    if cell.measurements.points == "displacement":
+        return from_step_zero(problem.readings, linear.residual)
+    return without_offsets(linear.rows if used is None else linear.rows.counting(used), linear.residual)
+
+
+def counted(readings: Readings, cell: Cell) -> Bool1D:
+    """Say which readings count in the figures, (m,): all but step 0 of a displacement recording, zero by definition."""
+    if cell.measurements.points == "absolute":
+        return np.ones(len(readings), dtype=bool)
+    return ~references(readings)

@@ -3,7 +3,8 @@
 Configurations with several steps show differences under load: the free offset of every configuration and point takes up
 geometry and frames.  Postures with one step show positions: tracker pose and targets are set-up and no property of the
 robot, so that they are fitted to the test recording itself.  Where the fitted recording shows positions at rest, too,
-its frames are part of what it says: the figures of the whole test recording are then with these, and nothing is fitted.
+its frames are part of what it says: the figures of the whole test recording are then with these, and nothing is fitted,
+unless they stand elsewhere in the test recording.
 """
 
 from __future__ import annotations
@@ -59,14 +60,15 @@ def tested_on(
     loaded = _with_several_steps(readings)
     if not loaded.any():
         require_positions(readings, cell)
-    parts, left = [], []
-    for rows, judged in ((loaded, _differences), (~loaded, _positions)):
-        if rows.any():
-            part, *errors = judged(readings, rows, cell, (model, before), with_frames)
-            parts.append(part)
-            left.append(errors)
+    parts, left, elsewhere = [], [], False
+    if loaded.any():
+        part, *errors = _differences(readings, loaded, cell, (model, before))
+        parts, left = [part], [errors]
+    if not loaded.all():
+        part, elsewhere, *errors = _positions(readings, ~loaded, cell, (model, before), with_frames)
+        parts, left = [*parts, part], [*left, errors]
     after, nominal = (np.concatenate(both) for both in zip(*left, strict=True))
-    return TestResult.of(readings, parts, after, nominal)
+    return TestResult.of(readings, parts, after, nominal, own_frames=elsewhere)
 
 
 def _with_several_steps(readings: Readings) -> Bool1D:
@@ -79,9 +81,7 @@ def _with_several_steps(readings: Readings) -> Bool1D:
     return np.asarray(np.bincount(pairs[:, 0], minlength=len(numbers))[group] > 1)
 
 
-def _differences(
-    readings: Readings, rows: Bool1D, cell: Cell, models: Models, _: bool
-) -> tuple[TestPart, Float2D, Float2D]:
+def _differences(readings: Readings, rows: Bool1D, cell: Cell, models: Models) -> tuple[TestPart, Float2D, Float2D]:
     """Judge differences under load; what both models leave of them, (m, 3) m each, is in the frames of the first."""
     part = readings.select(rows)
 
@@ -99,13 +99,13 @@ def _differences(
 
 def _positions(
     readings: Readings, rows: Bool1D, cell: Cell, models: Models, with_frames: bool
-) -> tuple[TestPart, Float2D, Float2D]:
-    """Judge positions at rest; what both models leave of them, (m, 3) m each, may be with their own frames."""
+) -> tuple[TestPart, bool, Float2D, Float2D]:
+    """Judge positions at rest, and say whether their frames stand elsewhere; what both models leave, (m, 3) m each."""
     part = readings.select(rows)
     count = len(np.unique(part.configuration))
     if cell.measurements.points == "displacement":
         reason = "one step alone shows nothing where positions are displacements from step 0"
-        return TestPart.without_figures("at_rest", count, len(part), reason), np.zeros((0, 3)), np.zeros((0, 3))
+        return TestPart.without_figures("at_rest", count, len(part), reason), False, np.zeros((0, 3)), np.zeros((0, 3))
     problem = problem_of(part, cell, chain_of(cell), models[0], position_covariance(part, cell))
     shifts = [shift_by_effects(readings, cell, one)[rows] for one in models]
     own = [problem.residual(one).T - shift for one, shift in zip(models, shifts, strict=True)]
@@ -114,19 +114,19 @@ def _positions(
     except IdentificationError as error:
         reason = f"tracker pose and targets cannot be fitted to them: found {error.found}, expected {error.expected}"
         left = own if with_frames else [np.zeros((0, 3))] * 2
-        return TestPart.without_figures("at_rest", count, len(part), reason), left[0], left[1]
+        return TestPart.without_figures("at_rest", count, len(part), reason), False, left[0], left[1]
     fitted = [_with_set_up(problem, one, shift) for one, shift in zip(models, shifts, strict=True)]
     judged = _judged("at_rest", part, cell, fitted[0], fitted[1])
     if not with_frames:
-        return judged, fitted[0], fitted[1]
-    if rms(own[0]) > ELSEWHERE * rms(fitted[0]):
+        return judged, False, fitted[0], fitted[1]
+    elsewhere = rms(own[0]) > ELSEWHERE * rms(fitted[0])
+    if elsewhere:
         reason = (
-            "the tracker or the targets stand elsewhere than in the fitted recording: with the frames of that one, as "
-            f"in the figures of the whole recording, {1e3 * rms(own[0]):.3g} mm are left per coordinate, with their "
-            f"own {1e3 * rms(fitted[0]):.3g} mm"
+            "the tracker or the targets stand elsewhere than in the fitted recording, whose frames would leave "
+            f"{1e3 * rms(own[0]):.3g} mm per coordinate: all figures are with those that were fitted to this one"
         )
-        judged = dataclasses.replace(judged, reason="; ".join(filter(None, (judged.reason, reason))))
-    return judged, own[0], own[1]
+        judged, own = dataclasses.replace(judged, reason="; ".join(filter(None, (judged.reason, reason)))), fitted
+    return judged, elsewhere, own[0], own[1]
 
 
 def _with_set_up(problem: AbsoluteProblem, model: ModelParameters, shift: Float2D) -> Float2D:

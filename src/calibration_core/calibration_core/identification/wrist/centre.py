@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.circle_point.sweeps import LEAST, Sweep, wrist_sweep
+from calibration_core.identification.circle_point.joint_axes import LEAST, Sweep, wrist_sweep
 from calibration_core.identification.wrist.fit import fit_wrist
 from calibration_core.identification.wrist.sphere import Sphere, fit_sphere, trilaterate
 from calibration_core.model.robot import chain_of

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
-from calibration_core.identification.statistics.normal_matrix import scaled_inverse
-from calibration_core.model.chain import rotation_about
+from calibration_core.identification.statistics.solve import scaled_inverse
+from calibration_core.model.chain import nearest_rotation, rotation_about
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 ITERATIONS = 30
@@ -142,11 +142,8 @@ def _prior(covariance: Float2D) -> Float2D:
 
 
 def _rotations(local: Float2D, seen: Float3D) -> Float3D:
-    """Return the rotations (m, 3, 3) that best take the arms (k, 3) to those seen, (m, k, 3) (Kabsch, 1976)."""
-    u, _, vt = np.linalg.svd(np.einsum("mka,kb->mab", seen, local))
-    sign = np.linalg.det(u @ vt)
-    u[:, :, 2] *= sign[:, None]
-    return u @ vt
+    """Return the rotations (m, 3, 3) that best take the arms (k, 3) to those seen, (m, k, 3)."""
+    return nearest_rotation(np.einsum("mka,kb->mab", seen, local))
 
 
 def _skew(vectors: Float3D) -> Float4D:

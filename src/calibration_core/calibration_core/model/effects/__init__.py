@@ -6,10 +6,9 @@ import functools
 import importlib
 import pkgutil
 
-from calibration_core.model.effects.candidate import Candidate, Effect
+from calibration_core.model.effects.candidate import Candidate, Effect, Trait
 from calibration_core.model.effects.recordings import in_each_recording
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.traits import Trait
 
 
 @functools.cache

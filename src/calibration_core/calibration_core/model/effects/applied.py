@@ -8,13 +8,36 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.model.effects import effect_named, effects_with
-from calibration_core.model.effects.candidate import Candidate
+from calibration_core.model.effects.candidate import Candidate, Trait
 from calibration_core.model.effects.recordings import RECORDING, in_recording
-from calibration_core.model.effects.side_torques import Acting, acting, with_side_torques
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.traits import Trait
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D
+
+Acting = tuple[tuple[Candidate, Float1D], ...]  # effects that act on joints, with their parameters
+
+
+def acting(candidates: Sequence[Candidate], values: Sequence[Float1D]) -> Acting:
+    """Return those of several effects, (k,) parameters each, that act on a joint with a torque."""
+    several = zip(candidates, values, strict=True)
+    return tuple((one, value) for one, value in several if one.torques is not None and np.any(value))
+
+
+def with_side_torques(state: State, springs: Acting) -> State:
+    """Return a state in which joints carry the torques of springs beside them, too.
+
+    Args:
+        state: What load and weight do.
+        springs: The effects, and their parameters.
+    """
+    if not springs:
+        return state if state.side_torque is None else dataclasses.replace(state, side_torque=None)
+    side = np.zeros((state.chain.n, state.m))
+    for candidate, value in springs:
+        if candidate.torques is not None:
+            side[state.chain.joints.index(str(candidate.location["joint"]))] += candidate.torques(state) @ value
+    return dataclasses.replace(state, side_torque=side)
+
 
 REFERENCE = "reference_torque"
 

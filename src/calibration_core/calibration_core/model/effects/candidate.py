@@ -3,15 +3,47 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
+import functools
 import math
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
+import numpy as np
+
+from calibration_core.files.yaml_file import read_yaml
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.traits import OF_A_FAMILY, Trait
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float2D, Float3D
+
+
+class Trait(enum.Enum):
+    """A property that an effect has or lacks."""
+
+    OF_LARGEST_TORQUE = "its law refers to the largest torque of the recording, which a model keeps with it"
+    SPRING = "it acts on its joint with a torque of its own (`Candidate.torques`), which laws of that joint feel"
+    MEMORY = "what happened before shows in it, so that it goes on in time"
+    LAG = "under changing loads its joint lags, and so it does on the way to a posture"
+    DRIFT = "it grows with time, as noise that lasts does"
+    HISTORY = "a posture alone does not tell it: from where, when or how warm it was reached does"
+    PATH = "it means nothing for places that are no path"
+    FRAMES = "where absolute positions fix the frames of the measurement, these take it up and are refitted"
+    GEOMETRY = "where absolute positions fix the geometry of the robot, this takes it up and is refitted"
+    ACTS_IN_USE = "it moves the robot in production, too, where nothing is measured"
+    DAMAGE = "a robot that has it, unlike others of its type, may be damaged"
+    BY_WEIGHT = "in positions at rest the robot's own weight drives it, and its size is relative to what that is"
+
+
+OF_A_FAMILY: Mapping[str, frozenset[Trait]] = MappingProxyType({
+    "structure": frozenset({Trait.ACTS_IN_USE, Trait.DAMAGE, Trait.BY_WEIGHT}),
+    "joint law": frozenset({Trait.ACTS_IN_USE, Trait.DAMAGE, Trait.BY_WEIGHT}),
+    "absolute": frozenset({Trait.ACTS_IN_USE}),
+    "load chain": frozenset(),
+    "point chain": frozenset(),
+})  # fmt: skip
+"""What all effects of a family have, without saying it."""
 
 
 def link_name(index: int) -> str:
@@ -51,8 +83,8 @@ class Candidate:
     """One hypothesis.
 
     Attributes:
-        effect: Name of the contract, section 6.
-        family: Family of the contract, section 6.
+        effect: Its name in the catalogue.
+        family: Its family in the catalogue.
         location: For example {"joint": "joint_2"}.
         variant: Which form of the effect's law or which choice of axes; part of the hypothesis, not of its name.
         parameters: k of them.
@@ -121,8 +153,8 @@ class Effect:
     """An entry of the catalogue; one file defines one.
 
     Attributes:
-        name: Name of the contract, section 6.
-        family: Family of the contract, section 6.
+        name: Its name in the catalogue.
+        family: Its family in the catalogue.
         equation: The law, in one line.
         source: Where it comes from.
         reveal: The measurement that would show it best.
@@ -164,3 +196,22 @@ class Effect:
         key = (self.name, tuple(sorted(described.location.items())), described.variant)
         offered = (self.forms or self.candidates)(state)
         return next((found for found in offered if found.key == key), None)
+
+
+SMALL, LARGE = 10.0, 240.0  # kg
+MAX_BYTES = 1 << 20
+FILE = Path(__file__).with_name("priors.yaml")
+
+
+@functools.cache
+def typical(name: str, rated_load: float) -> float:
+    """Return the typical magnitude of a parameter for a robot of this rated load (kg)."""
+    entry = _table()[name]
+    share = np.clip(np.log(rated_load / SMALL) / np.log(LARGE / SMALL), 0.0, 1.0)
+    return float(np.exp((1 - share) * np.log(entry["small"]) + share * np.log(entry["large"])))
+
+
+@functools.cache
+def _table() -> dict[str, dict[str, Any]]:
+    table: dict[str, dict[str, Any]] = read_yaml(FILE, MAX_BYTES, "table of typical magnitudes (YAML)").data
+    return table

@@ -1,8 +1,8 @@
 """A calibrated robot: the identified model, how well it is known, and within which range that was seen.
 
-model = read_calibrated("model.yaml", cell)      # from model_file; schema 1 and 2
+model = read_calibrated("model.yaml", cell)      # from model_file
 chain = chain_of(cell).corrected(model.parameters.geometry)
-if model.estimate is not None:                   # schema 1 has no intervals
+if model.estimate is not None:                   # a file without `parameters` has no intervals
     names, units, value, covariance = ...        # model.estimate: one GaussianEstimate of everything identified
 sample = with_values(model.parameters, {"compliance.joint_2": 1.1e-6})
 reasons = model.valid_range.outside(q, force, torque, temperature)
@@ -14,9 +14,13 @@ import dataclasses
 
 import numpy as np
 
+from calibration_core.cell import Cell
 from calibration_core.model.identified.gaussian import GaussianEstimate
+from calibration_core.model.kinematics import cross, posture
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Float1D, Float2D, read_only
+from calibration_core.model.recorded_load import recorded_load
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import Float1D, Float2D, Readings, read_only
 
 MARGIN = 1e-6  # rad, m, K and share of the load: what rounding puts outside is inside
 
@@ -74,9 +78,7 @@ class ValidRange:
         )  # fmt: skip
 
 
-WITHOUT_INTERVALS = (
-    "The model file is of schema 1: it has no covariance, and nothing that is taken from it has an interval."
-)
+WITHOUT_INTERVALS = "The model file states no covariance: nothing that is taken from it has an interval."
 """What every command that reads such a file says, once."""
 
 
@@ -86,10 +88,41 @@ class CalibratedModel:
 
     Attributes:
         parameters: The identified, or extended, model.
-        estimate: Everything identified with its joint covariance; None: the file is of schema 1, without intervals.
+        estimate: Everything identified with its joint covariance; None: nothing was identified, there are no intervals.
         valid_range: What the recording covered; None where the file does not say.
     """
 
     parameters: ModelParameters
     estimate: GaussianEstimate | None
     valid_range: ValidRange | None
+
+
+def range_of(readings: Readings, cell: Cell, parameters: ModelParameters) -> ValidRange:
+    """Return what a recording covers.
+
+    Args:
+        readings: The recording.
+        cell: How its wrenches are recorded.
+        parameters: Where sensor and wrench point sit.
+
+    Raises:
+        CellError: The robot cannot be read, or a frame that the wrench needs is missing.
+    """
+    known = readings.temperature[np.isfinite(readings.temperature)]
+    sizes = np.zeros((2, 1)) if readings.wrench is None else _sizes(readings, cell, parameters)
+    return ValidRange(
+        joints=np.column_stack([readings.q.min(axis=0), readings.q.max(axis=0)]),
+        force=(float(sizes[0].min()), float(sizes[0].max())),
+        torque=(float(sizes[1].min()), float(sizes[1].max())),
+        temperature=(float(known.min()), float(known.max())) if len(known) else None,
+    )
+
+
+def _sizes(readings: Readings, cell: Cell, parameters: ModelParameters) -> Float2D:
+    """Return the sizes (2, m) of force, N, and of torque about the wrench point, N*m."""
+    assert readings.wrench is not None  # noqa: S101 - asked for only where one was recorded
+    at = posture(chain_of(cell).corrected(parameters.geometry), readings.q)
+    force, torque, where = recorded_load(readings.wrench, cell, parameters).in_base(at)
+    if parameters.wrench_point is not None:
+        torque = torque + cross(where - at.point(parameters.wrench_point), force)
+    return np.stack([np.linalg.norm(force, axis=0), np.linalg.norm(torque, axis=0)])

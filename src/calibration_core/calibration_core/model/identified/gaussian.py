@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -82,6 +82,17 @@ class GaussianEstimate:
             self.value[rows],
             self.covariance[np.ix_(rows, rows)],
         )
+
+    def scaled(self, factors: Mapping[str, float]) -> GaussianEstimate:
+        """Return the same with the standard deviations of some parameters, by name, larger by factors."""
+        factor = np.array([factors.get(name, 1.0) for name in self.names])
+        return dataclasses.replace(self, covariance=self.covariance * np.outer(factor, factor))
+
+    def with_std(self, std: Mapping[str, float]) -> GaussianEstimate:
+        """Return the same with these standard deviations of some parameters, by name; what is unknown stays so."""
+        own = dict(zip(self.names, self.std, strict=True))
+        known = {name: own[name] for name in std if 0 < own.get(name, 0.0) < np.inf}
+        return self.scaled({name: std[name] / before for name, before in known.items()})
 
     def renamed(self, names: Sequence[str]) -> GaussianEstimate:
         """Return the same parameters under other names."""

@@ -52,7 +52,7 @@ class GivenModel:
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What its reader must know: a file of schema 1 has no intervals."""
+        """What its reader must know: a file without a covariance gives no intervals."""
         text = WITHOUT_INTERVALS[0].lower() + WITHOUT_INTERVALS[1:].removesuffix(".")
         return () if self.estimate is not None else (Note(NO_INTERVALS, self.file, text),)
 

@@ -4,9 +4,9 @@ YAML, SI units.  `geometry` holds corrections to the cell file's nominal geometr
 name, those of its joints, and the digest of the robot section with its URDF (`robot_sha256`) are checked; the cell
 file's own hash is kept for the record.
 
-Schema 2 lists everything that was identified as `parameters` (name, unit, value, std; the name is the path of the
-number in this file, see `named_values`), with their joint `covariance` as the rows of its lower triangle (`.inf` on the
-diagonal: nothing is known), and the `valid_range` of the recording.  Schema 1 has none of these and is still read.
+Everything that was identified stands in `parameters` (name, unit, value, std; the name is the path of the number in
+this file, see `named_values`), with their joint `covariance` as the rows of its lower triangle (`.inf` on the diagonal:
+nothing is known), and the `valid_range` of the recording.
 """
 
 from __future__ import annotations
@@ -39,21 +39,10 @@ from calibration_core.timeseries import Float2D
 
 SCHEMA = 2
 MAX_BYTES = 4 << 20  # many times what a model with all its covariances takes
-OLD_KEYS = (
-    "schema",
-    "robot",
-    "cell",
-    "joints",
-    "compliance",
-    "stiffness",
-    "geometry",
-    "tracker",
-    "measurement_points",
-    "wrench_point",
-    "force_torque",
-    "effects",
-)
-KEYS = (*OLD_KEYS, "robot_sha256", "parameters", "covariance", "valid_range")
+KEYS = (
+    "schema", "robot", "cell", "joints", "compliance", "stiffness", "geometry", "tracker", "measurement_points",
+    "wrench_point", "force_torque", "effects", "robot_sha256", "parameters", "covariance", "valid_range",
+)  # fmt: skip
 EFFECT_KEYS = ("effect", "location", "variant", "parameters")
 
 
@@ -122,11 +111,9 @@ def read_calibrated(path: str | Path, cell: Cell) -> CalibratedModel:
     with file.locating():
         data = _content(file)
         parameters = _parameters(file.path, data, cell)
-        if data["schema"] == 1:
-            return CalibratedModel(parameters, None, None)
-        return CalibratedModel(
-            parameters, read_estimate(file.path, data, parameters), read_range(file.path, data, parameters.joints)
-        )
+        estimate = read_estimate(file.path, data, parameters)
+        covered = read_range(file.path, data, parameters.joints)
+        return CalibratedModel(parameters, estimate if estimate.names else None, covered)
 
 
 def _parameters(path: Path, data: dict[str, Any], cell: Cell) -> ModelParameters:
@@ -135,7 +122,7 @@ def _parameters(path: Path, data: dict[str, Any], cell: Cell) -> ModelParameters
         raise ModelFileError(path, "joints", quoted(data.get("joints")), f"the cell's joints {list(joints)}")
     if data.get("robot") != cell.robot.name:
         raise ModelFileError(path, "robot", quoted(data.get("robot")), f"the cell's robot {quoted(cell.robot.name)}")
-    if data["schema"] == SCHEMA and data.get("robot_sha256") != robot_sha256(cell):
+    if data.get("robot_sha256") != robot_sha256(cell):
         expected = f"{robot_sha256(cell)}, the digest of the cell's robot section and URDF (another robot, or changed)"
         raise ModelFileError(path, "robot_sha256", quoted(data.get("robot_sha256")), expected)
     n = len(joints)
@@ -171,12 +158,11 @@ def _content(file: YamlFile) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ModelFileError(path, "", quoted(data), f"a mapping with the keys {', '.join(KEYS)}")
     schema = data.get("schema")
-    if isinstance(schema, bool) or schema not in (1, SCHEMA):
-        raise ModelFileError(path, "schema", quoted(schema), f"1 or {SCHEMA}")
-    keys = OLD_KEYS if schema == 1 else KEYS
-    unknown = [key for key in data if key not in keys]
+    if isinstance(schema, bool) or schema != SCHEMA:
+        raise ModelFileError(path, "schema", quoted(schema), f"{SCHEMA}, as identify and diagnose write it now")
+    unknown = [key for key in data if key not in KEYS]
     if unknown:
-        raise ModelFileError(path, unknown[0], "an unknown key", f"one of {', '.join(keys)}")
+        raise ModelFileError(path, unknown[0], "an unknown key", f"one of {', '.join(KEYS)}")
     return data
 
 

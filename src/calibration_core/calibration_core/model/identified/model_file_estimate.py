@@ -1,4 +1,4 @@
-"""What a model file of schema 2 says of its numbers: names, units, joint covariance, and the range of the recording."""
+"""What a model file says of its numbers: names, units, joint covariance, and the range of the recording."""
 
 from __future__ import annotations
 

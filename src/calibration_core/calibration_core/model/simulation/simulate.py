@@ -17,11 +17,11 @@ from calibration_core.model.chain import Chain
 from calibration_core.model.effects.applied import applied_shift
 from calibration_core.model.effects.state import state_of
 from calibration_core.model.equilibrium import solve_equilibrium
-from calibration_core.model.instruments import tracker_covariance, wrench_sigma
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.recorded_load import recorded_load
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import Load
+from calibration_core.observations.covariance import spherical_covariance
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Provenance, Readings, read_only
 
 TEMPERATURE = 20.0  # degrees Celsius, as the standard wants it
@@ -247,3 +247,17 @@ def simulate_plan(
         temperature=(TEMPERATURE + noise.temperature)[of_step] if known else np.full(len(of_step), np.nan),
         provenance=Provenance("simulation", "csv", {}, {"measurements": len(of_step)}),
     )
+
+
+def tracker_covariance(cell: Cell, position: Float2D) -> Float3D:
+    """Return the covariance of tracker readings at positions (m, 3) m, tracker frame: (m, 3, 3) m^2, tracker axes."""
+    tracker = cell.instruments.tracker
+    if tracker.sigma is not None:
+        return np.tile(np.eye(3) * tracker.sigma**2, (len(position), 1, 1))
+    return spherical_covariance(position, tracker)
+
+
+def wrench_sigma(cell: Cell) -> Float1D:
+    """Return the standard deviations (6,) of one wrench reading, N and N*m; zeros without a claim."""
+    claim = cell.instruments.force_torque
+    return np.zeros(6) if claim is None else np.repeat([claim.sigma_force, claim.sigma_torque], 3)

@@ -14,7 +14,6 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError
-from calibration_core.model.instruments import tracker_covariance, wrench_sigma
 from calibration_core.model.kinematics import posture
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
@@ -30,6 +29,8 @@ from calibration_core.model.simulation.simulate import (
     Schedule,
     draw_noise,
     predict_schedule,
+    tracker_covariance,
+    wrench_sigma,
 )
 from calibration_core.timeseries import (
     NANOSECONDS,

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.cell.urdf import MOST_RADIANS, RADIANS
+from calibration_core.cell.urdf import MOST_RADIANS, RADIANS, endless
 from calibration_core.errors import CellError, quoted
-from calibration_core.model.chain import Chain, rotation_x
-from calibration_core.model.mimic import Mimic
-from calibration_core.model.urdf.mimics import gears_of, narrowed
+from calibration_core.model.chain import Chain, Mimic, rotation_x
 from calibration_core.model.urdf.tree import MOVING, Tree, tree_of, unit_axis
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
@@ -186,6 +185,98 @@ def _limits(cell: Cell, tree: Tree) -> Float2D:
     limits = np.empty((len(cell.robot.joints), 2))
     for i, name in enumerate(cell.robot.joints):
         joint = tree.joints[name]
-        endless = joint.type == "continuous"
-        limits[i] = (-ENDLESS, ENDLESS) if endless else (joint.limit.lower, joint.limit.upper)
+        stated = (0.0, 0.0) if joint.type == "continuous" else (joint.limit.lower, joint.limit.upper)
+        limits[i] = (-ENDLESS, ENDLESS) if endless(joint.type, *stated) else stated
     return limits
+
+
+@dataclasses.dataclass(frozen=True)
+class Gear:
+    """How a mimic joint goes with one of the robot's own: it stands at multiplier times that one plus offset.
+
+    Attributes:
+        driver: Index of the robot's own joint.
+        multiplier: rad or m per rad or m.
+        offset: rad, m where the mimic joint slides.
+    """
+
+    driver: int
+    multiplier: float
+    offset: float
+
+
+def gears_of(cell: Cell, tree: Tree, path: list[str]) -> dict[str, Gear]:
+    """Return the gears of the mimic joints among the joints from base to flange, by name.
+
+    One whose multiplier is 0, or that mimics a driven joint beside the chain, stands still, as `Tree.standing` says,
+    and is none of them.
+
+    Raises:
+        CellError: A joint of the cell mimics another, or one on the chain mimics what is none of the cell's.
+    """
+    own, joints = cell.robot.joints, tree.joints
+    found = {}
+    for name in path:
+        mimic = joints[name].mimic
+        if mimic is None or joints[name].type not in MOVING:
+            continue
+        driver, multiplier, offset = str(mimic.joint), float(mimic.multiplier), float(mimic.offset)
+        if name in own:
+            expected = f"joints with a drive of their own: leave it out, it goes with {quoted(driver)}"
+            raise CellError(cell.path, f"robot.joints.{own.index(name)}", f"{quoted(name)}, a mimic joint", expected)
+        beside = joints.get(driver)
+        if driver not in path and beside is not None and beside.type in MOVING and beside.mimic is None:
+            continue
+        if driver not in own:
+            raise CellError(
+                cell.urdf_path or cell.path,
+                f"joint {quoted(name)}, mimic",
+                "nothing" if mimic.joint is None else f"{quoted(driver)}, {_what(tree, driver, name)}",
+                f"one of the cell's joints, which drive: {', '.join(own)}",
+            )
+        if multiplier != 0.0:
+            found[name] = Gear(own.index(driver), multiplier, offset)
+    return found
+
+
+def _what(tree: Tree, driver: str, name: str) -> str:
+    """Say why a joint cannot drive a mimic joint."""
+    joint = tree.joints.get(driver)
+    if joint is None:
+        return "no joint of the URDF"
+    if joint.type not in MOVING:
+        return f"a {joint.type} joint"
+    if joint.mimic is not None:
+        chain = [name, driver]
+        while (following := tree.joints.get(chain[-1])) is not None and following.mimic is not None:
+            chain.append(str(following.mimic.joint))
+            if chain[-1] in chain[:-1]:
+                return f"in a circle of mimic joints, {' -> '.join(chain)}"
+        return f"a mimic joint itself, of {quoted(chain[-1])}"
+    return "a joint that the cell file does not name"
+
+
+def narrowed(cell: Cell, tree: Tree, limits: Float2D, gears: dict[str, Gear]) -> Float2D:
+    """Return the limits of the robot's own joints, (n, 2), within which the mimic joints keep their own, too.
+
+    Raises:
+        CellError: No position of a driver is within the limits of a joint that mimics it.
+    """
+    kept = np.array(limits)
+    for name, gear in gears.items():
+        limit = tree.joints[name].limit
+        if tree.joints[name].type == "continuous" or limit is None or limit.lower is None or limit.upper is None:
+            continue
+        ends = sorted((end - gear.offset) / gear.multiplier for end in (limit.lower, limit.upper))
+        low, high = max(kept[gear.driver, 0], ends[0]), min(kept[gear.driver, 1], ends[1])
+        if not low < high:
+            driver, (first, last) = cell.robot.joints[gear.driver], kept[gear.driver]
+            reached = sorted(gear.multiplier * end + gear.offset for end in (first, last))
+            raise CellError(
+                cell.urdf_path or cell.path,
+                f"joint {quoted(name)}, limit",
+                f"[{limit.lower:g}, {limit.upper:g}]",
+                f"some of what {quoted(driver)} makes it reach, [{reached[0]:g}, {reached[1]:g}]",
+            )
+        kept[gear.driver] = low, high
+    return kept

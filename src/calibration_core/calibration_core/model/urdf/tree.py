@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import importlib.util
 import io
+import sys
+import types
 from collections.abc import Mapping
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
@@ -14,8 +18,38 @@ from calibration_core.cell import Cell
 from calibration_core.cell.urdf import urdf_bytes
 from calibration_core.errors import CellError, quoted
 from calibration_core.model.chain import rotation_about
-from calibration_core.model.urdf.library import yourdfpy
 from calibration_core.timeseries import Float1D, Float2D
+
+
+class _Whole:
+    """All of trimesh, imported at the first use of a name.
+
+    It stands nowhere in `sys.modules`: the first line of a ROS node's log asks every module there for its file, and
+    would have to wait until a lazy one is loaded (1.8 s of processor time).
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what trimesh calls so."""
+        return getattr(importlib.import_module("trimesh"), name)
+
+
+@functools.cache
+def yourdfpy() -> Any:
+    """Return the module."""
+    spec = importlib.util.find_spec("trimesh")
+    if "trimesh" in sys.modules or spec is None or spec.loader is None or spec.submodule_search_locations is None:
+        return importlib.import_module("yourdfpy")
+    package = types.ModuleType("trimesh")  # the real one's folder, without its __init__
+    package.__path__ = list(spec.submodule_search_locations)
+    package.__getattr__ = lambda _: object  # type: ignore[method-assign]  # names in annotations
+    sys.modules["trimesh"] = package
+    try:
+        loaded = importlib.import_module("yourdfpy")
+    finally:
+        del sys.modules["trimesh"]
+    loaded.urdf.trimesh = _Whole()
+    return loaded
+
 
 MOVING = ("revolute", "continuous", "prismatic")
 SHORTEST_AXIS = 1e-6
@@ -78,9 +112,9 @@ def tree_of(cell: Cell) -> Tree:
     """
     path = cell.urdf_path
     assert path is not None  # noqa: S101 - asked for only where the cell has a URDF
-    own = cell.robot.joints if cell.robot.joint_limits is not None else ()
+    limited = cell.robot.joints if cell.robot.joint_limits is None else ()
     try:
-        tree = _parsed(urdf_bytes(path, own))
+        tree = _parsed(urdf_bytes(path, limited))
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:  # what yourdfpy trips over
         raise CellError(path, "", quoted(str(error) or type(error).__name__), "a URDF that yourdfpy can read") from None
     for key in ("base_link", "flange"):
@@ -92,7 +126,9 @@ def tree_of(cell: Cell) -> Tree:
 
 @functools.lru_cache(maxsize=4)
 def _parsed(raw: bytes) -> Tree:
-    robot = yourdfpy().URDF.load(io.BytesIO(raw), build_scene_graph=False, load_meshes=False).robot
+    root = ET.fromstring(raw)
+    root.attrib.setdefault("name", "robot")  # yourdfpy reads none without
+    robot = yourdfpy().URDF.load(io.BytesIO(ET.tostring(root)), build_scene_graph=False, load_meshes=False).robot
     links = {link.name: link for link in robot.links}
     joints = {joint.name: joint for joint in robot.joints}
     return Tree(links, joints, {joint.child: joint.name for joint in robot.joints})

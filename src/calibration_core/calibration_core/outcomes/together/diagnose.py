@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from calibration_core.diagnosis.diagnose import diagnose, with_given_effects
 from calibration_core.diagnosis.evidence.extended import loaded_state
-from calibration_core.diagnosis.findings.registration import registration_findings
+from calibration_core.diagnosis.findings.registration import registration
 from calibration_core.diagnosis.loaded import FRAMES_SPOILED
 from calibration_core.diagnosis.proposals.candidates import Offer, Offers
 from calibration_core.diagnosis.result.finding import Alternative, Diagnosis, Finding, Verdict, by_size
@@ -19,8 +19,7 @@ from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.kinds import holds_both, is_loaded
 from calibration_core.outcomes.together.agreement import agreement, as_anomalies
-from calibration_core.outcomes.together.by_themselves import by_themselves, effects_in
-from calibration_core.outcomes.together.changes import without_changes
+from calibration_core.outcomes.together.by_themselves import by_themselves, effects_in, without_changes
 from calibration_core.outcomes.together.evaluate import (
     answered,
     estimate_of_first,
@@ -30,7 +29,7 @@ from calibration_core.outcomes.together.evaluate import (
 )
 from calibration_core.outcomes.together.prepare import Prepared
 from calibration_core.outcomes.together.wider import factors_of, widened
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import Note, Readings
 
 EFFECTS = "effects."
 ROUNDS = 3  # of looking for what differs
@@ -67,11 +66,11 @@ def diagnose_together(prepared: Prepared, offers: Offers | None = None) -> Diagn
         model, estimate = _of_first(model, estimate, prepared)
     anomalies = located_anomalies(found.anomalies, prepared)
     set_up = f"To be measured in the set-up of {prepared.members[prepared.first].file}."
-    registered = _registered(prepared, anomalies)
+    registered, notes = _registered(prepared, anomalies)
     return dataclasses.replace(
         found,
         verdict=BESIDE_FINDINGS[found.verdict] if registered else found.verdict,
-        identification=identification,
+        identification=dataclasses.replace(identification, notes=(*identification.notes, *notes)),
         findings=by_size((*(_located(one, prepared) for one in found.findings), *registered)),
         anomalies=(*anomalies, *as_anomalies(together.disagreements)),
         next_text=" ".join(filter(None, (set_up if found.next_measurements else "", found.next_text))),
@@ -131,31 +130,32 @@ def _beside_all(offers: Offers, prepared: Prepared) -> Offers:
     return Offers(offers.each, expected)
 
 
-def _registered(prepared: Prepared, anomalies: Sequence[Anomaly]) -> list[Finding]:
+def _registered(prepared: Prepared, anomalies: Sequence[Anomaly]) -> tuple[list[Finding], list[Note]]:
     """Return trackers and points that stand elsewhere than their own cell file says, as each loaded recording shows it.
 
     Where a target or the tracker has moved, the recording does not show where they stood; nor does it beside postures
     at rest, which show errors of the geometry that would be taken for those of the frames.
     """
+    findings: list[Finding] = []
+    notes: list[Note] = []
     if holds_both(prepared.merged.readings, prepared.merged.cell):
-        return []
+        return findings, notes
     spoiled = {one.location.get(RECORDING) for one in anomalies if one.kind in FRAMES_SPOILED}
-    found = []
     for member, start in zip(prepared.members, prepared.starts, strict=True):
         readings, cell = member.readings, member.cell
         if member.file in spoiled or not is_loaded(readings):
             continue
         alone = prepare_loaded(readings, cell, Options(robust=prepared.options.robust, start=start))
         state = loaded_state(alone.problem, cell, alone.fit.compliance)
-        found += [
-            dataclasses.replace(
-                one,
-                location={**one.location, RECORDING: member.file},
-                explanation=f"{one.explanation} This is in recording {member.number}.",
-            )
-            for one in registration_findings(alone, state, readings)
+        found, noted = registration(alone, state, readings, sigma_points=cell.frames.sigma_points)
+        where = {RECORDING: member.file}
+        which = f"This is in recording {member.number}."
+        findings += [
+            dataclasses.replace(one, location={**one.location, **where}, explanation=f"{one.explanation} {which}")
+            for one in found
         ]
-    return found
+        notes += [dataclasses.replace(one, place=f"{member.file}: {one.place}") for one in noted]
+    return findings, notes
 
 
 def _located(one: Finding, prepared: Prepared) -> Finding:

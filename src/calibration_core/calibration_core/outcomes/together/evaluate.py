@@ -8,21 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from calibration_core.identification.checks.noise_audit import MODEL_FREE
 from calibration_core.identification.identify import fit_freed, with_given
-from calibration_core.identification.result.estimate import Anomaly, Identification, ParameterEstimate, Precondition
+from calibration_core.identification.result.estimate import (
+    MODEL_FREE,
+    Anomaly,
+    Identification,
+    ParameterEstimate,
+    Precondition,
+)
 from calibration_core.identification.result.together import Contribution, Disagreement, Together
-from calibration_core.identification.several.first import SET_UP, estimate_of_set_up, of_set_up
 from calibration_core.identification.several.members import Member, numbered
 from calibration_core.identification.several.merge import noise_factor
+from calibration_core.identification.several.mixed import SET_UP, estimate_of_set_up, of_set_up
 from calibration_core.model.chain import xyz_rpy
-from calibration_core.model.identified.calibrated import ValidRange
+from calibration_core.model.identified.calibrated import ValidRange, range_of
 from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.valid_range import range_of
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.outcomes.together.agreement import agreement, as_anomalies
-from calibration_core.outcomes.together.by_themselves import by_themselves
-from calibration_core.outcomes.together.changes import without_changes
+from calibration_core.outcomes.together.by_themselves import by_themselves, without_changes
 from calibration_core.outcomes.together.prepare import Prepared
 from calibration_core.outcomes.together.wider import factors_of, widened_identification
 from calibration_core.timeseries import Bool1D, Float2D

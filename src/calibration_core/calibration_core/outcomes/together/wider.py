@@ -16,7 +16,7 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.geometry.named_estimate import model_paths
 from calibration_core.identification.result.estimate import Identification, JointStiffness
-from calibration_core.identification.result.stiffness_interval import joint_stiffness
+from calibration_core.identification.result.observability import joint_stiffness
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.outcomes.together.by_themselves import by_themselves
 from calibration_core.outcomes.together.prepare import Prepared
@@ -48,7 +48,7 @@ def widened(found: Diagnosis, cell: Cell, wider: Mapping[str, float]) -> Diagnos
             for joint, (value, std) in found.stiffness.items()
         },
         compliance_covariance=None if covariance is None else _scaled(covariance, by_joint),
-        estimate=_estimated(found.estimate, wider),
+        estimate=found.estimate.scaled(wider),
     )
 
 
@@ -61,7 +61,7 @@ def widened_identification(found: Identification, cell: Cell, wider: Mapping[str
         stiffness=tuple(_joint(one, wider.get(f"{COMPLIANCE}{one.joint}", 1.0)) for one in found.stiffness),
         parameters=tuple(dataclasses.replace(one, std=one.std * own.get(one.name, 1.0)) for one in found.parameters),
         covariance=_scaled(found.covariance, np.array([own.get(name, 1.0) for name in found.names])),
-        estimate=_estimated(found.estimate, wider),
+        estimate=found.estimate.scaled(wider),
     )
 
 
@@ -77,12 +77,6 @@ def _joint(one: JointStiffness, factor: float) -> JointStiffness:
         unit=one.unit,
     )
     return dataclasses.replace(wide, extended=None if one.extended is None else _joint(one.extended, factor))
-
-
-def _estimated(one: GaussianEstimate, wider: Mapping[str, float]) -> GaussianEstimate:
-    return dataclasses.replace(
-        one, covariance=_scaled(one.covariance, np.array([wider.get(name, 1.0) for name in one.names]))
-    )
 
 
 def _scaled(covariance: Float2D, factor: Float1D) -> Float2D:

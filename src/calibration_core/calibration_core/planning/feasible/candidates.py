@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 BATCH = 4000
 STEPS = 12  # Gauss-Newton steps towards a place
 DAMPING = 0.05  # m per rad, keeps the steps finite near singularities
+FREE = "free of collision"
+HARD = 0.5  # share of free postures below which the bodies that stand in the way are named
+TOUCHED = 100  # postures by which it is said which they are
 SHOWN = 1000  # postures by which it is said which rule stands in the way
 
 
@@ -49,8 +53,14 @@ class Ground:
     def shares(self, q: Float2D) -> dict[str, float]:
         """Return the share of postures, (m, n) rad, that satisfy each rule, by its name."""
         named = {name: float(mask.mean()) for name, mask in fitness(self.site, q, self.rules).items()}
-        named["free of collision"] = float(self.bodies.clear(q[:SHOWN]).mean())
+        named[FREE] = float(self.bodies.clear(q[:SHOWN]).mean())
         return named
+
+    def obstacle(self, q: Float2D) -> str:
+        """Say which bodies touch at the most of some postures, (m, n) rad; some do at one of them."""
+        pairs = Counter(pair for row in q[:TOUCHED] for pair in self.bodies.touching(row))
+        pair, count = pairs.most_common(1)[0]
+        return f"; {pair} touch in {_percent(count / len(q[:TOUCHED]))}"
 
 
 def draw_postures(ground: Ground, most: int, batches: int, needed: int, rng: np.random.Generator) -> Float2D:
@@ -77,10 +87,16 @@ def draw_postures(ground: Ground, most: int, batches: int, needed: int, rng: np.
             break
     if count < needed:
         shares = sorted(ground.shares(drawn).items(), key=lambda x: x[1])
-        hardest = ", ".join(f"{100 * share:.2g} % {name}" for name, share in shares)
-        text = f"{count} postures that can be measured (of those drawn: {hardest})"
+        hardest = ", ".join(f"{_percent(share)} {name}" for name, share in shares)
+        touching = ground.obstacle(drawn) if shares[0][0] == FREE and shares[0][1] < HARD else ""
+        text = f"{count} postures that can be measured (of those drawn: {hardest}{touching})"
         raise PlanError(ground.cell.path, "robot", text, f"at least {needed}")
     return np.vstack(found)[:most]
+
+
+def _percent(share: float) -> str:
+    """Return a share for a message: `0.4 %`, `100 %`."""
+    return f"{100 * share:.2g} %" if share < 0.095 else f"{100 * share:.0f} %"
 
 
 def _places(ground: Ground, count: int, rng: np.random.Generator) -> Float2D | None:

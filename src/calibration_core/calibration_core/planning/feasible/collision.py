@@ -1,6 +1,7 @@
 """Whether robot, tool, floor and the cell's boxes touch, at rest and on the way, and what the tracker's beam meets.
 
-Bodies are those of the URDF (meshes or primitives), or capsules along the lines between neighbouring joints; the tool
+Bodies are those of the URDF (meshes or primitives), and capsules along the lines between neighbouring joints where it
+has none or a mesh is missing; the tool
 is a bundle of capsules from the flange to every point that it carries.  pinocchio places them, coal tells distances.
 A motion is checked at postures so close together that no body can move farther between two of them than the safety
 distance: what is clear at all of them is clear everywhere on the way.
@@ -59,7 +60,7 @@ class CollisionModel:
         """Return the bodies of a cell.
 
         Raises:
-            CellError: The URDF or one of its meshes cannot be read.
+            CellError: The URDF cannot be read.
         """
         return _Builder(cell, site, rules).build()
 
@@ -195,26 +196,27 @@ class _Builder:
         self._add(link, name, shape, self.pin.SE3(pose.getRotation(), pose.getTranslation()))
 
     def _robot(self) -> bool:
-        """Add the robot's bodies; tell whether they are those of a URDF."""
+        """Add the robot's bodies, and capsules where there are none; tell whether all are those of a URDF."""
+        bare = set(range(self.chain.n + 1))
         if self.cell.robot.urdf is not None:
-            from calibration_core.model.urdf import coal_shape, urdf_bodies
+            from calibration_core.model.urdf import urdf_shapes
 
-            bodies = urdf_bodies(self.cell)
-            for body in bodies:
-                self._add(body.link, body.name, coal_shape(self.cell, body), self.pin.SE3(body.pose))
-            if bodies:
-                return True
+            shapes, lost = urdf_shapes(self.cell)
+            for body, shape in shapes:
+                self._add(body.link, body.name, shape, self.pin.SE3(body.pose))
+            if shapes or lost:
+                bare = {body.link for body in lost} - {body.link for body, _ in shapes}
         chain, radius = self.chain, self.rules.body * self.chain.reach
         ends, wrist = [*chain.translation, chain.flange_translation], self.site.chain.stage(self.site.chain.n - WRIST)
         for link, end in enumerate(ends):
             length = float(np.linalg.norm(end))
-            if length < 1e-6:
+            if length < 1e-6 or link not in bare:
                 continue
             width = radius * (SLENDER if link >= wrist else 1.0)
             last = link == wrist  # the forearm ends at the wrist and not a radius beyond it
             kept = max(length - width, 0.5 * length) if last else length
             self._capsule(link, f"link {link}", np.zeros(3), end * kept / length, width)
-        return False
+        return not bare
 
     def _tool(self) -> None:
         chain = self.chain
@@ -228,16 +230,20 @@ class _Builder:
         import coal
 
         size = float(np.linalg.norm(self.chain.gravity))
-        if self.rules.floor is not None and size > 0.0:
+        if self.site.floor is not None and size > 0.0:
             up = -self.chain.gravity / size
-            pose = self.pin.SE3(_along(up), (self.rules.floor - 0.5) * up)
+            pose = self.pin.SE3(_along(up), (self.site.floor - 0.5) * up)
             self._add(-1, "floor", coal.Box(FLOOR_SIZE, FLOOR_SIZE, 1.0), pose)
         for box in self.cell.boxes:
             pose = self.pin.SE3(pose_matrix(np.array(box.xyz), np.array(box.rpy)))
             self._add(-1, box.name, coal.Box(*box.size), pose)
 
     def _leave_out(self, model: Any, robot: int, share: float) -> tuple[str, ...]:
-        """Take out pairs of the robot's own bodies that touch in so many of random postures: their shape, no clash."""
+        """Take out pairs of the robot's own bodies that touch in so many of random postures: their shape, no clash.
+
+        So is a body that touches the floor in all of them, such as the upper arm of a robot with a low shoulder: its
+        elbow and what is behind it keep clear of the floor.
+        """
         chain = self.site.chain
         low, high = joint_range(chain, self.rules)
         data, found = model.createData(), _with_margin(self.geometry, self.rules.distance)
@@ -246,7 +252,12 @@ class _Builder:
         for row in chain.expanded(np.random.default_rng(0).uniform(low, high, (TRIED, chain.n))):
             self.pin.computeCollisions(model, data, self.geometry, found, row, False)
             count += [result.isCollision() for result in found.collisionResults]
-        often = [pair for pair, hits in zip(pairs, count, strict=True) if hits >= share * TRIED and max(pair) < robot]
+        floor = {i for i in range(robot, len(self.link)) if self._name(i) == "floor"}
+        often = [
+            pair
+            for pair, hits in zip(pairs, count, strict=True)
+            if hits >= (share * TRIED if max(pair) < robot else TRIED) and (max(pair) < robot or max(pair) in floor)
+        ]
         for pair in often:
             self.geometry.removeCollisionPair(self.pin.CollisionPair(*pair))
         return tuple(f"{self._name(first)} and {self._name(second)}" for first, second in often)

@@ -11,10 +11,11 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.errors import CellError
 from calibration_core.model.chain import Chain
-from calibration_core.model.instruments import tracker_covariance
 from calibration_core.model.kinematics import by_axis, cross, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.simulation.simulate import tracker_covariance
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 STANDARD_ACCELERATION = 9.80665  # m/s^2, turns the rated load in kg into N
@@ -27,7 +28,7 @@ class LoadRules:
 
     Attributes:
         levels: Fractions of the full pull, one per step; the first is unloaded (CWA 17384, 7.6).
-        share: Full pull as a share of the rated load's weight, at most 1.
+        share: Full pull with the end effector's weight as a share of the rated load's weight, at most 1.
         tilt: rad, least and largest angle of a pull off the downward vertical.
         directions: Pulls considered per posture.
         largest_force: N, range of the force/torque sensor; None: not limited.
@@ -71,8 +72,16 @@ def full_pulls(
 
 
 def largest_pull(cell: Cell, parameters: ModelParameters, rules: LoadRules) -> float:
-    """Return the largest force, N, that the rated load and the sensor's range allow in any direction."""
-    force = rules.share * cell.robot.rated_load * STANDARD_ACCELERATION
+    """Return the largest force, N, that the rated load and the sensor's range allow in any direction.
+
+    Raises:
+        CellError: The end effector alone weighs as much as the robot is to carry.
+    """
+    force = rules.share * cell.robot.rated_load * STANDARD_ACCELERATION - float(np.linalg.norm(cell.tool_weight))
+    if force <= 0.0:
+        tool = 0.0 if cell.end_effector is None else cell.end_effector.mass
+        expected = f"less than {rules.share * cell.robot.rated_load:g} kg, {100 * rules.share:g} % of the rated load"
+        raise CellError(cell.path, "end_effector.mass", f"{tool:g} kg", expected)
     if rules.largest_force is not None:
         force = min(force, rules.largest_force)
     if rules.largest_torque is not None and parameters.force_torque is not None and parameters.wrench_point is not None:

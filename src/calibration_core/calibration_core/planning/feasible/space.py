@@ -30,7 +30,6 @@ class SpaceRules:
         widest: rad, no joint goes farther from the middle of its range.
         dexterity: Least ratio of smallest to largest singular value of the flange Jacobian, lengths scaled by the reach
             (CWA 17384, 5.4 and 6.2: away from singularities, where K_CSM would matter).
-        floor: m, height of the floor over the base frame's origin, against gravity; None: no floor.
         clearance: Share of the reach kept free above the floor.
         body: Radius of the arm, as a share of the reach: points stay outside, and so do lines of sight.
         distance: m, safety distance between bodies, at rest and on the way.
@@ -42,7 +41,6 @@ class SpaceRules:
     limit_margin: float = 0.05
     widest: float = 2.6
     dexterity: float = 0.08
-    floor: float | None = 0.0
     clearance: float = 0.08
     body: float = 0.06
     distance: float = 0.03
@@ -65,6 +63,7 @@ class Site:
         range: m, nearest and farthest distance from tracker to point; None where the cell file states none.
         task: (k, 3) m, places of the task program in the base frame, the operating space; None where none is stated.
         boxes: Pose (4, 4) in the base frame and edge lengths (3,), m, of what stands in the cell.
+        floor: m, height of the floor over the base frame's origin, against gravity; None: no floor.
     """
 
     chain: Chain
@@ -76,6 +75,7 @@ class Site:
     range: tuple[float, float] | None = None
     task: Float2D | None = None
     boxes: tuple[tuple[Float2D, Float1D], ...] = ()
+    floor: float | None = 0.0
 
     @staticmethod
     def of(chain: Chain, parameters: ModelParameters, cell: Cell) -> Site:
@@ -96,6 +96,7 @@ class Site:
             cell.instruments.tracker.acceptance_angle,
             cell.instruments.tracker.range,
             boxes=tuple((pose_matrix(np.array(b.xyz), np.array(b.rpy)), np.array(b.size)) for b in cell.boxes),
+            floor=cell.floor,
         )
 
     @property
@@ -149,12 +150,12 @@ def positions(at: Posture, points: Float2D) -> Float3D:
 def _above_floor(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
     m = at.flange_origin.shape[1]
     size = float(np.linalg.norm(site.chain.gravity))
-    if rules.floor is None or size == 0.0:
+    if site.floor is None or size == 0.0:
         return np.ones(m, dtype=bool)
     up = -site.chain.gravity / size
     watched = np.concatenate([at.moving.origin[2 + site.chain.rails :], positions(at, site.handled)])
     height = np.einsum("pam,a->pm", watched, up)
-    return np.asarray(height.min(axis=0) >= rules.floor + rules.clearance * site.chain.reach)
+    return np.asarray(height.min(axis=0) >= site.floor + rules.clearance * site.chain.reach)
 
 
 def _in_box(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:

@@ -2,7 +2,8 @@
 
 A cell with a URDF names base and flange: joint limits and the flange's places are compared as for a plan.  A cell with
 DH rows names no links, and its base and flange frames may be others than the URDF's: what is compared is how the flange
-moves from one posture to another, by angle and slide of the screw, which do not depend on frames.
+moves from one posture to another, by angle and slide of the screw, which do not depend on frames.  The name that a URDF
+gives the robot tells nothing: a driver's is often its maker's, or that of the cell.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ def description_fault(text: str, cell: Cell) -> str:
             place = f"{error.place}: " if error.place else ""
             return f"{place}found {error.found}, expected {error.expected}"
     own, names = chain_of(cell), cell.robot.joints
-    found = _name_differs(cell, str(root.get("name")))
+    found: list[str] = []
     if cell.robot.joint_limits is not None:
-        found += _limits_exceeded(own, described)
+        found = _limits_exceeded(own, described)
         described = dataclasses.replace(described, limits=own.limits)
     if cell.robot.dh is not None:
         return "; ".join([*found, *_screws_differ(own, described)])
@@ -69,12 +70,6 @@ def _with_urdf(cell: Cell, path: Path, root: ET.Element) -> Cell:
         names = {key: str(end.get("link")) for key, end in zip(names, ends, strict=True) if end is not None}
     changed = {**names, "urdf": str(path), "dh": None, "joint_limits": None, "inertials": None, "joint_types": None}
     return cell.model_copy(update={"robot": robot.model_copy(update=changed)})
-
-
-def _name_differs(cell: Cell, name: str) -> list[str]:
-    path = cell.urdf_path
-    own = name if path is None else ET.fromstring(urdf_bytes(path, cell.robot.joints)).get("name")
-    return [] if own == name else [f"robot {quoted(name)}, not {quoted(own)}"]
 
 
 def _limits_exceeded(own: Chain, described: Chain) -> list[str]:

@@ -19,6 +19,12 @@ PREPARATION: tuple[PhaseName, ...] = ("base_frame", "geometry", "wrist_centre", 
 REFERENCE_NUMBER = 0  # configuration number under which the reference configuration is recorded, a step per visit
 
 
+def placed(configuration: int, step: int) -> str:
+    """Return a place of a plan as people read it, and type it."""
+    numbers = f"configuration {configuration}, step {step}"
+    return f"the reference ({numbers})" if configuration == REFERENCE_NUMBER else numbers
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlannedConfiguration:
     """One configuration to measure.

@@ -170,7 +170,7 @@ def _content(file: YamlFile) -> dict[str, Any]:
 def _configurations(path: Path, rows: object, cell: Cell, limits: Float2D) -> tuple[PlannedConfiguration, ...]:
     if not isinstance(rows, list) or not 0 < len(rows) <= MAX_CONFIGURATIONS:
         raise PlanError(path, "configurations", quoted(rows), f"a list of 1 to {MAX_CONFIGURATIONS} configurations")
-    rated = cell.robot.rated_load * 9.80665
+    rated = cell.robot.rated_load * 9.80665 - float(np.linalg.norm(cell.tool_weight))
     found: dict[int, PlannedConfiguration] = {}
     for i, row in enumerate(rows):
         place = f"configurations.{i}"
@@ -188,7 +188,12 @@ def _configurations(path: Path, rows: object, cell: Cell, limits: Float2D) -> tu
         force = float(np.linalg.norm(wrenches[:, :3], axis=1).max())
         if force > 1.001 * rated:
             most = rounded_down(rated)
-            raise PlanError(path, f"{place}.steps", f"{beyond(force, most)} N", f"at most the rated load, {most:g} N")
+            raise PlanError(
+                path,
+                f"{place}.steps",
+                f"{beyond(force, most)} N",
+                f"at most the rated load less the end effector, {most:g} N",
+            )
         found[number] = PlannedConfiguration(number, q, wrenches, spare)
     configurations = tuple(found.values())
     if all(configuration.spare for configuration in configurations):

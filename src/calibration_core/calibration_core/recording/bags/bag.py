@@ -1,4 +1,4 @@
-"""Bags to arrays (contract, section 3)."""
+"""Bags to arrays."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from calibration_core.recording.definitions.own import CONDITIONS_TYPE, EVENT_TO
 from calibration_core.recording.messages.decode import Decoder
 from calibration_core.recording.messages.kinds import Samples, StreamKind
 from calibration_core.recording.messages.typed import FAULTS, deserializer, stamp_of
-from calibration_core.recording.source import sha256_of
+from calibration_core.recording.source import sha256_of, storage_suffix
 from calibration_core.recording.storage.batch import Batch
 from calibration_core.timeseries import Condition, Note, Provenance, StepMarkers, Streams, TimeSeries
 
@@ -88,12 +88,16 @@ def read_contents(
         event_topic: EVENT_TYPE,
     }
     plans: set[str] = set()
+    other_types: dict[str, str] = {}
     wanted = {*streams, *others} - {""}
     for batch in storage.batches(wanted):
         topic = batch.channel.topic
         kind = streams.get(topic)
         expected = kind.value if kind else others[topic]
         if batch.channel.type != expected:
+            if kind is StreamKind.TEMPERATURE:  # what is not needed refuses nothing
+                other_types[topic] = batch.channel.type
+                continue
             raise type_error(bag.path, batch.channel, expected)
         if kind:
             if topic not in decoders:
@@ -108,6 +112,10 @@ def read_contents(
         elif not text:
             text = _text(bag, batch, notes)
     samples = {topic: decoder.samples() for topic, decoder in decoders.items()}
+    notes += [
+        Note("other_type", topic, f"messages of type {name} instead of {streams[topic].value}: not read")
+        for topic, name in other_types.items()
+    ]
     every_note = (*storage.notes, *notes)
     return Contents(samples, tuple(markers), text, storage.topics, every_note, tuple(conditions), frozenset(plans))
 
@@ -211,7 +219,7 @@ def _recording(path: Path, bag: BagFiles, cell: Cell, contents: Contents, sha256
     if contents.markers:
         counts[cell.topics.step] = len(contents.markers)
     start = min(int(one.time[0]) for one in series.values())
-    kind = "db3" if any(".db3" in file.suffixes for file in bag.files) else "mcap"
+    kind = "db3" if any(storage_suffix(file) == ".db3" for file in bag.files) else "mcap"
     return Streams(
         joints=series[cell.topics.joint_states],
         points=points,

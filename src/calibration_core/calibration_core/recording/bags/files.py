@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import shutil
 import tempfile
 from collections.abc import Collection, Iterator
 from pathlib import Path, PurePath
@@ -15,15 +16,16 @@ from calibration_core.errors import RecordingError, quoted
 from calibration_core.files.names import NAME, is_name
 from calibration_core.recording.bags.metadata import METADATA, information, metadata_file
 from calibration_core.recording.bags.plan_hash import plan_of_metadata
-from calibration_core.recording.source import BAG_SUFFIXES
+from calibration_core.recording.source import BAG_SUFFIXES, COMPRESSED, ros1, storage_suffix
 from calibration_core.recording.storage.batch import Batch, Channel, Storage
-from calibration_core.recording.storage.compression import decompress_file, decompress_message
+from calibration_core.recording.storage.compression import FREE_SHARE, decompress_file, decompress_message
 from calibration_core.recording.storage.mcap import McapStorage
 from calibration_core.recording.storage.sqlite import SqliteStorage
 from calibration_core.timeseries import Note
 
 MAX_FILES = 10_000
 MAX_NAME = 255
+ZSTD = b"\x28\xb5\x2f\xfd"  # begins a zstd frame; a serialised message begins with 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +36,6 @@ class BagFiles:
         path: As the user named it.
         files: Storage files in their order, `.zst`/`.zstd` ones included.
         metadata: `metadata.yaml`, None if there is none.
-        per_message: Each message is compressed by itself (zstd).
         notes: What is missing.
         plan_sha256: SHA-256 of the plan that was measured, from the custom data; empty: not known.
     """
@@ -42,7 +43,6 @@ class BagFiles:
     path: Path
     files: tuple[Path, ...]
     metadata: Path | None
-    per_message: bool
     notes: tuple[Note, ...]
     plan_sha256: str = ""
 
@@ -54,28 +54,33 @@ def bag_files(path: Path) -> BagFiles:
         RecordingError: There are none, or `metadata.yaml` cannot be used.
     """
     if not path.is_dir():
-        return BagFiles(path, (path,), None, per_message=False, notes=())
+        return BagFiles(path, (path,), None, notes=())
     metadata = path / METADATA
-    if metadata.is_file():
-        return _from_metadata(path, metadata)
     try:
-        files = [item for item in path.iterdir() if _storage_suffix(item) in BAG_SUFFIXES and item.is_file()]
+        if not metadata.is_file():
+            return _in_folder(path, "no metadata.yaml")
+        if not metadata.read_bytes()[:1000].strip(b"\0 \t\r\n"):
+            return _in_folder(path, "an empty metadata.yaml")
+        return _from_metadata(path, metadata)
     except OSError as error:
         raise RecordingError(path, "", error.strerror or str(error), "a readable rosbag2 directory") from None
+
+
+def _in_folder(path: Path, why: str, plan: str = "") -> BagFiles:
+    """Return all storage files of a folder, with a note why none are listed."""
+    there = [item for item in path.iterdir() if not item.name.startswith(".") and item.is_file()]
+    files = sorted((item for item in there if storage_suffix(item) in BAG_SUFFIXES), key=_natural)
+    older = next((item for item in there if item.suffix == ".bag"), None)
+    if not files and older is not None:
+        raise ros1(older)
     if not files:
-        raise RecordingError(path, "", "a directory without .mcap or .db3 file", "a rosbag2 directory")
-    files.sort(key=_natural)
-    note = Note("no_metadata", path.name, f"no metadata.yaml: all {len(files)} storage files of the directory are read")
-    return BagFiles(path, tuple(files), None, per_message=False, notes=(note,))
+        raise RecordingError(path, "", f"{why}, and no .mcap or .db3 file", "a rosbag2 directory")
+    note = Note("no_metadata", path.name, f"{why}: all {len(files)} storage files of the directory are read")
+    return BagFiles(path, tuple(files), None, notes=(note,), plan_sha256=plan)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", path.name)]
-
-
-def _storage_suffix(path: PurePath) -> str:
-    compressed = path.suffix in (".zst", ".zstd")
-    return PurePath(path.stem).suffix if compressed else path.suffix
 
 
 def _from_metadata(path: Path, file: Path) -> BagFiles:
@@ -96,7 +101,7 @@ def _listed(path: Path, file: Path, about: dict[str, Any]) -> BagFiles:
         if len(name) > MAX_NAME or not is_name(name):
             raise RecordingError(file, place, quoted(name), f"a file name of at most {MAX_NAME} characters: {NAME}")
         one = path / PurePath(name).name
-        if _storage_suffix(one) not in BAG_SUFFIXES:
+        if storage_suffix(one) not in BAG_SUFFIXES:
             raise RecordingError(file, place, quoted(one.name), ".mcap or .db3 files")
         if one in files:
             raise RecordingError(file, place, f"{quoted(one.name)} twice", "every file once")
@@ -109,14 +114,12 @@ def _listed(path: Path, file: Path, about: dict[str, Any]) -> BagFiles:
         raise RecordingError(file, "compression_format", quoted(form), "zstd")
     there = [one for one in files if one.is_file()]
     missing = [one.name for one in files if one not in there]
+    plan = plan_of_metadata(file, about.get("custom_data"))
     if not there:
-        raise RecordingError(
-            file, "relative_file_paths", f"{quoted(missing[0])}, which does not exist", "the bag's files"
-        )
+        return _in_folder(path, f"{METADATA} names {quoted(missing[0])}, which does not exist", plan)
     text = f"{len(missing)} of {len(files)} storage files do not exist: {', '.join(missing[:3])}"
     notes = (Note("missing_file", path.name, text, len(missing)),) if missing else ()
-    plan = plan_of_metadata(file, about.get("custom_data"))
-    return BagFiles(path, tuple(there), file, per_message=mode == "message", notes=notes, plan_sha256=plan)
+    return BagFiles(path, tuple(there), file, notes=notes, plan_sha256=plan)
 
 
 class BagStorage:
@@ -140,7 +143,7 @@ class BagStorage:
             RecordingError: A file cannot be used.
         """
         for file in self.bag.files:
-            if file.suffix in (".zst", ".zstd"):
+            if file.suffix.lower() in COMPRESSED:
                 yield from self._compressed(file, topics)
             else:
                 yield from self._storage(file, file, topics)
@@ -150,7 +153,7 @@ class BagStorage:
             plain = Path(folder) / file.stem
             try:
                 with plain.open("wb") as target:
-                    whole = decompress_file(file, target)
+                    whole = decompress_file(file, target, FREE_SHARE * shutil.disk_usage(folder).free)
             except ValueError as error:
                 raise RecordingError(file, "", str(error), "a zstd-compressed storage file") from None
             except OSError as error:
@@ -162,10 +165,10 @@ class BagStorage:
             yield from self._storage(plain, file, topics)
 
     def _storage(self, file: Path, named: Path, topics: Collection[str]) -> Iterator[Batch]:
-        storage: Storage = SqliteStorage(file) if file.suffix == ".db3" else McapStorage(file)
+        storage: Storage = SqliteStorage(file) if file.suffix.lower() == ".db3" else McapStorage(file)
         try:
             for batch in storage.batches(topics):
-                yield self._decompressed(batch) if self.bag.per_message else batch
+                yield self._decompressed(batch)
         except RecordingError as error:
             if file is named:
                 raise
@@ -175,6 +178,9 @@ class BagStorage:
             self.topics.setdefault(channel.topic, channel.type)
 
     def _decompressed(self, batch: Batch) -> Batch:
+        """Return a batch with plain messages: where one is compressed, all are, and begin with zstd's own mark."""
+        if not len(batch) or batch.payload(0)[: len(ZSTD)] != ZSTD:
+            return batch
         parts: list[bytes] = []
         rows: list[int] = []
         for row in range(len(batch)):
@@ -193,4 +199,6 @@ class BagStorage:
 
 def type_error(file: Path, channel: Channel, expected: str) -> RecordingError:
     """Return the error for a topic that carries another message type."""
+    if channel.encoding == "ros1":
+        return ros1(file)
     return RecordingError(file, channel.topic, f"messages of type {quoted(channel.type)}", expected)

@@ -8,6 +8,7 @@ that was killed has left stays as it is.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import re
@@ -154,6 +155,20 @@ class LiveBag:
             os.fsync(self._stream.fileno())
         except OSError as error:
             raise self._error(error) from None
+        if not self.there:
+            raise OutputError(self.file, "", "another file in its place, or none", "the file that is being written")
+
+    @property
+    def there(self) -> bool:
+        """Whether what is written can be found at its place."""
+        with contextlib.suppress(OSError):
+            return os.path.samestat(self.file.stat(), os.fstat(self._stream.fileno()))
+        return False
+
+    def leave(self) -> None:
+        """Let go of a file that cannot be written any more; what is on the disk stays."""
+        with contextlib.suppress(OSError):  # it was told already
+            self._stream.close()
 
     def close(self) -> None:
         """End the file with its index, and bring the metadata up to date.

@@ -1,4 +1,4 @@
-"""Arrays to bags: rosbag2 directories as a recorder would leave them (contract, section 3)."""
+"""Arrays to bags: rosbag2 directories as a recorder would leave them."""
 
 from __future__ import annotations
 

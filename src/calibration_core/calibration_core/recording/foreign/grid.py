@@ -7,16 +7,18 @@ import dataclasses
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.recording.foreign.meaning import AXES, IGNORED, dimension_of, meanings
 from calibration_core.recording.foreign.text import Text
-from calibration_core.recording.foreign.units import unit_of
+from calibration_core.recording.foreign.units import split_unit, unit_of
 
 SEPARATORS = ("\t", ";", "|", ",")  # blanks are tried last, because names contain them
 BLANKS = " "
 LEAST_NUMBERS = 3  # in a row of data: the coordinates of a point
+NAMED = 2  # names of columns that are understood make a line above the data a header
 READABLE = 0.5  # share of the rows below the first row of data that a separator must make readable
 COMMENT = re.compile(r"^\s*(?:#|//|!|%|\*|;(?=\s*[A-Za-z]))+\s*")
 _NUMBER = {
@@ -24,7 +26,13 @@ _NUMBER = {
     ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?"),
 }
 _GROUPED = {".": re.compile(r"[+-]?\d{1,3}(?:,\d{3})+\.\d+"), ",": re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d+")}
+MINUS = {0x2212: "-", 0x2013: "-"}
+_GROUPING = re.compile(r"(?<=\d)[ '’\u00a0\u2009\u202f](?=\d{3}(?!\d))")
+_SPACED = re.compile(r"[+-]?\d{1,3}(?:[ '’\u00a0\u2009\u202f]\d{3})+(?:[.,]\d*)?$")
 _COULD_BE_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:,\d{3})+")
+
+_WORD = re.compile(r'"([^"]*)"(?!\S)|(\S+)')
+_OF_POINT = re.compile(r"(.+?)[ _.:/-]+([xyz])|([xyz])[ _.:/-]*(.+)", re.IGNORECASE)
 
 _Line = tuple[int, list[str]]  # index and fields
 
@@ -62,7 +70,10 @@ class Grid:
         text = self.rows[row][column].strip()
         value = number_of(text, self.decimal)
         if value is None:
-            raise self.fault(row, column, f"a finite number (decimal mark {quoted(self.decimal)})")
+            beside = "in every row; what was measured at other times stands in a file of its own, joined by time"
+            raise self.fault(
+                row, column, f"a finite number {f'(decimal mark {quoted(self.decimal)})' if text else beside}"
+            )
         return value
 
     def fault(self, row: int, column: int, expected: str) -> RecordingError:
@@ -73,8 +84,13 @@ class Grid:
 
 
 def number_of(text: str, decimal: str) -> float | None:
-    """Return the finite number that a field holds, None if it is none; `1.234,5` is read with a decimal comma."""
-    text = text.strip()
+    """Return the finite number that a field holds, None if it is none; `1.234,5` is read with a decimal comma.
+
+    A typographic minus is a minus; blanks and apostrophes may group the digits before the decimal mark by threes.
+    """
+    text = text.strip().translate(MINUS)
+    if _SPACED.match(text):
+        text = _GROUPING.sub("", text)
     if _GROUPED[decimal].fullmatch(text):
         text = text.replace("." if decimal == "," else ",", "")
     elif not _NUMBER[decimal].fullmatch(text):
@@ -84,11 +100,13 @@ def number_of(text: str, decimal: str) -> float | None:
 
 
 def split_line(line: str, separator: str) -> list[str]:
-    """Return the fields of a line; quotes are honoured, and a separator at the end begins no field."""
+    """Return the fields of a line; quotes are honoured, and a separator at the end begins no field.
+
+    Between blanks an empty field stands in quotes, and counts.
+    """
     if separator == BLANKS:
-        fields = line.split()
-    else:
-        fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+        return [quoted.strip() or plain for quoted, plain in _WORD.findall(line)]
+    fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     while fields and not fields[-1].strip():
         fields.pop()
     return [field.strip() for field in fields]
@@ -139,6 +157,8 @@ def _data(lines: Sequence[str], separator: str, decimal: str) -> list[_Line] | N
 def _refuse_ambiguous(text: Text, rows: Sequence[_Line]) -> None:
     """Refuse a table in which every number with a comma could have thousands marked by it."""
     commas = [(index, field) for index, fields in rows for field in fields if "," in field]
+    if any(_SPACED.match(field) for _, field in commas):  # whose thousands are marked by blanks or apostrophes
+        return
     numbers = [(index, field) for index, field in commas if _NUMBER[","].fullmatch(field)]
     if numbers and all(_COULD_BE_THOUSANDS.fullmatch(field) for _, field in numbers):
         index, field = numbers[0]
@@ -148,8 +168,10 @@ def _refuse_ambiguous(text: Text, rows: Sequence[_Line]) -> None:
 
 def _framed(text: Text, separator: str, decimal: str, plain: Sequence[_Line], header_line: int | None) -> Grid:
     first, width = plain[0][0], len(plain[0][1])
+    begin = number_of(plain[0][1][0], decimal)
+    counted = len(plain) > 1 and all(number_of(row[0], decimal) == (begin or 0) + k for k, (_, row) in enumerate(plain))
     above = [
-        (index, split_line(COMMENT.sub("", line), separator))
+        (index, _named_fields(line, separator, width, counted=counted))
         for index, line in enumerate(text.lines[:first])
         if line.strip()
     ]
@@ -164,7 +186,7 @@ def _framed(text: Text, separator: str, decimal: str, plain: Sequence[_Line], he
     used = first
     if header_line:
         found = next((fields for index, fields in above if index == header_line - 1), None)
-        if found is None or len(found) != width:
+        if found is None or len(found) < width:
             here = f"{len(found)} names" if found else "no header"
             raise RecordingError(text.path, f"line {header_line}", here, f"the names of {width} columns")
         header, used = tuple(found), header_line - 1
@@ -179,16 +201,51 @@ def _framed(text: Text, separator: str, decimal: str, plain: Sequence[_Line], he
                 break
             elif len(fields) == width and not units and _are_units(fields):
                 units, used = tuple(fields), index
-            elif len(fields) == width:
-                header, used = tuple(fields), index
-                break
-            elif not units:
-                break  # the header stands directly above the data
+            else:
+                header = _header(text, index, fields, separator, width)
+                used = index if header else used
+                if header or not units:
+                    break  # the header stands directly above the data
+    width = max(width, len(header))  # its last columns may be empty in every row
     rows = list(_rows(text, separator, first, (header, units), width))
     remarks = tuple(line.strip() for line in text.lines[:used] if line.strip())
     remarks += tuple(line.strip() for line in text.lines[first:] if _is_comment(line, separator))
     numbers = tuple(index + 1 for index, _ in rows)
+    units = (*units, *[""] * (width - len(units))) if units else ()
     return Grid(text.path, header, units, tuple(fields for _, fields in rows), numbers, separator, decimal, remarks)
+
+
+def _named_fields(line: str, separator: str, width: int, *, counted: bool) -> list[str]:
+    """Return the fields of a line above the data, which may be a comment, or begin with `#` for the number.
+
+    Between blanks it is the number where there are as many columns, or where the first column counts the rows,
+    a coordinate or an angle comes next, and the last name is of a column that may be empty.
+    """
+    whole = split_line(line, separator)
+    plain = split_line(COMMENT.sub("", line), separator)
+    if whole[:1] != ["#"] or not plain:
+        return plain
+    found = [meaning or IGNORED for meaning in meanings([split_unit(field)[0] for field in plain])]
+    second = counted and dimension_of(found[0]) in {"length", "angle"} and found[-1] == IGNORED
+    return whole if separator != BLANKS or len(whole) == width or second else plain
+
+
+def _header(text: Text, index: int, fields: Sequence[str], separator: str, width: int) -> tuple[str, ...]:
+    """Return the names of the columns where a line above the data holds them; empty where it is another line.
+
+    Raises:
+        RecordingError: It names other columns than there are.
+    """
+    names = _with_brackets(fields) if separator == BLANKS and len(fields) != width else fields
+    if len(names) == width:
+        return tuple(names)
+    understood = sum(meaning is not None for meaning in meanings([split_unit(field)[0] for field in names]))
+    if understood < NAMED:
+        return ()
+    if len(names) < width or separator == BLANKS:
+        expected = f"{width} fields, one for each column of data; or `header: 0` and `columns` in a map"
+        raise RecordingError(text.path, f"line {index + 1}", f"{len(names)} names of columns", expected)
+    return tuple(names)
 
 
 def _rows(
@@ -213,6 +270,55 @@ def _rows(
 def _is_comment(line: str, separator: str) -> bool:
     """Say whether a line is a comment; a semicolon that separates columns begins none."""
     return bool(COMMENT.match(line)) and not (separator == ";" and line.lstrip().startswith(";"))
+
+
+def _with_brackets(fields: Sequence[str]) -> list[str]:
+    """Return fields with what stands in brackets put to the one before: `X`, `[mm]` is one name."""
+    joined: list[str] = []
+    for field in fields:
+        if joined and field[:1] in "[(":
+            joined[-1] += f" {field}"
+        else:
+            joined.append(field)
+    return joined
+
+
+def one_point_a_row(grid: Grid) -> Grid:
+    """Return a table whose rows hold several points (`mp1 X`, `mp1 Y`, ... or `X1`, `Y1`, ...) with one in each row.
+
+    The columns of the other points are left out, and `point`, `x`, `y`, `z` put behind the others.
+    """
+    split = [split_unit(field) for field in grid.header]
+    known = meanings([name for name, _ in split])
+    points: dict[str, dict[str, int]] = {}
+    for i, (name, _) in enumerate(split):
+        found = _OF_POINT.fullmatch(name.strip())
+        if known[i] is None and found is not None:
+            label = (found.group(1) or found.group(4)).strip(" _-.:/")
+            points.setdefault(label, {})[(found.group(2) or found.group(3)).lower()] = i
+    whole = {label: axes for label, axes in points.items() if label and set(axes) == set(AXES)}
+    if len(whole) < 2 or set(AXES) & set(known):
+        return grid
+    taken = {i for axes in whole.values() for i in axes.values()}
+    others = [i for i in range(len(split)) if i not in taken]
+
+    def arranged(fields: Sequence[str], label: str, axes: Mapping[str, int]) -> tuple[str, ...]:
+        return (*(fields[i] for i in others), label, *(fields[axes[axis]] for axis in AXES))
+
+    first = next(iter(whole.values()))
+    units = [split[first[axis]][1] for axis in AXES]
+    for label, axes in whole.items():
+        if [split[axes[axis]][1] for axis in AXES] != units:
+            other = f"{label} in another unit than {next(iter(whole))}"
+            raise RecordingError(grid.path, "header", other, "targets of a row in one unit, or one target in a row")
+    names = tuple(axis if unit is None else f"{axis} [{unit.name}]" for axis, unit in zip(AXES, units, strict=True))
+    return dataclasses.replace(
+        grid,
+        header=(*(grid.header[i] for i in others), "point", *names),
+        units=arranged(grid.units, "", first) if grid.units else (),
+        rows=tuple(arranged(row, label, axes) for row in grid.rows for label, axes in whole.items()),
+        lines=tuple(line for line in grid.lines for _ in whole),
+    )
 
 
 def _are_units(fields: Sequence[str]) -> bool:

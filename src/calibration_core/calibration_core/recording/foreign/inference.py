@@ -18,7 +18,9 @@ USUAL_JOINTS = 6  # robots with more joints often stand on a linear unit
 STILL = 0.02  # degrees or m: so near to zero it is the same in either
 NEAREST_POINT = 0.08  # m from the tracker
 FARTHEST_POINT = 80.0  # m, range of a laser tracker
+USUAL_POINT = (0.5, 15.0)  # m: nearer or farther no cell has its tracker, though a tracker could
 LEAST_FORCE = 25.0  # no robot carries as many kN, so that a larger number is a force in N
+MOST_FORCE = 1e5  # N: no robot carries ten tonnes, so that a larger number counts something
 BEYOND_TRAVEL = 1.5  # times what the limits of a sliding joint allow
 Inference = Callable[[Path, Float2D, str], tuple[ForeignUnit, str]]
 
@@ -36,6 +38,10 @@ def length(path: Path, values: Float2D, column: str) -> tuple[ForeignUnit, str]:
         if distance.min(initial=math.inf) * unit.factor >= NEAREST_POINT
         and distance.max(initial=0.0) * unit.factor <= FARTHEST_POINT
     ]
+    near = distance.max(initial=0.0) * UNITS["mm"].factor < USUAL_POINT[0]
+    inches = distance * UNITS["in"].factor
+    if UNITS["mm"] in fitting and near and USUAL_POINT[0] <= inches.min() and inches.max() <= USUAL_POINT[1]:
+        fitting.append(UNITS["in"])
     if len(fitting) != 1:
         found = f"{distance.min():g} to {distance.max():g} from the origin, without a unit"
         raise RecordingError(
@@ -79,7 +85,7 @@ def travel(farthest: float) -> Inference:
 def force(path: Path, values: Float2D, column: str) -> tuple[ForeignUnit, str]:
     """Return the unit of forces (m, 3), and why; arguments and errors as for `length`."""
     largest = float(np.abs(values).max(initial=0.0))
-    if largest >= LEAST_FORCE or largest == 0.0:
+    if LEAST_FORCE <= largest <= MOST_FORCE or largest == 0.0:
         return UNITS["n"], f"the largest is {largest:g}: in kN no robot carries it"
     found = f"forces up to {largest:g} without a unit"
     raise RecordingError(path, f"column {column}", found, "a unit: state it in the header or in a map (units: {f: kN})")

@@ -11,6 +11,7 @@ import numpy as np
 
 from calibration_core.errors import RecordingError, beyond, quoted
 from calibration_core.files.names import NAME, is_name
+from calibration_core.recording.dates import start_of
 from calibration_core.recording.foreign.mapping import ImportMap
 from calibration_core.recording.foreign.meaning import AXES, FORCES, JOINT, TORQUES
 from calibration_core.recording.foreign.names import split_by, split_names
@@ -80,17 +81,61 @@ def import_files(
         raise _lacking(sources, "no joint angles in any file", "columns q1 ... qn, or a robot program", "q1")
     rows = _with_postures(rows, joints, how.tolerance, account)
     wrench = whole if whole.has_wrench else _only(others, lambda source: source.has_wrench, WRENCHES, paths[0])
+    _refuse_twice(whole, others)
     q_rows = _matched(rows, joints, how, account, ANGLES)
     names = sorted((name for name in joints.numbers if JOINT.fullmatch(name)), key=lambda name: int(name[1:]))
-    q = np.column_stack([joints.numbers[name][q_rows] for name in names])
+    q = np.column_stack(_coupled({name: joints.numbers[name][q_rows] for name in names}, how, joints.path, account))
     force = None
+    w_rows = q_rows
     if wrench is not None:
         w_rows = _matched(rows, wrench, how, account, WRENCHES)
         torque = [wrench.numbers[name][w_rows] if name in wrench.numbers else np.zeros(len(q)) for name in TORQUES]
         if TORQUES[0] not in wrench.numbers:
             account.append(f"{wrench.path.name} has no torques: they are taken as zero.")
         force = np.column_stack([*(wrench.numbers[name][w_rows] for name in FORCES), *torque])
-    return Imported(_readings(rows, q, force, paths, account), sources, tuple(account))
+    beside = {joints.path: (joints, q_rows)} | ({} if wrench is None else {wrench.path: (wrench, w_rows)})
+    more = _besides(rows.source, list(beside.values()), account)
+    return Imported(_readings(rows, q, force, more, paths, account), sources, tuple(account))
+
+
+def _coupled(stated: Mapping[str, Float1D], how: ImportMap, path: Path, account: list[str]) -> list[Float1D]:
+    """Return the angles of the chain: those of the file, with what a map says of the others' in them."""
+    for name, parts in how.joint_coupling.items():
+        unknown = [one for one in (name, *parts) if one not in stated or name in parts]
+        if unknown:
+            raise RecordingError(path, "joint_coupling", quoted(unknown[0]), f"two of {', '.join(stated)}")
+        account.append(
+            f"To {name} is added {' and '.join(f'{factor:g} times {one}' for one, factor in parts.items())}."
+        )
+    found = []
+    for name, values in stated.items():
+        found.append(values + sum(factor * stated[one] for one, factor in how.joint_coupling.get(name, {}).items()))
+    return found
+
+
+def _refuse_twice(whole: Source, others: Sequence[Source]) -> None:
+    """Refuse joint angles or forces in the file of the positions and in another one: which count is not to be told."""
+    for other in others:
+        for what, both in ((ANGLES, whole.joints and other.joints), (WRENCHES, whole.has_wrench and other.has_wrench)):
+            if both:
+                expected = "them in one file: state the columns of the other as `ignored` in a map"
+                raise RecordingError(other.path, "", f"{what}, as in {whole.path.name}", expected)
+
+
+def _besides(source: Source, joined: Sequence[tuple[Source, Int1D]], account: list[str]) -> dict[str, Float1D]:
+    """Return time and temperature of each position, from the joined files where its own has none."""
+    found = {}
+    for name in ("time", "temperature"):
+        places = [(source.path, source.numbers[name])] if name in source.numbers else []
+        places += [
+            (one.path, one.numbers[name][rows]) for one, rows in joined if name in one.numbers and one is not source
+        ]
+        if places:
+            found[name] = places[0][1]
+        if name == "temperature" and len(places) > 1:
+            left = ", ".join(path.name for path, _ in places[1:])
+            account.append(f"The temperature is that of {places[0][0].name}; that of {left} is not used.")
+    return found
 
 
 def _lacking(sources: Sequence[Source], found: str, expected: str, meaning: str) -> RecordingError:
@@ -307,7 +352,14 @@ def _by_time(rows: Source, source: Source, tolerance: float) -> Int1D:
     return np.asarray(order[nearest], dtype=np.int64)
 
 
-def _readings(rows: _Rows, q: Float2D, wrench: Float2D | None, paths: Sequence[Path], account: list[str]) -> Readings:
+def _readings(
+    rows: _Rows,
+    q: Float2D,
+    wrench: Float2D | None,
+    more: Mapping[str, Float1D],
+    paths: Sequence[Path],
+    account: list[str],
+) -> Readings:
     source = rows.source
     configuration = rows.block + 1 if rows.configuration is None else rows.configuration
     step = rows.step if rows.step is not None else _counted(configuration, rows.point)
@@ -346,9 +398,9 @@ def _readings(rows: _Rows, q: Float2D, wrench: Float2D | None, paths: Sequence[P
         q=q,
         position=np.column_stack([source.numbers[name] for name in AXES]),
         wrench=wrench,
-        time=source.numbers.get("time", unknown),
-        temperature=source.numbers.get("temperature", unknown),
-        provenance=Provenance(str(paths[0]), "csv", files, {"rows": len(q)}),
+        time=more.get("time", unknown),
+        temperature=more.get("temperature", unknown),
+        provenance=Provenance(str(paths[0]), "csv", files, {"rows": len(q)}, start_of(more.get("time", unknown))),
     )
     return readings.select(order)
 

@@ -12,6 +12,7 @@ files:
 join: number                       # number, order or time
 tolerance: 0.5                     # s, of a join by time
 points: {SMR1: mp1}                # names in the files -> names in the cell file
+joint_coupling: {q3: {q2: 1.0}}    # angle of the chain = angle in the file + factor times the other's (FANUC)
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ EXPECTED = {
     "name": "a regular expression, a text",
     "join": "one of number, order, time",
     "tolerance": "a time in s, more than 0 and at most 3600",
+    "joint_coupling": "factors by joints, such as q3: {q2: 1.0}",
     "points": "names of the cell file by names in the files, such as SMR1: mp1",
 }
 """Key of the map: what is expected there."""
@@ -119,6 +121,7 @@ class ImportMap(BaseModel):
     join: Literal["number", "order", "time"] | None = None
     tolerance: Annotated[float, Field(gt=0.0, le=3600.0)] = 1.0
     points: dict[str, str] = {}
+    joint_coupling: dict[str, dict[str, Annotated[float, Field(allow_inf_nan=False)]]] = {}
 
     def of(self, path: Path) -> FileMap:
         """Return what is stated of a file."""

@@ -14,6 +14,8 @@ TORQUES = ("tx", "ty", "tz")
 COUNTS = ("configuration", "step", "number")
 NAMES = ("point", "name", "group")
 JOINT = re.compile(r"q[1-9]\d?")
+ANGLE = re.compile(r"(?:angle|winkel|theta|th|rot|euler)_?\d")  # of an orientation, or of a joint
+EXTERNAL = re.compile(r"(?:e|ext|ext_ax|extax|external|external_axis|eax)_?[1-9a-f]")
 DIMENSIONS: MappingProxyType[str, Dimension] = MappingProxyType(
     {
         **dict.fromkeys(AXES, "length"),
@@ -23,6 +25,12 @@ DIMENSIONS: MappingProxyType[str, Dimension] = MappingProxyType(
         "temperature": "temperature",
     }
 )
+_ROS = re.compile(
+    r"(?:^|[./])(?:header|velocity|effort|name|covariance|seq|frame_id|format)(?:[./\d\[]|$)|nsecs?$|nanosec$"
+)
+_ROS_VECTOR = re.compile(r"(?:^|[./])(point|position|translation|force|torque)[./]([xyz])$")
+_ROS_JOINT = re.compile(r"(?:^|[./])position[./]?\[?(\d+)\]?$|[./]([^./]+)[./]position$")
+DATES = frozenset({"date", "datum", "collection_date", "measurement_date"})  # the time, where no column is called so
 IGNORED = "ignored"  # a column whose name says that it is no measured value
 
 _UNUSED = re.compile(
@@ -50,8 +58,10 @@ _WORDS = MappingProxyType(
         "punktname punkt_id messpunkt measurement_point nest",
         "name": "name label feature feature_name item object observation bezeichnung element",
         "group": "group group_name gruppe point_group",
-        "time": "time timestamp time_stamp zeit datetime date_time t uhrzeit",
-        "temperature": "temperature temp temperatur ambient ambient_temperature air_temperature temperature_air",
+        "time": "time timestamp time_stamp stamp zeit zeitstempel datetime date_time date_and_time datum_zeit "
+        "datum_uhrzeit datum_und_uhrzeit t uhrzeit",
+        "temperature": "temperature temp temperatur ambient ambient_temperature air_temperature temperature_air t_air "
+        "t_amb lufttemperatur",
     }
 )
 _BY_WORD = MappingProxyType({word: meaning for meaning, words in _WORDS.items() for word in words.split()})
@@ -61,7 +71,7 @@ YASKAWA_JOINTS = ("s", "l", "u", "r", "b", "t")
 
 def normal(name: str) -> str:
     """Return a column's name in lower case, its words joined by underscores: `Point Name` and `PointName` alike."""
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name.strip())
+    name = "no" if name.strip() == "#" else re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name.strip())
     for accent, plain in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("θ", "theta"), ("ϑ", "theta")):
         name = name.replace(accent, plain)
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
@@ -72,16 +82,50 @@ def meanings(names: Sequence[str]) -> list[str | None]:
 
     Joints may be counted from 0; a set of columns with the names of a maker's joints is taken as a whole.
     """
-    plain = [normal(name) for name in names]
-    found = [_meaning(name) for name in plain]
+    plain = [normal(_without_topic(name)) for name in names]
+    found = [IGNORED if _of_no_use(name, names) else _meaning(one) for name, one in zip(names, plain, strict=True)]
     for joints in (tuple(f"{name}_joint" for name in UR_JOINTS), UR_JOINTS, YASKAWA_JOINTS):
         if set(joints) <= set(plain):
             for i, name in enumerate(joints):
                 found[plain.index(name)] = f"q{i + 1}"
-    counted = [int(meaning[1:]) for meaning in found if meaning is not None and re.fullmatch(r"q\d+", meaning)]
-    if counted and min(counted) == 0:
-        found = [f"q{int(m[1:]) + 1}" if m is not None and re.fullmatch(r"q\d+", m) else m for m in found]
+    if {"qx", "qy", "qz"} <= set(plain):
+        found = [None if name in {"q0", "qw"} else meaning for name, meaning in zip(plain, found, strict=True)]
+    for columns in of_one_family(names, found):
+        if any(found[i] == "q0" for i in columns):
+            for i in columns:
+                found[i] = f"q{int(str(found[i])[1:]) + 1}"
     return found
+
+
+def of_one_family(names: Sequence[str], found: Sequence[str | None]) -> list[list[int]]:
+    """Return the columns that are joints, those together whose names differ by their numbers alone."""
+    families: dict[str, list[int]] = {}
+    for i, (name, meaning) in enumerate(zip(names, found, strict=True)):
+        if meaning is not None and re.fullmatch(r"q\d+", meaning):
+            families.setdefault(re.sub(r"\d+", "#", name), []).append(i)
+    return list(families.values())
+
+
+def _without_topic(name: str) -> str:
+    """Return what a column of an exported topic holds: `joint_1` of `/arm/joint_states/joint_1/position`."""
+    vector = _ROS_VECTOR.search(name)
+    if vector is not None:
+        kind = {"force": "f", "torque": "t"}.get(vector.group(1), "")
+        return kind + vector.group(2)
+    joint = _ROS_JOINT.search(name)
+    if joint is not None:
+        return f"joint_{joint.group(1)}" if joint.group(1) else joint.group(2)
+    return "time" if name.endswith(("header.stamp", "header/stamp")) or name == "__time" else name
+
+
+def _of_no_use(name: str, names: Sequence[str]) -> bool:
+    """Say whether a column of an exported topic is none of its readings, or the time of reception beside a stamp."""
+    if name.endswith(("header.stamp", "header/stamp")):
+        return False
+    if "." not in name and "/" not in name and name not in {"time", "__time"}:
+        return False
+    stamped = any(one.endswith(("header.stamp", "header/stamp")) for one in names)
+    return _ROS.search(name) is not None or (stamped and "time" in name)
 
 
 def dimension_of(meaning: str) -> Dimension:

@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.errors import RecordingError, quoted
-from calibration_core.recording.foreign.clock import FORMS, dated, of_day, over_midnight
-from calibration_core.recording.foreign.grid import BLANKS, Grid, number_of, read_grid
+from calibration_core.recording.foreign.clock import FORMS, counted, dated, of_day, over_midnight
+from calibration_core.recording.foreign.grid import BLANKS, Grid, number_of, one_point_a_row, read_grid
 from calibration_core.recording.foreign.inference import Inference, angle, force, length, refuse_two_ways, travel
 from calibration_core.recording.foreign.mapping import FileMap
 from calibration_core.recording.foreign.meaning import (
+    ANGLE,
     AXES,
     COUNTS,
+    DATES,
+    EXTERNAL,
     FORCES,
     IGNORED,
     JOINT,
@@ -24,13 +27,26 @@ from calibration_core.recording.foreign.meaning import (
     TORQUES,
     dimension_of,
     meanings,
+    normal,
+    of_one_family,
 )
 from calibration_core.recording.foreign.poses import Poses, read_poses
 from calibration_core.recording.foreign.text import Text, read_text
-from calibration_core.recording.foreign.units import SI, UNITS, Dimension, ForeignUnit, split_unit, unit_of
+from calibration_core.recording.foreign.units import (
+    SI,
+    UNITS,
+    Dimension,
+    ForeignUnit,
+    split_unit,
+    unit_of,
+    unknown_unit,
+)
 from calibration_core.timeseries import Float1D
 
 _STATED = re.compile(r"(?:units?|einheit(?:en)?)\b\s*[:=]?\s*(.+)", re.IGNORECASE)
+_STATED_IN = re.compile(r"\b(?:in|are|lengths?:|distances?:)\s+(\w+)", re.IGNORECASE)
+_CLOCKS = {"utc", "gmt", "local", "cet", "cest", "mez", "mesz"}  # stand in brackets behind a time, and are no unit
+UNIT_NORM = 1e-3  # of a quaternion with at least three digits
 _SEPARATOR_NAMES = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", BLANKS: "blanks"}
 
 
@@ -116,12 +132,17 @@ def read_source(path: Path, how: FileMap, travels: Mapping[str, float] | None = 
         RecordingError: It is no table, or a column or unit can be read in more than one way.
     """
     text = read_text(path, how.encoding)
-    poses = None if how.columns or how.separator else read_poses(text)
-    if poses is not None:
-        return _of_poses(poses, text)
+    poses = None if how.separator else read_poses(text)
+    if poses is not None and set(how.columns) <= set(poses.values):
+        return _of_poses(poses, text, how)
     grid = read_grid(text, how.separator, how.decimal, how.header)
+    grid = one_point_a_row(grid) if grid.header and not how.columns else grid
     names, stated = _named(grid)
-    found = _with_map(grid, names, meanings(names) if grid.header else _headerless(grid), how)
+    recognised = meanings(names) if grid.header else _headerless(grid, how)
+    _leave_out_orientation(grid, recognised)
+    _find_others(grid, names, stated, recognised)
+    found = _with_map(grid, names, recognised, how)
+    _refuse_lost(grid, names, found, how)
     columns = {meaning: i for i, meaning in enumerate(found) if meaning not in (None, IGNORED)}
     ignored = tuple(names[i] for i, meaning in enumerate(found) if meaning in (None, IGNORED))
     _check_whole(grid, columns)
@@ -157,16 +178,95 @@ def read_source(path: Path, how: FileMap, travels: Mapping[str, float] | None = 
     return Source(path, form, numbers, texts, grid.lines, tuple(taken), ignored)
 
 
-def _of_poses(poses: Poses, text: Text) -> Source:
-    q = np.array(poses.q)
-    names = [f"q{i + 1}" for i in range(q.shape[1])]
-    numbers = {name: q[:, i] for i, name in enumerate(names)}
+def _of_poses(poses: Poses, text: Text, how: FileMap) -> Source:
+    """Return the joint angles of a program; its external axes where a map says which joints they are.
+
+    Raises:
+        RecordingError: An external axis moves, and no map states its joint and unit.
+    """
+    own = {axis: f"q{axis[1:]}" for axis in poses.values if axis[0] != "E"}
+    meanings_of = {axis: how.columns.get(axis, own.get(axis, IGNORED)) for axis in poses.values}
+    numbers: dict[str, Float1D] = {}
+    taken, ignored = [], []
+    for axis, values in poses.values.items():
+        meaning, low, high = meanings_of[axis], min(values), max(values)
+        unit = how.unit(meaning) or unit_of(poses.units[axis])
+        if meaning == IGNORED and low != high and axis not in how.columns:
+            first = next(iter(own))
+            expected = (
+                "the joint that it is and its unit, in a map, such as "
+                f"columns: {{{axis}: q1, {first}: q2, ...}}, units: {{q1: mm}}; or {axis}: ignored"
+            )
+            raise RecordingError(
+                text.path, f"axis {axis}", f"an external axis that moves ({low:g} to {high:g})", expected
+            )
+        if meaning == IGNORED:
+            ignored += [f"{axis} ({low:g})"] if low or high else []
+            continue
+        if unit is None or unit.dimension not in {"angle", "length"}:
+            raise RecordingError(
+                text.path, f"axis {axis}", "no unit", f"one in a map, such as units: {{{meaning}: mm}}"
+            )
+        if meaning in numbers:
+            raise RecordingError(text.path, f"axis {axis}", f"two axes for {meaning}", "one")
+        numbers[meaning] = np.array([unit.to_si(value) for value in values])
+        taken.append(Taken(axis, meaning, unit.name, f"stated: {poses.language}"))
+    joints = sorted(int(name[1:]) for name in numbers if JOINT.fullmatch(name))
+    if joints != list(range(1, len(numbers) + 1)):
+        raise RecordingError(text.path, "axes", ", ".join(numbers), "joints q1 ... qn without a gap")
     texts = {"name": poses.names} if poses.names else {}
-    taken = tuple(
-        Taken(f"joint {i + 1}", name, poses.unit, f"stated: {poses.language}") for i, name in enumerate(names)
-    )
-    lines = tuple(range(1, len(q) + 1))
-    return Source(poses.path, f"{poses.language}, {text.encoding}", numbers, texts, lines, taken, ())
+    form = f"{poses.language}, {text.encoding}"
+    return Source(poses.path, form, numbers, texts, poses.lines, tuple(taken), tuple(ignored))
+
+
+def _leave_out_orientation(grid: Grid, found: list[str | None]) -> None:
+    """Take four columns that are a quaternion, or three angles, beside a position for its orientation: no joints."""
+    if not set(AXES) <= set(found):
+        return
+    names = [split_unit(field)[0] for field in grid.header] or [""] * len(found)
+    for joints in of_one_family(names, found):
+        named = all(ANGLE.fullmatch(normal(names[i])) for i in joints)
+        values = [[number_of(row[i], grid.decimal) or 0.0 for i in joints] for row in grid.rows]
+        unit = bool((np.abs(np.square(values).sum(axis=1) - 1.0) < UNIT_NORM).all())
+        if (len(joints) == 3 and named) or (len(joints) == 4 and unit):
+            for i in joints:
+                found[i] = None
+
+
+def _find_others(
+    grid: Grid, names: Sequence[str], stated: Sequence[ForeignUnit | None], found: list[str | None]
+) -> None:
+    """Find the time in a column of dates, and the temperature by its unit, where no name tells them."""
+    warm = [
+        i for i, unit in enumerate(stated) if found[i] is None and unit is not None and unit.dimension == "temperature"
+    ]
+    if len(warm) == 1 and "temperature" not in found:
+        found[warm[0]] = "temperature"
+    for i, name in enumerate(names):
+        if normal(name) in DATES and "time" not in found and len({row[i] for row in grid.rows}) > 1:
+            found[i] = "time"
+
+
+def _refuse_lost(grid: Grid, names: Sequence[str], found: list[str | None], how: FileMap) -> None:
+    """Refuse a column that holds a quantity in a unit that is not known, and an external axis that moves."""
+    for i, name in enumerate(names):
+        if found[i] is not None or not grid.header:
+            continue
+        if EXTERNAL.fullmatch(normal(name)) and any(one and JOINT.fullmatch(one) for one in found):
+            if len({row[i] for row in grid.rows}) > 1 and name not in how.columns:
+                expected = f"the joint that it is, in a map, such as columns: {{{name}: q7}}; or {name}: ignored"
+                raise RecordingError(grid.path, f"column {grid.header[i]}", "an external axis that moves", expected)
+            continue
+        if split_unit(grid.header[i])[1] is not None:
+            continue
+        bare, unit = unknown_unit(grid.header[i])
+        (meaning,) = meanings([bare])
+        if meaning == "time" and normal(unit) in _CLOCKS and meaning not in found:
+            found[i] = meaning
+        elif meaning is not None and (meaning in (*AXES, *FORCES, *TORQUES) or JOINT.fullmatch(meaning)):
+            known = sorted({one.name for one in UNITS.values() if one.dimension == dimension_of(meaning)})
+            expected = f"a unit of {dimension_of(meaning)} ({', '.join(known)}); or `units` and `columns` in a map"
+            raise RecordingError(grid.path, f"column {grid.header[i]}", f"the unit {quoted(unit)}", expected)
 
 
 def _named(grid: Grid) -> tuple[list[str], list[ForeignUnit | None]]:
@@ -180,8 +280,10 @@ def _named(grid: Grid) -> tuple[list[str], list[ForeignUnit | None]]:
     return names, units
 
 
-def _headerless(grid: Grid) -> list[str | None]:
+def _headerless(grid: Grid, how: FileMap) -> list[str | None]:
     """Tell what the columns of a file without header hold: names, then exactly three numbers, then what is ignored."""
+    if how.columns:
+        return [None] * len(grid.rows[0])
     numeric = [all(number_of(row[i], grid.decimal) is not None for row in grid.rows) for i in range(len(grid.rows[0]))]
     texts = numeric.index(True) if True in numeric else len(numeric)
     if not 1 <= texts <= len(NAMES) or sum(numeric[texts : texts + 3]) != 3 or any(numeric[texts + 3 :]):
@@ -234,7 +336,7 @@ def _times(grid: Grid, column: int) -> tuple[Float1D, str]:
     numbers = [number_of(text, grid.decimal) for text in texts]
     ways: tuple[tuple[list[float | None], str], ...] = (
         (numbers, ""),
-        ([dated(text) for text in texts], "dates and times"),
+        dated(texts) if None in numbers else (numbers, ""),
         ([of_day(text) for text in texts], "times of day"),
     )
     for values, how in ways:
@@ -246,11 +348,12 @@ def _times(grid: Grid, column: int) -> tuple[Float1D, str]:
 
 
 def _remarked(remarks: Sequence[str]) -> dict[Dimension, ForeignUnit]:
-    """Return units stated in a remark: `Units: Millimeters, Degrees`."""
+    """Return units stated in a remark: `Units: Millimeters, Degrees`, `All lengths in inches`."""
     found: dict[Dimension, ForeignUnit] = {}
     for remark in remarks:
         match = _STATED.search(remark)
-        for word in re.split(r"[,;\s]+", match.group(1)) if match else ():
+        words = re.split(r"[,;\s]+", match.group(1)) if match else []
+        for word in [*words, *_STATED_IN.findall(remark)]:
             unit = unit_of(word)
             if unit is not None:
                 found.setdefault(unit.dimension, unit)
@@ -273,6 +376,8 @@ def _converted(
         **_family(path, FORCES, numbers, result, force),
         **_family(path, TORQUES, numbers, result, lambda *_: (UNITS["n*m"], "the usual unit")),
     }
+    if "time" in result and not result["time"].unit and not result["time"].how:
+        inferred["time"] = counted(numbers["time"])
     for name, farthest in (travels or {}).items():
         inferred |= _family(path, [name], numbers, result, travel(farthest))
     if travels is None:

@@ -10,14 +10,15 @@ import zstandard
 
 MAX_CHUNK = 64 << 20  # bytes of one decompressed chunk; recorders write 1 MB to 8 MB
 MAX_MESSAGE = 16 << 20  # bytes of one message
-MAX_RATIO = 200  # decompressed : stored, over a whole file; real recordings stay below 30
+MAX_RATIO = 200  # decompressed : stored, of what is read of a file; real recordings stay below 30
+FREE_SHARE = 0.5  # of the free space that a decompressed file may take; black images shrink ten thousandfold
 MIN_BUDGET = 64 << 20
 _WINDOW = 1 << 27
 _STEP = 1 << 12  # bytes of zstd input per call: at most 128 MB come out
 
 
 def budget(stored: int) -> int:
-    """Return how many bytes a file of `stored` bytes may plausibly decompress to."""
+    """Return how many bytes of use a file of `stored` bytes may plausibly hold."""
     return MIN_BUDGET + MAX_RATIO * stored
 
 
@@ -95,17 +96,16 @@ def decompress_message(data: bytes) -> bytes:
     return raw
 
 
-def decompress_file(source: Path, target: IO[bytes]) -> bool:
-    """Decompress a zstd file into `target`, as far as it is whole.
+def decompress_file(source: Path, target: IO[bytes], limit: float) -> bool:
+    """Decompress a zstd file into `target`, at most `limit` bytes, as far as it is whole.
 
     Returns:
         Whether the file was complete.
 
     Raises:
-        ValueError: It is no zstd file, or grows beyond what is plausible.
+        ValueError: It is no zstd file, or grows beyond the limit.
         OSError: It cannot be read, or the target not written.
     """
-    limit = budget(source.stat().st_size)
     written = 0
     frame = _frame()
     with source.open("rb") as stored:
@@ -123,7 +123,7 @@ def decompress_file(source: Path, target: IO[bytes]) -> bool:
                 block = frame.unused_data if frame.eof else b""
                 written += len(part)
                 if written > limit:
-                    msg = f"more than {limit} bytes of decompressed data"
+                    msg = f"more than {limit:.0f} bytes of decompressed data"
                     raise ValueError(msg)
                 target.write(part)
     return bool(frame.eof)

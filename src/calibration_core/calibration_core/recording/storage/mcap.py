@@ -6,6 +6,7 @@ Format: https://mcap.dev/spec.
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Collection, Generator, Iterator
@@ -44,6 +45,7 @@ class McapStorage:
         self.notes: list[Note] = []
         self._schemas: dict[int, tuple[str, str, str]] = {}
         self._messages = 0
+        self._passed = 0  # bytes of messages that nobody asked for
         self._buffer: Bytes = np.empty(BLOCK, np.uint8)
         self._others = 0
 
@@ -87,7 +89,9 @@ class McapStorage:
                 self._lost(position, size)
                 return
             if opcode == CHUNK:
+                passed = self._passed
                 allowance -= yield from self._chunk(stream, length, topics, partial=False)
+                allowance += self._passed - passed
                 if allowance < 0:
                     raise RecordingError(
                         self.path, f"byte {position}", "chunks that decompress to far more than they can hold",
@@ -128,7 +132,7 @@ class McapStorage:
         self, stream: BufferedReader, length: int, topics: Collection[str], *, partial: bool
     ) -> Generator[Batch, None, int]:
         """One chunk; the generator's value is the number of bytes it was decompressed to."""
-        place = f"{self.path.name}, byte {stream.tell() - RECORD_HEADER}"
+        place = f"{self.path.name}, byte {stream.seek(0, os.SEEK_CUR) - RECORD_HEADER}"
         head = stream.read(min(length, _CHUNK_HEADER))
         if len(head) < _CHUNK_HEADER:
             return 0
@@ -205,9 +209,10 @@ class McapStorage:
         present = np.flatnonzero(np.bincount(ids))
         for key in present:
             channel = self.channels.get(int(key))
-            if channel is None or channel.topic not in topics:
-                continue
             rows = offsets if len(present) == 1 else offsets[ids == key]
+            if channel is None or channel.topic not in topics:
+                self._passed += int(unaligned(buffer, "<u8")[rows + 1].sum())
+                continue
             lengths = unaligned(buffer, "<u8")[rows + 1].astype(np.int64) - MESSAGE_HEADER
             received = as_time(unaligned(buffer, "<u8")[rows + RECORD_HEADER + 6])
             yield Batch(channel, buffer, rows + RECORD_HEADER + MESSAGE_HEADER, lengths, received)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.recording.dates import start_of
 from calibration_core.recording.tables.checks import check_plausible, check_steps
 from calibration_core.recording.tables.columns import (
     INTEGERS,
@@ -30,7 +31,7 @@ def readings_of_columns(columns: Mapping[str, Any], cell: Cell, name: str = "arr
     """Return the readings that columns of equal length hold.
 
     Args:
-        columns: Name -> (m,) values; names and units are those of the measurement table (contract, section 4).
+        columns: Name -> (m,) values; names and units are those of the measurement table.
         cell: Number of joints, names of points, and how the table is to be read.
         name: What the data are called in messages and results.
 
@@ -66,7 +67,9 @@ def readings_of_columns(columns: Mapping[str, Any], cell: Cell, name: str = "arr
         wrench=stacked(WRENCH) if WRENCH[0] in numbers else None,
         time=numbers.get("time", unknown),
         temperature=numbers.get("temperature", unknown),
-        provenance=Provenance(name, "arrays", {name: digest.hexdigest()}, {"rows": rows}),
+        provenance=Provenance(
+            name, "arrays", {name: digest.hexdigest()}, {"rows": rows}, start_of(numbers.get("time", unknown))
+        ),
     )
     indices = np.arange(rows)
     check_plausible(Path(name), readings, cell, indices, ROW)

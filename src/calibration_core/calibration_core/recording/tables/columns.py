@@ -1,4 +1,4 @@
-"""The columns of a measurement table (contract, section 4): their names, and which a table must and may have."""
+"""The columns of a measurement table: their names, and which a table must and may have."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurement tables (contract, section 4): CSV <-> readings, every fault named with line and column."""
+"""Measurement tables: CSV <-> readings, every fault named with line and column."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.files.csv_cells import inert, meant
 from calibration_core.files.written import number
+from calibration_core.recording.dates import start_of
 from calibration_core.recording.source import sha256_of
 from calibration_core.recording.tables.checks import check_plausible, check_steps
 from calibration_core.recording.tables.columns import INTEGERS, OPTIONAL, OURS, POSITION, WRENCH, checked_columns
@@ -69,7 +70,9 @@ def read_table(path: Path, cell: Cell) -> Readings:
         wrench=np.column_stack([column(name) for name in WRENCH]) if WRENCH[0] in place else None,
         time=column("time"),
         temperature=column("temperature"),
-        provenance=Provenance(str(path), "csv", {path.name: sha256_of(path)}, {"rows": count}),
+        provenance=Provenance(
+            str(path), "csv", {path.name: sha256_of(path)}, {"rows": count}, start_of(column("time"))
+        ),
     )
     check_plausible(path, readings, cell, lines)
     return readings.with_notes(*check_steps(path, readings, lines))

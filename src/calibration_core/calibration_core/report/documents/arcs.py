@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.circle_point.sweeps import single_joint_sweeps
-from calibration_core.model.instruments import tracker_covariance
+from calibration_core.identification.circle_point.joint_axes import single_joint_sweeps
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
+from calibration_core.model.simulation.simulate import tracker_covariance
 from calibration_core.observations.covariance import coordinate_std
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.report.arcs import describe_arc

@@ -10,7 +10,7 @@ from calibration_core.acceptance.comparison import LAW_LEVEL, STIFFNESS_LEVEL, Q
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.simulation.simulate import Schedule
-from calibration_core.outcomes.comparison import WORDS, Compared, described, described_trend
+from calibration_core.outcomes.comparison import Compared, described, described_trend, needed_text, words_of
 from calibration_core.outcomes.spaces import scheduled_space
 from calibration_core.report.document import (
     Block,
@@ -123,7 +123,7 @@ def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
                 (
                     shortened(one.location), significant(1e-5 * one.first, 4), significant(1e-5 * one.second, 4),
                     fixed(100 * one.change, 1), f"{fixed(100 * one.low, 1)} … {fixed(100 * one.high, 1)}", _words(one),
-                    DASH if one.configurations is None else str(one.configurations),
+                    needed_text(one.configurations) or DASH,
                 )
                 for one in stiffness
             ]),
@@ -145,7 +145,7 @@ def _differences(rows: tuple[QuantityChange, ...]) -> tuple[Block, ...]:
                         one.quantity, shortened(one.location), _in(one.unit, one.first), _in(one.unit, one.second),
                         f"{_in(one.unit, one.low)} … {_in(one.unit, one.high)}", readable_unit(one.unit).name,
                         _words(one),
-                        DASH if one.configurations is None else str(one.configurations),
+                        needed_text(one.configurations) or DASH,
                     )
                     for one in others
                 ]),
@@ -163,7 +163,7 @@ NEEDED = "Configurations: so many in each measurement would tell a change of the
 
 
 def _words(one: QuantityChange) -> str:
-    return WORDS[one.verdict] + (f", or {' or '.join(one.or_else)}" if one.or_else else "")
+    return words_of(one) + (f", or {' or '.join(one.or_else)}" if one.or_else else "")
 
 
 def _method() -> str:

@@ -38,7 +38,6 @@ from calibration_core.report.sections.procedure import counts_text, load_text, s
 from calibration_core.report.sections.records import exclusion_section, given_model, traceability_section
 from calibration_core.report.sections.together import together_blocks
 from calibration_core.report.writing.rendering import document_number
-from calibration_core.timeseries import NO_INTERVALS
 
 STATEMENT = (
     "A finding says that the recording is explained better with the effect than without, on data that the fit did not "
@@ -74,8 +73,7 @@ def diagnosis_document(
         Section(f"Finding {number}: {_title(finding)}", "", finding_blocks(finding))
         for number, finding in enumerate(found.findings, start=1)
     ]
-    notes = [note for note in found.identification.notes if note.kind == NO_INTERVALS]
-    sources = traceability_section(cell, null.readings.provenance, further_files(found), notes)
+    sources = traceability_section(cell, null.readings.provenance, further_files(found), found.remarks)
     sections += [
         Section("How much better", "", gain_blocks(found)),
         Section("What remains", "", (Paragraph(found.rest.text),)),

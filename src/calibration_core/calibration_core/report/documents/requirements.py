@@ -12,7 +12,7 @@ from calibration_core.identification.checks.preconditions import (
 )
 from calibration_core.identification.result.estimate import OperatingSpace, Precondition
 from calibration_core.model.chain import pose_matrix
-from calibration_core.model.instruments import tracker_covariance
+from calibration_core.model.simulation.simulate import tracker_covariance
 from calibration_core.observations.covariance import coordinate_std
 from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 from calibration_core.planning.route import WORKING_DAY
@@ -31,7 +31,9 @@ def full_pulls(planned: tuple[PlannedConfiguration, ...]) -> Float1D:
 def plan_requirements(plan: Plan, cell: Cell, space: OperatingSpace) -> tuple[Precondition, ...]:
     """Check what the standard demands of a plan."""
     count, spares = len(plan.primary), len(plan.spares)
-    largest, rated = full_pulls(plan.configurations), rated_force(cell)
+    weight, rated = float(np.linalg.norm(cell.tool_weight)), rated_force(cell)
+    largest = full_pulls(plan.configurations) + weight
+    beside = f"with the end effector's weight of {weight:,.0f} N" if weight else "without the end effector's weight"
     worst = int(np.argmin(space.singularity))
     nearest = float(space.singularity[worst])
     near = f"nearest: configuration {int(space.configuration[worst])}, smallest singular value {nearest:.3f}"
@@ -52,7 +54,7 @@ def plan_requirements(plan: Plan, cell: Cell, space: OperatingSpace) -> tuple[Pr
         ),
         Precondition(
             "5.1", f"load at most 100 % of the rated load ({cell.robot.rated_load:g} kg, {rated:,.0f} N)",
-            f"largest force {largest.max():,.0f} N, {100 * largest.max() / rated:.1f} %",
+            f"largest force {largest.max():,.0f} N, {100 * largest.max() / rated:.1f} %, {beside}",
             bool(largest.max() <= 1.0001 * rated),
         ),
         Precondition(
@@ -102,7 +104,7 @@ def _uncertainty_ratio(cell: Cell, space: OperatingSpace) -> tuple[Precondition,
     points = (np.concatenate(list(space.points.values())) - pose[:3, 3]) @ pose[:3, :3]
     sigma = coordinate_std(tracker_covariance(cell, points))
     size = float(np.sqrt(np.mean(np.sum(space.deflection**2, axis=1))))
-    ratio = size / (2 * np.sqrt(2) * sigma)
+    ratio = size / (2 * np.sqrt(2 * 3) * sigma)  # as in `preconditions`
     found = f"1:{ratio:.0f} (expected deflection {spread(1e3 * size)} mm rms under the full pull)"
     met = bool(ratio >= TEST_UNCERTAINTY_RATIO)
     return (Precondition("5.3", "test uncertainty ratio not lower than 1:5", found, met),)

@@ -11,6 +11,7 @@ import numpy as np
 from calibration_core.acceptance.decision import COVERAGE, PROBABILITY, WORDS, guard_factor
 from calibration_core.acceptance.verification import SOURCES, Source, Verification
 from calibration_core.cell import Cell
+from calibration_core.identification.checks.preconditions import day_of
 from calibration_core.identification.result.estimate import OperatingSpace
 from calibration_core.outcomes.verification import error_sizes, places, remarks
 from calibration_core.report.content import date_of_test
@@ -41,11 +42,14 @@ from calibration_core.report.sections.records import traceability_section
 from calibration_core.report.writing.rendering import document_number
 
 STATEMENT = (
-    "The results relate only to the robot named above, in the state in which it was measured. The certificate shall "
-    "not be reproduced except in full without the laboratory's written approval. The laboratory is responsible for all "
-    "that it states, except what the customer supplied. It recommends no interval of calibration. Without a signature "
-    "it is not valid."
+    "The results relate only to the robot named above, in the state in which it was measured. "
+    "No interval of calibration is recommended. Without a signature this document is not valid."
 )
+OF_LABORATORY = (
+    " The certificate shall not be reproduced except in full without the laboratory's written approval. The laboratory "
+    "is responsible for all that it states, except what the customer supplied."
+)
+CERTIFICATE_TITLE, RECORD_TITLE = "Calibration certificate", "Verification record"
 OR_SCATTER = ", the reading's scatter where that is larger (A)"
 FROM: Mapping[Source, tuple[str, str]] = {
     "tracker": (
@@ -80,26 +84,43 @@ def certificate_document(
         Section("Uncertainty of measurement", "", _budget(found)),
         Section("Places", "", _places(found)),
         Section("Conditions and method", "", _conditions(found)),
-        Section("Measuring equipment and traceability", "8 e)", (*equipment(cell), Paragraph(TRACEABLE))),
+        Section("Measuring equipment and traceability", "8 e)", (*equipment(cell), Paragraph(_traceability(cell)))),
     )
+    certified = _is_certificate(cell)
     document = Document(
         number=document_number(result),
-        title="Calibration certificate",
+        title=CERTIFICATE_TITLE if certified else RECORD_TITLE,
         subtitle="Accuracy of an industrial robot with an identified model, CWA 17384",
         facts=_facts(found, cell, inputs, day),
         verdict=_verdict(found),
         front=_errors(found),
         sections=sections,
         signatures=("Measured and evaluated by", "Authorised by"),
-        statement=STATEMENT,
+        statement=STATEMENT + (OF_LABORATORY if certified else ""),
     )
     return numbered(cleaned(document))
 
 
-TRACEABLE = (
-    "The results are traceable to the SI through the calibration of the instruments above; their certificates are "
-    "named by serial number and date, as the cell file states them."
-)
+def _is_certificate(cell: Cell) -> bool:
+    """Say whether laboratory, customer and item are known, without which there is no certificate (ISO/IEC 17025)."""
+    return bool(cell.certificate.laboratory and cell.certificate.customer and cell.robot.serial)
+
+
+def _traceability(cell: Cell) -> str:
+    """Say through what the results are traceable to the SI, or for which instruments that is not known."""
+    used = {"laser tracker": cell.instruments.tracker, "force/torque sensor": cell.instruments.force_torque}
+    unknown = [
+        role for role, item in used.items() if item is not None and not (item.serial and day_of(item.calibrated))
+    ]
+    if unknown:
+        return (
+            "Traceability to the SI is not shown: the cell file does not state serial number and date of calibration "
+            f"of the {' and of the '.join(unknown)}."
+        )
+    return (
+        "The results are traceable to the SI through the calibration of the instruments above, whose serial numbers "
+        "and dates of calibration the cell file states."
+    )
 
 
 def verification_document(
@@ -118,7 +139,8 @@ def verification_document(
         Section("Encoder angles", "8 d)", configurations(space.configuration, space.q, cell.prismatic)),
         Section("Input and software", "", traceability_section(cell, found.readings.provenance, inputs)),
     )
-    verdict = Verdict(certificate.verdict.headline, (*light.rows, *certificate.verdict.lines), light.usable)
+    lamp = "no" if found.decision == "not_conforming" else light.usable
+    verdict = Verdict(certificate.verdict.headline, (*light.rows, *certificate.verdict.lines), lamp)
     report = dataclasses.replace(
         certificate,
         title="Verification of a calibration",

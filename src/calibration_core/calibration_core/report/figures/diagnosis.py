@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from calibration_core.diagnosis.comparison.result import StepByStep
+from calibration_core.diagnosis.comparison.result import Comparison, StepByStep, WaterfallStep
 from calibration_core.diagnosis.location import Located
 from calibration_core.report.figures.identification import MOST_CONFIGURATIONS, grouped_rms
 from calibration_core.report.figures.style import ACCENT, GREY, INK, PALE, drawable, panels
@@ -66,8 +66,10 @@ def where_figure(where: Located) -> bytes:
 
 
 def comparison_figure(steps: StepByStep) -> bytes:
-    """Draw the difference of recording and simulation per configuration and per step."""
+    """Draw the difference of recording and simulation per configuration and step: a map where there are steps."""
     unit = length_unit(steps.rms)
+    if steps.grid is not None and steps.grid.shape[1] > 1:
+        return _difference_map(steps, steps.grid * unit.factor, unit)
     with panels((2.4, (1.8, 1))) as ((left, right), buffer):
         for axes, parts, name, letter in (
             (left, sorted(steps.by_configuration, key=lambda part: int(part.name)), "configuration", "a)"),
@@ -85,6 +87,44 @@ def comparison_figure(steps: StepByStep) -> bytes:
             axes.set_ylabel(f"recording − simulation, rms [{unit.name}]")
         right.set_ylim(0, left.set_ylim(0, max(axes.get_ylim()[1] for axes in (left, right)))[1])
         right.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
+    return buffer.getvalue()
+
+
+def _difference_map(steps: StepByStep, grid: Float2D, unit: Unit) -> bytes:
+    names = sorted((part.name for part in steps.by_configuration), key=int)
+    with panels((0.9 + 0.2 * grid.shape[1], (1,))) as ((axes,), buffer):
+        shown = axes.imshow(grid.T, cmap="Greys", vmin=0.0, aspect="auto", interpolation="nearest")
+        every = max(len(names) // 20, 1)
+        axes.set_xticks(np.arange(len(names))[::every], names[::every], fontsize=7)
+        axes.set_yticks(np.arange(grid.shape[1]), [part.name for part in steps.by_step])
+        axes.set_xlabel("configuration")
+        axes.set_ylabel("step")
+        axes.figure.colorbar(shown, ax=axes, label=f"rms [{unit.name}]", fraction=0.04, pad=0.02)
+    return buffer.getvalue()
+
+
+def waterfall_figure(compared: Comparison) -> bytes:
+    """Draw what is left of the difference of recording and simulation after every step, and by the new simulation."""
+    steps = list(compared.waterfall)
+    if compared.improved is not None:
+        again = compared.improved
+        steps.append(WaterfallStep("new simulation", "", again.rms, float("nan"), again.test_rms, 0.0))
+    unit = length_unit(steps[0].rms)
+    names = [drawable(step.name.replace("_", " "), 26) for step in steps]
+    place = np.arange(len(steps))
+    kinds = ("rms", "held_out_rms", "test_rms")
+    left, out, test = (np.array([getattr(step, kind) for step in steps]) * unit.factor for kind in kinds)
+    with panels((0.7 + 0.32 * len(steps), (1,))) as ((axes,), buffer):
+        axes.barh(place, left, height=0.62, color=INK)
+        before = np.append(left[0], left[:-1])
+        axes.barh(place, before - left, left=left, height=0.62, color=PALE)
+        axes.plot(out, place, "o", color=ACCENT, markersize=4, markerfacecolor="white", label="left out")
+        axes.plot(test, place, "D", color=ACCENT, markersize=4, label="test recording")
+        axes.set_yticks(place, names)
+        axes.set_ylim(len(steps) - 0.5, -0.5)
+        axes.set_xlim(0, 1.04 * float(np.nanmax([left, out, test])))
+        axes.set_xlabel(f"recording − model, rms [{unit.name}]")
+        axes.legend(loc="lower right")
     return buffer.getvalue()
 
 

@@ -1,4 +1,4 @@
-"""result.json of the commands that identify nothing: the contract's keys (section 5), empty where they do not apply."""
+"""result.json of the commands that identify nothing: the fixed keys, empty where they do not apply."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def command_result(
     anomalies: Sequence[Mapping[str, Any]] = (),
     **further: Any,
 ) -> dict[str, Any]:
-    """Return the content of result.json: the contract's keys in its order, further keys after them.
+    """Return the content of result.json: the fixed keys in their order, further keys after them.
 
     Args:
         command: Name of the command.
@@ -29,7 +29,7 @@ def command_result(
         recording: `file`, `configurations`, `steps`, `points` and `loaded` of what was read, planned or written.
         fit: Root mean squares that are known, m; the others are None.
         anomalies: Something wrong with the data.
-        further: Keys beyond the contract's.
+        further: Keys beyond the fixed ones.
     """
     known = {key: (fit or {}).get(key) for key in FIT}
     content: dict[str, Any] = {
@@ -61,6 +61,7 @@ def input_record(
     """
     return {
         "cell": str(cell.path),
+        **({} if provenance is None else {"recording": {"start": provenance.start}}),
         "sha256": [
             {"role": role, "file": name, "sha256": digest} for role, name, digest in digests(cell, provenance, further)
         ],

@@ -1,7 +1,8 @@
-"""result.json of a diagnosis: the contract's keys (section 5), further keys after them."""
+"""result.json of a diagnosis: the fixed keys, further keys after them."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,15 +10,17 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.bias import without_compliance
-from calibration_core.diagnosis.comparison.result import Comparison
+from calibration_core.diagnosis.comparison.result import Comparison, ImprovedSimulation
 from calibration_core.diagnosis.location import Located
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.identification.result.estimate import Identification, JointStiffness
-from calibration_core.identification.result.stiffness_interval import joint_stiffness
+from calibration_core.identification.result.observability import joint_stiffness
 from calibration_core.recording.source import digests_of_several
+from calibration_core.report.diagnosis_summary import compared_summary, diagnosis_summary
 from calibration_core.report.results.result import anomaly_record, plain, result_dict, stiffness_row, tested
-from calibration_core.report.results.traffic_light import with_light
+from calibration_core.report.results.traffic_light import light_of, with_light
 from calibration_core.report.results.verdict import ResidualVerdict, rest
+from calibration_core.report.summary import summary
 
 
 def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
@@ -57,7 +60,11 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
     content["comparison"] = compared[0] if compared else None
     if diagnosis.identification.together is not None:
         content["comparisons"] = compared
-    return with_light({key: plain(value) for key, value in content.items()})
+    content = with_light({key: plain(value) for key, value in content.items()})
+    light = light_of(content).lines
+    if compared and diagnosis.identification.together is None:
+        return {**content, "summary": compared_summary(diagnosis, diagnosis.comparisons[0], light)}
+    return {**content, "summary": [*light, *diagnosis_summary(diagnosis).splitlines()]}
 
 
 def judgement(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -88,9 +95,9 @@ def identified_dict(found: Identification, searched: Diagnosis | None, cell: Cel
         cell: The cell.
     """
     content = result_dict(found, cell)
-    if searched is None:
-        return content
-    return with_light({**content, **plain(judgement(searched))}, further=_against(found, searched))
+    if searched is not None:
+        content = with_light({**content, **plain(judgement(searched))}, further=_against(found, searched))
+    return {**content, "summary": [*light_of(content).lines, *summary(found).splitlines()]}
 
 
 def unproven(found: Identification, searched: Diagnosis) -> ResidualVerdict | None:
@@ -115,7 +122,9 @@ def _against(found: Identification, searched: Diagnosis) -> tuple[tuple[str, str
 
 
 def extended_joints(diagnosis: Diagnosis) -> tuple[JointStiffness, ...]:
-    """Return the joints in the extended model, where nothing is left out those of the standard's."""
+    """Return the joints of the model that is written for use."""
+    if diagnosis.model is None:
+        return tuple(dataclasses.replace(joint, extended=None) for joint in diagnosis.identification.stiffness)
     return tuple(_extended(joint, diagnosis) for joint in diagnosis.identification.stiffness)
 
 
@@ -182,8 +191,42 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
             "by_step": [vars(part) for part in steps.by_step],
             "by_point": [vars(part) for part in steps.by_point],
         },
+        "steps": [
+            {
+                "name": step.name,
+                "what": step.what,
+                "rms": step.rms,
+                "held_out_rms": step.held_out_rms,
+                "test_rms": step.test_rms,
+                "unit": "m",
+                "share": step.share,
+                "share_first": step.share_first,
+                "changed": [
+                    {
+                        "name": one.name,
+                        "before": one.before,
+                        "after": one.after,
+                        "interval": [one.low, one.high],
+                        "unit": one.unit,
+                        "changed": one.changed,
+                    }
+                    for one in step.changed
+                ],
+            }
+            for step in comparison.waterfall
+        ],
+        "pattern": comparison.pattern,
+        "witnesses": [
+            {**vars(one), "channels": [vars(channel) for channel in one.channels]} for one in comparison.witnesses
+        ],
+        "improved": None if comparison.improved is None else _improved(comparison.improved),
         "sentences": list(comparison.sentences),
     }
+
+
+def _improved(improved: ImprovedSimulation) -> dict[str, Any]:
+    losses = [{"files": list(one.files), "effects": list(one.effects), "costs": one.costs} for one in improved.losses]
+    return {"rms": improved.rms, "test_rms": improved.test_rms, "unit": "m", "left_out": losses}
 
 
 def where_dict(where: Located) -> dict[str, Any]:

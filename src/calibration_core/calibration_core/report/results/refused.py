@@ -49,7 +49,7 @@ def refused_result(
         notes=[vars(note) for note in readings.notes],
         input=input_record(cell, readings.provenance, inputs),
     )
-    return with_light(content)
+    return {**with_light(content), "summary": refused_summary(found).splitlines()}
 
 
 def refused_summary(found: Sequence[InputAnomaly]) -> str:

@@ -1,4 +1,4 @@
-"""result.json: the answer for programs (contract, section 5)."""
+"""result.json: the answer for programs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def result_dict(
     command: str = "identify",
     files: Mapping[str, Mapping[str, str]] | None = None,
 ) -> dict[str, Any]:
-    """Return the content of result.json: the contract's keys in its order, further keys after them.
+    """Return the content of result.json: the fixed keys in their order, further keys after them.
 
     Numbers that are not finite are None.  The verdict is `consistent` where the residuals agree with the noise, else
     `unexplained`; a search for causes (`diagnosis_result.identified_dict`) says more.
@@ -128,11 +128,12 @@ def _fit(result: Identification) -> dict[str, Any]:
         "unit": "m",
         "held_out_mean_after": fit.held_out_mean_after,
         "held_out_max_after": fit.held_out_max_after,
+        **({} if math.isnan(fit.positions) else {"positions_rms": fit.positions}),
     }
 
 
 def _further(result: Identification, cell: Cell, files: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
-    """Return the keys beyond the contract's."""
+    """Return the keys beyond the fixed ones."""
     provenance = result.readings.provenance
     return {
         "kind": result.kind,

@@ -1,4 +1,4 @@
-"""The schema of result.json (contract, section 5): what evaluating commands write, for programs and the reference.
+"""The schema of result.json: what evaluating commands write, for programs and the reference.
 
 Further keys may follow those of the schema; a program that does not know them passes over them.
 """
@@ -45,6 +45,10 @@ class FitEntry(_Open):
     held_out_rms_after: Number
     noise: Number = Field(description="Standard deviation of one coordinate that the instruments explain.")
     unit: Literal["m"]
+    positions_rms: Number = Field(
+        default=None,
+        description="Of absolute positions beside loads: tracker and targets fitted, geometry as in the model.",
+    )
 
 
 class ParameterEntry(_Open):
@@ -132,4 +136,6 @@ class ResultFile(_Open):
         default=None, description="The traffic light; of commands that evaluate or judge a recording."
     )
     reason: str | None = Field(default=None, description="Why it is usable or not.")
+    reasons: list[str] | None = Field(default=None, description="The reservations that `reason` joins.")
     next_step: str | None = Field(default=None, description="What to do next; empty: nothing.")
+    summary: list[str] | None = Field(default=None, description="The lines that the terminal prints.")

@@ -1,4 +1,4 @@
-"""Several recordings in result.json (contract, section 7): what each contributed, and whether they agree."""
+"""Several recordings in result.json: what each contributed, and whether they agree."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def together_dict(together: Together) -> dict[str, Any]:
         "recording": records[0],
         "recordings": records,
         "agreement": {
-            "agree": not together.disagreements,
+            "agree": not together.disagreements if together.compared else None,
             "compared": list(together.compared),
             "differences": [vars(one) for one in together.disagreements],
             "taken_off": [vars(one) for one in together.taken_off],

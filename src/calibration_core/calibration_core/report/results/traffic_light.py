@@ -1,4 +1,4 @@
-"""The traffic light of a result: whether it can be used, why, and what to do next (contract, section 7)."""
+"""The traffic light of a result: whether it can be used, why, and what to do next."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from calibration_core.diagnosis.result.finding import HANDED_OUT
 from calibration_core.identification.result.estimate import DECLARED_RIGID
-from calibration_core.identification.result.stiffness_interval import DETERMINED
+from calibration_core.identification.result.observability import DETERMINED
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.words import effect_sentence
+from calibration_core.report.rounding import counted
 
 BLOCKING = frozenset({
     "wrench_sign", "wrench_unit", "wrench_frame", "position_unit", "angle_unit", "joint_order", "point_order",
-    "wrong_robot_file", "no_relation",
+    "joint_coupling", "wrong_robot_file", "no_relation",
 })  # fmt: skip
 
 EQUAL_CAUSES = 2  # that are named beside a finding, if the recording cannot tell them from it
@@ -33,11 +35,13 @@ class Light:
         usable: `yes`, `with_reservations` or `no`.
         reason: Why, in words.
         next_step: What to do next; empty where there is nothing to do.
+        reasons: The single reasons, the first of which the terminal names.
     """
 
     usable: str
     reason: str
     next_step: str
+    reasons: tuple[str, ...]
 
     @property
     def headline(self) -> str:
@@ -51,17 +55,20 @@ class Light:
         return tuple((label, text[0].upper() + text[1:]) for label, text in rows if text)
 
     @property
-    def line(self) -> str:
-        """The first line on a terminal."""
+    def lines(self) -> list[str]:
+        """The first lines on a terminal: whether it can be used and why, and what next."""
         if self.usable == "no":
-            return f"not usable: {self.next_step}"
-        step = f"; next: {self.next_step}" if self.next_step else ""
-        return f"{self.headline.lower()}: {self.reason}{step}"
+            return [f"not usable: {self.next_step}"]
+        more = len(self.reasons) - 1
+        further = f" (and {counted(more, 'further reservation')}, in the report)" if more else ""
+        step = [f"next: {self.next_step}"] if self.next_step else []
+        return [f"{self.headline.lower()}: {self.reasons[0]}{further}", *step]
 
 
 def light_of(content: Mapping[str, Any]) -> Light:
     """Return the light of the content of a result.json."""
-    return Light(content["usable"], content["reason"], content["next_step"])
+    reason = content["reason"]
+    return Light(content["usable"], reason, content["next_step"], tuple(content.get("reasons") or [reason]))
 
 
 def with_light(
@@ -75,7 +82,7 @@ def with_light(
     An anomaly of the input leaves no stiffness, no finding and the verdict `unexplained`.
 
     Args:
-        content: The contract's keys, and `preconditions` where there are some.
+        content: The fixed keys, and `preconditions` where there are some.
         good: Why it is usable, where nothing speaks against it.
         residual: What a verdict other than `consistent` means, and what to do then; None: what the findings say.
         further: What else speaks against using it, each with what to do about it.
@@ -91,8 +98,9 @@ def with_light(
     if not reasons:
         return {**content, "usable": "yes", "reason": good, "next_step": ""}
     step = next((step for _, step in reasons if step), "")
-    reason = "; ".join(reason for reason, _ in reasons)
-    return {**content, "usable": "with_reservations", "reason": reason, "next_step": step}
+    each = [reason for reason, _ in reasons]
+    judged = {"usable": "with_reservations", "reason": "; ".join(each), "next_step": step, "reasons": each}
+    return {**content, **judged}
 
 
 def _reservations(
@@ -135,6 +143,8 @@ def _missing(content: Mapping[str, Any]) -> tuple[str, str]:
     names = "; ".join(dict.fromkeys(map(_sentence, findings)))
     rest = ", and a part of the residual stays unexplained" if content["verdict"] == "partly_explained" else ""
     step = "use the extended model that diagnose writes (model.yaml)"
+    if any(note["kind"] == HANDED_OUT for note in content.get("notes", ())):
+        step = "measure more: what was found predicts readings that were not fitted no better than the standard's model"
     several = {one["effect"] for finding in findings for one in _alike(finding)}
     stated: dict[str, str] = {}  # field -> which one it is otherwise
     for effect in catalogue():

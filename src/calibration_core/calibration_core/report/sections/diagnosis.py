@@ -6,20 +6,26 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.comparison.result import Comparison, StepByStep
-from calibration_core.diagnosis.result.evidence_words import evidence_words
+from calibration_core.diagnosis.comparison.result import Comparison, StepByStep, WaterfallStep
 from calibration_core.diagnosis.result.finding import (
     EMPIRICAL,
     Diagnosis,
     Finding,
     FoundParameter,
     ProposedMeasurement,
+    evidence_words,
 )
 from calibration_core.identification.result.tested import PARTS
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.words import effect_sentence, people_unit
+from calibration_core.report.diagnosis_summary import improved_lines
 from calibration_core.report.document import Block, Column, Facts, Figure, Items, Paragraph, Table
-from calibration_core.report.figures.diagnosis import before_after_figure, comparison_figure, where_figure
+from calibration_core.report.figures.diagnosis import (
+    before_after_figure,
+    comparison_figure,
+    waterfall_figure,
+    where_figure,
+)
 from calibration_core.report.results.diagnosis import extended_joints
 from calibration_core.report.rounding import DASH, counted, fixed, padded, significant
 from calibration_core.report.sections.procedure import joint_columns, joint_values
@@ -27,6 +33,8 @@ from calibration_core.report.sections.stiffness import extended_table
 
 MOST_ROWS = 12
 MOST_OTHERS = 5
+GAIN = "Gain: recorded over simulated."
+LOST = "What a format leaves out adds so much, squared, to what the whole model leaves."
 STIFFNESS_OF = {"rad/(N*m)": "N·m/rad", "m/N": "N/m"}
 CONCERNED = {
     "structure": "the structure (bearings, links, base, tool)",
@@ -50,16 +58,88 @@ def comparison_blocks(compared: Comparison) -> tuple[Block, ...]:
             Column("Disagrees with the cell file", "left"), Column("Spoils the comparison", "left"),
         )  # fmt: skip
         blocks.append(Table("Differences that are no physics", columns, rows))
+    channels = tuple(
+        (channel.name, significant(channel.rms, 3), people_unit(channel.unit), significant(channel.gain, 4))
+        for one in compared.witnesses
+        for channel in one.channels
+    )
+    if channels:
+        columns = (Column("Said by both", "left"), Column("rms difference"), Column("Unit", "left"), Column("Gain"))
+        blocks.append(Table("Recording beside simulation, one by one", columns, padded(channels), GAIN))
     steps, postures = compared.steps, compared.postures
     if steps is None:
         return tuple(blocks)
-    caption = "Recording minus simulation: a) per configuration; b) per step; dashed: the noise of both."
+    if compared.waterfall:
+        blocks += _waterfall(compared)
+    caption = (
+        "Recording minus simulation, in every configuration and step."
+        if steps.grid is not None and steps.grid.shape[1] > 1
+        else "Recording minus simulation: a) per configuration; b) per step; dashed: the noise of both."
+    )
+    if compared.pattern:
+        blocks.append(Paragraph(compared.pattern))
     blocks.append(Figure("comparison", caption, "Difference per configuration and step", comparison_figure(steps)))
     bends = bool(np.isfinite(steps.slope))
     blocks.append(_largest("Largest differences of recording and simulation", steps, bends=bends))
     if postures is not None:
         blocks.append(_largest("Largest differences of positions, configurations with one step", postures, bends=False))
     return tuple(blocks)
+
+
+def _waterfall(compared: Comparison) -> list[Block]:
+    """Return how the difference becomes the noise, as a figure and with its numbers, and what is handed over."""
+    steps, improved = compared.waterfall, compared.improved
+    caption = (
+        "What is left of the difference after each step; each fits its own numbers and those before it. Dark: of the "
+        "configurations in the fit; circles: of configurations left out; diamonds: of the test recording. "
+        "Last: the new simulation, as it is."
+    )
+    columns = (
+        Column("Step", "left"), Column("What changes", "left", wide=True), Column("Left [µm]"),
+        Column("Not in the fit [µm]"), Column("Test [µm]"), Column("Takes [%]"),
+    )  # fmt: skip
+    rows = tuple(
+        (
+            step.name.replace("_", " "),
+            step.what,
+            *(significant(1e6 * value, 3) for value in (step.rms, step.held_out_rms, step.test_rms)),
+            fixed(100 * step.share, 1),
+        )
+        for step in steps
+    )
+    note = "Shares are of the squared difference; they add up to 100 %. That of the noise is what is left."
+    figure = Figure("waterfall", caption, "From the simulation to the noise", waterfall_figure(compared))
+    blocks: list[Block] = [figure, Table("From the simulation to the noise", columns, padded(rows), note)]
+    blocks.append(_changed(steps))
+    if improved is not None:
+        lost = (
+            (" with ".join(one.files), "; ".join(one.effects) or DASH, significant(1e6 * one.costs, 3))
+            for one in improved.losses
+        )
+        formats = (Column("Files", "left"), Column("Leave out", "left", wide=True), Column("Costs [µm]"))
+        blocks.append(Items(tuple(improved_lines(improved)[:1])))
+        blocks.append(Table("The improved simulation for other programs", formats, padded(tuple(lost)), LOST))
+    return blocks
+
+
+def _changed(steps: Sequence[WaterfallStep]) -> Table:
+    """Return the numbers that change, with the value before and after."""
+    rows = tuple(
+        (
+            one.name,
+            *(significant(value, 5) for value in (one.before, one.after, one.low, one.high)),
+            people_unit(one.unit),
+        )
+        for step in steps
+        for one in step.changed
+        if one.changed
+    )
+    columns = (
+        Column("Number", "left"), Column("Before"), Column("After"), Column("95 % from"), Column("to"),
+        Column("Unit", "left"),
+    )  # fmt: skip
+    note = "Those of which the recording is sure."
+    return Table("What changes in the simulator's model", columns, rows, note)
 
 
 def _largest(title: str, steps: StepByStep, *, bends: bool) -> Table:

@@ -15,7 +15,7 @@ from calibration_core.identification.result.phase import (
     Decoupled,
     PhaseEstimate,
 )
-from calibration_core.identification.standard.point_frame import frame_of
+from calibration_core.identification.standard.standard_geometry import frame_of
 from calibration_core.report.arcs import describe_arc
 from calibration_core.report.document import Block, Column, Items, Paragraph, Section, Table
 from calibration_core.report.rounding import STIFFNESS as UNIT

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from calibration_core.identification.result.estimate import JointStiffness
 from calibration_core.identification.result.together import Contribution, Together
 from calibration_core.report.document import Block, Column, Items, Paragraph, Table
-from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed, shortened, spread
+from calibration_core.report.rounding import COVERAGE, DASH, STIFFNESS, counted, decimals, fixed, shortened, spread
 
 COMMON = "the common values there hold for none of them"
 COLUMNS = (
@@ -72,7 +72,7 @@ def _by_recording(together: Together, stiffness: Sequence[JointStiffness]) -> Ta
         named = shortened(joint.joint) if joint.unit == "N*m/rad" else f"{shortened(joint.joint)} [10⁵ N/m]"
         alone = [one.stiffness.get(joint.joint, (math.nan, math.nan)) for one in together.contributions]
         rows.append((named, *(_with_std(*pair) for pair in (*alone, (joint.value, joint.std)))))
-    note = f"In {STIFFNESS.name}, each with its standard uncertainty; {DASH}: the recording does not determine it."
+    note = f"In {STIFFNESS.name}, each ± half of its 95 % interval; {DASH}: the recording does not determine it."
     return Table("Joint stiffness by recording", columns, tuple(rows), note)
 
 
@@ -80,7 +80,7 @@ def _with_std(value: float, std: float) -> str:
     if not (math.isfinite(value) and math.isfinite(std)):
         return DASH
     places = decimals(STIFFNESS.factor * std)
-    return f"{fixed(STIFFNESS.factor * value, places)} ± {fixed(STIFFNESS.factor * std, places)}"
+    return f"{fixed(STIFFNESS.factor * value, places)} ± {fixed(COVERAGE * STIFFNESS.factor * std, places)}"
 
 
 def _row(one: Contribution) -> tuple[str, ...]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.errors import CellError
 from calibration_core.model.chain import Chain
-from calibration_core.model.urdf.bodies import Body, Form, coal_shape, urdf_bodies
+from calibration_core.model.urdf.bodies import Body, Form, lost_meshes, urdf_shapes
 from calibration_core.timeseries import Float1D, Float2D, Int2D
 
 MOST_FACES = 1200
@@ -50,12 +49,10 @@ def robot_solids(cell: Cell, chain: Chain) -> tuple[tuple[Solid, ...], str]:
     """
     reason = "the cell file has DH rows" if cell.urdf_path is None else "the URDF has no bodies"
     for kind in KINDS if cell.urdf_path is not None else ():
-        try:
-            bodies = urdf_bodies(cell, kind)
-            if bodies:
-                return tuple(_solid(cell, body) for body in bodies), ""
-        except CellError as error:  # a URDF is often handed on without its meshes; it can be drawn all the same
-            reason = str(error)
+        shapes, lost = urdf_shapes(cell, kind)
+        if shapes and not lost:
+            return tuple(_solid(body, shape) for body, shape in shapes), ""
+        reason = lost_meshes(lost) or reason
     return _slender(chain.whole), reason
 
 
@@ -90,10 +87,10 @@ def _clustered(vertices: Float2D, faces: Int2D, step: float) -> tuple[Float2D, I
     return middle, mapped[whole][np.sort(once)]
 
 
-def _solid(cell: Cell, body: Body) -> Solid:
+def _solid(body: Body, mesh: Any) -> Solid:
+    """Return a body; `mesh` is its `coal` shape."""
     if body.form != "mesh":
         return Solid(body.link, body.form, body.size, body.pose)
-    mesh = coal_shape(cell, body)
     vertices = np.array(mesh.vertices(), dtype=float)
     faces = np.array([[row[0], row[1], row[2]] for row in (mesh.tri_indices(i) for i in range(mesh.num_tris))])
     return Solid(body.link, "mesh", np.zeros(0), body.pose, *simplified(vertices, faces.reshape(-1, 3).astype(int)))

@@ -1,8 +1,8 @@
 """A result is one unit: all the files of a command appear together, or nothing changes.
 
-They are made in a folder beside the output folder, and the two change places by one rename, under a lock on the folder
-above.  Two writers never mix; of one that was killed the old result stays whole, and the next one clears what it left.
-What a command does not write stays: files of others are carried into the new folder.
+They are made in a hidden folder inside the output folder and then renamed one by one, `result.json` last, so that
+whoever stands in the folder, or looks at it, keeps it.  A rename that fails is undone with all before it.  What a
+command does not write stays.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from calibration_core.errors import InputError, OutputError, storage_fault
 from calibration_core.files.regular import read_regular
-from calibration_core.report.writing import swap
 
 RESULT, REPORT_HTML, REPORT_PDF = "result.json", "report.html", "report.pdf"
 ALWAYS = frozenset({RESULT, REPORT_HTML, REPORT_PDF})
@@ -26,7 +25,8 @@ WRITTEN: Mapping[str, frozenset[str]] = {
     "plan": ALWAYS | {"plan.yaml", "table1.csv", "table1.yaml"},
     "simulate": ALWAYS | {"plan.yaml", "table1.csv", "table1.yaml", "recording", "measurements.csv"},
     "identify": IDENTIFIED,
-    "diagnose": IDENTIFIED | {"next.yaml"},
+    "diagnose": IDENTIFIED
+    | {"next.yaml", "simulation.csv", "cell_lines.yaml", "robot.urdf", "kinematics.yaml", "robot.xml"},
     "predict": ALWAYS | {"predictions.csv"},
     "compare": ALWAYS,
     "verify": ALWAYS | {"certificate.pdf"},
@@ -56,7 +56,7 @@ WRITTEN: Mapping[str, frozenset[str]] = {
         "populations.csv",
         "populations.parquet",
     },
-    "init": frozenset({RESULT, "cell.yaml", "cell.schema.json", "robot.urdf"}),
+    "init": frozenset({RESULT, "cell.yaml", "cell.schema.json", "robot.urdf", "meshes"}),
     "check": ALWAYS | {"cell.html", "cell.png"},
 }
 """What each command may write: with a new result, whatever of it stands there from an earlier one goes."""
@@ -70,8 +70,7 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
     """Write a set of files into a directory, which is made if missing: all of them, or none.
 
     With `result.json` among them, what the earlier result there consisted of is replaced as a whole; otherwise files
-    are added.  Where the directory cannot change places with another (it is a mount point, holds the working
-    directory, or the one above cannot be written), files are renamed one by one, `result.json` last.
+    are added.
 
     Args:
         directory: Where to.
@@ -87,10 +86,13 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
         if target.exists() and not target.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target))
         target.mkdir(parents=True, exist_ok=True)
-        with swap.SwapPlace(target) as place:
+        with tempfile.TemporaryDirectory(prefix=".calibration-", dir=target) as folder:
+            new, old = Path(folder) / "new", Path(folder) / "old"
+            new.mkdir()
+            old.mkdir()
             for name, content in files.items():
-                _stage(place.new, name, content)
-            place.commit(lambda: _kept(target, place.new, files))
+                _stage(new, name, content)
+            _put(target, new, old, files)
         written = True
     except OSError as error:
         name = Path(str(error.filename)).name if error.filename else ""
@@ -103,6 +105,45 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
             _remove_empty(missing)
 
 
+def _put(target: Path, new: Path, old: Path, files: Mapping[str, Content]) -> None:
+    """Rename what was made to where it belongs, and take away the rest of the earlier result; undo all on a failure."""
+    for name in files:
+        goal, source = target / name, new / name
+        if goal.exists() and goal.is_dir() != source.is_dir():
+            code = errno.EISDIR if goal.is_dir() else errno.ENOTDIR
+            raise OSError(code, os.strerror(code), str(goal))
+    earlier = WRITTEN.get(made_by(target) or "", ALWAYS) if RESULT in files else frozenset()
+    gone = [name for name in sorted(earlier - set(files)) if os.path.lexists(target / name)]
+    moved: list[str] = []
+    try:
+        for name in [*sorted(files, key=lambda name: name == RESULT), *gone]:
+            moved.append(name)
+            if os.path.lexists(target / name):
+                _keep(target / name, old / name)
+            if name in files:
+                (new / name).replace(target / name)
+            elif os.path.lexists(target / name):
+                (target / name).unlink()
+    except BaseException:
+        for name in reversed(moved):
+            if os.path.lexists(old / name):
+                (old / name).replace(target / name)
+            elif name in files and not (new / name).exists():
+                (target / name).replace(new / name)
+        raise
+
+
+def _keep(path: Path, copy: Path) -> None:
+    """Keep what is to be replaced: a folder or link is moved away, a file gets a second name, or is copied."""
+    if path.is_dir() or path.is_symlink():
+        path.replace(copy)
+        return
+    try:
+        os.link(path, copy)
+    except OSError:
+        shutil.copy2(path, copy)
+
+
 def _remove_empty(places: Sequence[Path]) -> None:
     """Remove the directories that were made, the innermost first; one in which something stands stays."""
     for place in places:
@@ -110,18 +151,6 @@ def _remove_empty(places: Sequence[Path]) -> None:
             place.rmdir()
         except OSError:
             return
-
-
-def _kept(target: Path, new: Path, files: Mapping[str, Content]) -> Collection[str]:
-    """Return the names in the target that stay: neither written anew nor part of the earlier result."""
-    there = {entry.name: entry for entry in target.iterdir()}
-    for name in files.keys() & there.keys():
-        old_is, new_is = there[name].is_dir(), (new / name).is_dir()
-        if old_is != new_is:
-            code = errno.EISDIR if old_is else errno.ENOTDIR
-            raise OSError(code, os.strerror(code), str(there[name]))
-    gone = WRITTEN.get(made_by(target) or "", ALWAYS) if RESULT in files else frozenset()
-    return [name for name in there if name not in files and name not in gone]
 
 
 def made_by(directory: Path) -> str | None:

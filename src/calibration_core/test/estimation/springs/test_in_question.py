@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from calibration_core.estimation.blocks import Blocks
+from calibration_core.estimation.estimate import spring_in_question
 from calibration_core.estimation.field import Field, Trial
 from calibration_core.estimation.hypotheses import offer
 from calibration_core.estimation.search import Search
-from calibration_core.estimation.springs.in_question import spring_in_question
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D

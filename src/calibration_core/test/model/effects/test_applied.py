@@ -14,9 +14,9 @@ from calibration_core.cell import Cell
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects import candidates, effects_with
 from calibration_core.model.effects.applied import REFERENCE, applied, applied_shift
+from calibration_core.model.effects.candidate import Trait
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.effects.structure.gravity_compensator import Triangle, spring, triangle_of
-from calibration_core.model.effects.traits import Trait
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of

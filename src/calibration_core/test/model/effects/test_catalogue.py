@@ -1,4 +1,4 @@
-"""The catalogue has all effects of the contract, and those that have little to say say it."""
+"""The catalogue has all effects of the vocabulary, and those that have little to say say it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ VOCABULARY = {
     "point chain": {"tracker_frame_misalignment", "tracker_scale", "tracker_drift", "measurement_point_offset",
                     "clock_offset"},
     "absolute": {"joint_zero_offset", "geometry_error", "transmission_error", "wrist_coupling", "joint_elasticity",
-                 "thermal_growth", "approach_direction"},
+                 "gravity_direction", "thermal_growth", "approach_direction"},
 }  # fmt: skip
 TRACKER = np.array([3.0, -1.0, 1.5])
 

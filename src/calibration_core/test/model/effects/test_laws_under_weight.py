@@ -11,11 +11,11 @@ import pytest
 from calibration_core.model.chain import Chain, rotation_x
 from calibration_core.model.effects import candidates, catalogue
 from calibration_core.model.effects.absolute.approach_direction import sides
+from calibration_core.model.effects.applied import acting, with_side_torques
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.joint_law import hysteresis
 from calibration_core.model.effects.joint_law.creep import relaxed
 from calibration_core.model.effects.joint_law.hysteresis import CHANCE, stop
-from calibration_core.model.effects.side_torques import acting, with_side_torques
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.effects.structure.gravity_compensator import Triangle, carriers, spring, spring_torque
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium

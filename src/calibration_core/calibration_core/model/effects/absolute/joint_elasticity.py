@@ -15,11 +15,9 @@ from functools import partial
 
 import numpy as np
 
-from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, Trait, typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.traits import Trait
 from calibration_core.model.kinematics import cross, dot
 from calibration_core.model.statics import gravity_torque
 from calibration_core.timeseries import Float1D, Float2D, Float3D

@@ -13,11 +13,9 @@ from functools import partial
 
 import numpy as np
 
-from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, link_name
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, Trait, link_name, typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 REFERENCE = 20.0  # degrees Celsius (ISO 1)

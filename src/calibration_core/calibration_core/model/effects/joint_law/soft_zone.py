@@ -11,12 +11,10 @@ from functools import partial
 
 import numpy as np
 
-from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, Trait, typical
 from calibration_core.model.effects.joint_law.nonlinear_stiffness import acting_torque, all_torques, torques
-from calibration_core.model.effects.priors import typical
 from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.traits import Trait
 from calibration_core.timeseries import Float3D
 
 WIDTHS = (0.08, 0.13, 0.2, 0.3)  # of the largest torque

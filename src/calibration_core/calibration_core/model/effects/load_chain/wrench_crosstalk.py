@@ -11,9 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
-from calibration_core.model.effects.load_chain.wrench_gain import AXES
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, typical
+from calibration_core.model.effects.load_chain.wrench_gain import AXES, MOST
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
@@ -39,7 +38,7 @@ def _candidates(state: State) -> Iterator[Candidate]:
             torque_to_force = source >= 3 > to
             scale = ARM if force_to_torque else 1 / ARM if torque_to_force else 1.0
             unit = "m" if force_to_torque else "1/m" if torque_to_force else "1"
-            parameters.append(Parameter(f"{AXES[source]}_to_{AXES[to]}", unit, size * scale))
+            parameters.append(Parameter(f"{AXES[source]}_to_{AXES[to]}", unit, size * scale, most=MOST * scale))
         columns = partial(_columns, count=count)
         yield Candidate(EFFECT.name, EFFECT.family, {"sensor": "force_torque"}, variant, tuple(parameters), columns)
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
-from calibration_core.model.effects.priors import typical
+from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, typical
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+MOST = 0.5  # a channel that has lost one of its two half bridges reads half; more is a wrong range or unit
 
 
 def _columns(state: State, axes: tuple[int, ...]) -> Float3D:
@@ -26,10 +26,10 @@ def _candidates(state: State) -> Iterator[Candidate]:
     size = typical("wrench_gain", state.rated_load)
     sensor = {"sensor": "force_torque"}
     for variant, axes in (("forces", (0, 1, 2)), ("all axes", (0, 1, 2, 3, 4, 5))):
-        parameters = tuple(Parameter(f"gain_{AXES[axis]}", "1", size) for axis in axes)
+        parameters = tuple(Parameter(f"gain_{AXES[axis]}", "1", size, most=MOST) for axis in axes)
         yield Candidate(EFFECT.name, EFFECT.family, sensor, variant, parameters, partial(_columns, axes=axes))
     for axis, name in enumerate(AXES):
-        one = (Parameter(f"gain_{name}", "1", size),)
+        one = (Parameter(f"gain_{name}", "1", size, most=MOST),)
         yield Candidate(EFFECT.name, EFFECT.family, sensor, name, one, partial(_columns, axes=(axis,)))
 
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calibration_core.model.effects.candidate import Candidate, Effect
+from calibration_core.model.effects.candidate import Candidate, Effect, Trait
 from calibration_core.model.effects.state import State
-from calibration_core.model.effects.traits import Trait
 
 
 def _candidates(state: State) -> Iterator[Candidate]:  # noqa: ARG001  # at rest whatever the state

@@ -1,0 +1,108 @@
+"""A simulation with conventions of its own: they are named, put right, and the comparison is the same as without."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from robots import loaded_readings, write_cell
+
+from calibration_core.cell import Cell
+from calibration_core.diagnosis.comparison.recordings import sensor_axes
+from calibration_core.diagnosis.comparison.result import Comparison
+from calibration_core.diagnosis.simulated import compare_checked
+from calibration_core.identification.stiffness.predict import predict_readings
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import Readings
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    return write_cell(tmp_path_factory.mktemp("cell"))
+
+
+@pytest.fixture(scope="module")
+def recorded(cell: Cell) -> Readings:
+    return loaded_readings(cell, 3)
+
+
+def simulated(recorded: Readings, cell: Cell) -> Readings:
+    return dataclasses.replace(recorded, position=predict_readings(recorded, cell, nominal_parameters(cell)))
+
+
+@pytest.fixture(scope="module")
+def plain(recorded: Readings, cell: Cell) -> Comparison:
+    return compare_checked(recorded, simulated(recorded, cell), cell)
+
+
+def reaction(readings: Readings, _: Cell) -> Readings:
+    assert readings.wrench is not None
+    return dataclasses.replace(readings, wrench=-readings.wrench)
+
+
+def in_base_axes(readings: Readings, cell: Cell) -> Readings:
+    assert readings.wrench is not None
+    axes, parts = sensor_axes(readings, cell, chain_of(cell)), (readings.wrench[:, :3], readings.wrench[:, 3:])
+    return dataclasses.replace(readings, wrench=np.hstack([np.einsum("mij,mj->mi", axes, part) for part in parts]))
+
+
+def in_degrees(readings: Readings, _: Cell) -> Readings:
+    return dataclasses.replace(readings, q=np.degrees(readings.q))
+
+
+def in_millimetres(readings: Readings, cell: Cell) -> Readings:
+    return dataclasses.replace(reaction(readings, cell), position=1e3 * readings.position)
+
+
+def without_wrench(readings: Readings, _: Cell) -> Readings:
+    return dataclasses.replace(readings, wrench=None)
+
+
+def zero_wrench(readings: Readings, _: Cell) -> Readings:
+    assert readings.wrench is not None
+    return dataclasses.replace(readings, wrench=0 * readings.wrench)
+
+
+def without_weight(readings: Readings, cell: Cell) -> Readings:
+    robot = cell.robot.model_copy(update={"gravity": (0.0, 0.0, 0.0)})
+    return simulated(readings, cell.model_copy(update={"robot": robot}))
+
+
+@pytest.mark.parametrize(
+    ("foreign", "kinds"),
+    [
+        (reaction, {"wrench_sign"}),
+        (in_base_axes, {"wrench_frame"}),
+        (in_degrees, {"angle_unit"}),
+        (in_millimetres, {"position_unit", "wrench_sign"}),
+        (without_wrench, {"loads"}),
+        (zero_wrench, {"loads"}),
+        (without_weight, {"gravity"}),
+    ],
+)
+def test_a_convention_is_named_and_put_right(
+    foreign: Callable[[Readings, Cell], Readings],
+    kinds: set[str],
+    recorded: Readings,
+    plain: Comparison,
+    cell: Cell,
+) -> None:
+    found = compare_checked(recorded, foreign(simulated(recorded, cell), cell), cell)
+    assert {one.kind for one in found.differences} == kinds
+    assert {(one.side, one.spoils) for one in found.differences} == {("simulation", False)}
+    assert found.witnesses == ()
+    assert found.steps is not None
+    assert plain.steps is not None
+    assert found.steps.rms == pytest.approx(plain.steps.rms, rel=0.02)
+
+
+def test_a_simulation_that_does_not_bend_is_the_rigid_robot(recorded: Readings, cell: Cell) -> None:
+    rigid = simulated(dataclasses.replace(recorded, wrench=None), cell)
+    found = compare_checked(recorded, rigid, cell)
+    assert ["rigid" in one.text for one in found.differences] == [True]
+    assert found.reproduction.compliance is not None
+    assert not found.reproduction.compliance.any()
+    assert found.steps is not None

@@ -1,0 +1,126 @@
+"""Pairs of a simulation by the product and a recording of another plant: the steps lead from the one to the other.
+
+`make prove-pairs` runs as many as PROVE_PAIRS says.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from calibration_core.cell import Cell, load_cell
+from calibration_core.diagnosis.comparison.result import Comparison
+from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.files.yaml_file import yaml_text
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.timeseries import Float1D, Float2D, Readings
+from calibration_sim.cell.protocol import Configuration
+from calibration_sim.effects.draw import robot_cell
+from calibration_sim.scenarios.generate import generate
+from calibration_sim.scenarios.grid import Scenario, grid
+from calibration_sim.scenarios.protocols import make_protocol
+
+SEED, MANY = int(os.environ.get("PROVE_SEED", "20261")), int(os.environ.get("PROVE_PAIRS", "200"))
+FITTED, TESTED = 18, 8  # configurations
+SENSOR = frozenset({"wrench_gain", "wrench_crosstalk", "wrench_frame_misalignment"})
+MODELLED = frozenset({"simulation", "frames", "geometry", "stiffness", "noise"})
+
+
+class Planned(NamedTuple):
+    """A configuration as the product simulates it."""
+
+    number: int
+    q: Float1D
+    steps: Float2D
+
+
+class Pair(NamedTuple):
+    """What one pair came to."""
+
+    group: str
+    true: frozenset[str]
+    compared: Comparison
+    noise: float
+
+
+def scenarios(seed: int) -> list[Scenario]:
+    """Return loaded recordings of none to three effects, with eight configurations more to test on, mixed."""
+    chosen = [one for one in grid(seed) if one.group in {"nothing", "single", "pair", "triple"}]
+    chosen = [one for one in chosen if one.protocol == "L" and len(one.planned) < 4]
+    groups = [[one for one in chosen if one.group == group] for group in ("nothing", "single", "pair", "triple")]
+    longest = max(map(len, groups))
+    mixed = [one[k] for k in range(longest) for one in groups if k < len(one)]
+    return [dataclasses.replace(one, protocol=f"L{FITTED + TESTED}") for one in mixed]
+
+
+def simulated(cell: Cell, scenario: Scenario) -> Readings:
+    """Return what the product's `simulate` says of the same plan, by the cell file alone."""
+    measured: tuple[Configuration, ...] = make_protocol(
+        robot_cell(scenario.robot), scenario.protocol, scenario.seed
+    ).configurations
+    planned = [Planned(one.number, one.q, one.wrenches) for one in measured]
+    return simulate_plan(planned, cell, nominal_parameters(cell))
+
+
+def pairs(count: int, folder: Path) -> Iterator[Pair]:
+    for scenario in scenarios(SEED)[:count]:
+        made = generate(scenario)
+        path = folder / "cell.yaml"
+        path.write_text(yaml_text(made.cell), encoding="utf-8")
+        cell, readings = load_cell(path), made.readings
+        last = np.unique(readings.configuration)[FITTED:]
+        tested = np.isin(readings.configuration, last)
+        found = diagnose(
+            readings.select(~tested), cell, test=readings.select(tested), simulation=simulated(cell, scenario)
+        )
+        true = frozenset(str(effect["effect"]) for effect in made.label["effects"])
+        yield Pair(scenario.group, true, found.comparisons[0], found.noise_known)
+
+
+def share(hits: list[bool]) -> str:
+    return f"{sum(hits)} of {len(hits)}"
+
+
+@pytest.mark.slow
+def test_the_steps_lead_from_the_simulation_to_the_noise(tmp_path: Path) -> None:
+    sums, ends, largest, nothing, closed, worse, witnessed = [], [], [], [], [], [], []
+    for pair in pairs(MANY, tmp_path):
+        steps, improved = pair.compared.waterfall, pair.compared.improved
+        print(pair.group, sorted(pair.true), [(step.name, round(1e6 * step.rms, 1)) for step in steps], flush=True)
+        witnesses = [one for one in pair.compared.witnesses if one.what == "wrench"]
+        if pair.true & SENSOR:
+            witnessed.append([one.wrong for one in witnesses] == ["recording"])
+        if not steps or improved is None:
+            ends.append(False)
+            continue
+        sums.append(abs(sum(step.share for step in steps) - 1) < 1e-6)
+        physics = [step for step in steps if step.name not in MODELLED]
+        if pair.group == "nothing":
+            nothing.append(all(step.share <= 0.02 for step in physics))
+        else:
+            ends.append(steps[-1].rms <= 1.2 * pair.noise)
+            largest.append(bool(physics) and max(physics, key=lambda step: step.share).name in pair.true)
+        closed.append(improved.test_rms / steps[-1].test_rms - 1)
+        before = steps[-3].test_rms if physics else steps[-2].test_rms
+        worse.append(improved.test_rms <= 1.05 * before)
+    print(f"steps add up: {share(sums)}")
+    print(f"last step within 1.2 times the noise: {share(ends)}")
+    print(f"the true cause's bar is the largest of the physics: {share(largest)}")
+    print(f"nothing missing, no bar of physics: {share(nothing)}")
+    print(f"new simulation against the test, beyond the promise, median: {100 * np.median(np.abs(closed)):.1f} %")
+    print(f"never worse than the step before: {share(worse)}")
+    print(f"sensor at fault, witness named: {share(witnessed)}")
+    assert all(sums)
+    assert np.mean(ends) >= 0.9
+    assert np.mean(largest) >= 0.95
+    assert all(nothing)
+    assert np.median(np.abs(closed)) <= 0.1
+    assert all(worse)
+    assert np.mean(witnessed) >= 0.9
