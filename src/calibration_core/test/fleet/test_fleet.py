@@ -89,8 +89,8 @@ def results(out: Path) -> dict[str, bytes]:
 
 
 def rows_on_disk(out: Path) -> list[Path]:
-    """Return what is done; a folder that is being written has a name that begins with a dot."""
-    return sorted(path for path in (out / "results").rglob("row.json") if not path.parent.name.startswith("."))
+    """Return what is done: a row appears before its result, and what is being written stands in hidden folders."""
+    return sorted(path.with_name("row.json") for path in (out / "results").glob("*/*/*/*/result.json"))
 
 
 def test_every_recording_is_a_row_and_errors_are_rows(reference: Path, plant: Path) -> None:
@@ -178,6 +178,17 @@ def test_killed_and_gone_on_with_it_is_the_same_data_set(reference: Path, plant:
     assert done.returncode == 0, done.stderr
     assert {path: path.stat().st_mtime_ns for path in kept} == before
     assert said(out) == said(reference)
+    assert results(out) == results(reference)
+
+
+def test_what_a_killed_run_left_half_written_is_done_again(reference: Path, plant: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(reference, out)
+    half, other = (path.parent for path in rows_on_disk(out)[:2])
+    (half / "result.json").unlink()  # killed between the two renames
+    (other / ".calibration-x" / "new").mkdir(parents=True)
+    (other / ".calibration-x" / "new" / "result.json").write_text("{")
+    assert fleet(plant, out, "--jobs", "1").returncode == 0
     assert results(out) == results(reference)
 
 

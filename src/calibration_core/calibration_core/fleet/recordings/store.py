@@ -12,6 +12,7 @@ import fcntl
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from calibration_core.files.regular import read_regular
 from calibration_core.fleet.recordings.inputs import is_unchanged
 from calibration_core.fleet.recordings.manifest import Entry
 from calibration_core.fleet.recordings.rows import Row, row_of
-from calibration_core.report.writing.output import RESULT, write_files
+from calibration_core.report.writing.output import RESULT, UNFINISHED, write_files
 
 RESULTS, DATASET, ROW, LOCK = "results", "fleet.parquet", "row.json", ".fleet.lock"
 MAX_ROW = 1 << 24
@@ -47,6 +48,8 @@ def claimed(out: Path) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise OutputError(out, LOCK, "another run at work", "an output folder that nobody else writes to") from None
+        for left in (out / RESULTS).rglob(f"{UNFINISHED}*"):  # by a run that was killed while it wrote
+            shutil.rmtree(left)
         yield
     finally:
         os.close(handle)
@@ -85,7 +88,7 @@ def kept(out: Path, entry: Entry, version: str) -> Row | None:
     from calibration_core.fleet.recordings.inputs import digest_of
 
     path = folder_of(out, entry) / ROW
-    if not path.is_file():
+    if not (path.is_file() and path.with_name(RESULT).is_file()):
         return None
     try:
         row = row_of(json.loads(read_regular(path, MAX_ROW, "row of a fleet")))

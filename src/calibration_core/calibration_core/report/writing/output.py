@@ -61,6 +61,8 @@ WRITTEN: Mapping[str, frozenset[str]] = {
 }
 """What each command may write: with a new result, whatever of it stands there from an earlier one goes."""
 MAX_RESULT = 1 << 28
+UNFINISHED = ".calibration-"
+"""How the name of the hidden folder begins in which a result is made; a killed process leaves it behind."""
 
 Content = bytes | Callable[[Path], None]
 """What a file holds, or a function that makes a file or directory at the path that it is given."""
@@ -86,7 +88,7 @@ def write_files(directory: Path, files: Mapping[str, Content]) -> None:
         if target.exists() and not target.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target))
         target.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".calibration-", dir=target) as folder:
+        with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=target) as folder:
             new, old = Path(folder) / "new", Path(folder) / "old"
             new.mkdir()
             old.mkdir()
