@@ -38,10 +38,11 @@ from calibration.sequencer.runner import Call
 from calibration.sequencer.sequencer import SequencerNode
 from calibration.topics import PROGRESS, SAMPLE_CHECK, Quality, profile
 from calibration_core.cell import Safety, load_cell
-from calibration_core.errors import InputError
+from calibration_core.errors import InputError, SessionGoneError
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.session import Session
+from calibration_core.recording.session_values import Event
 
 
 @pytest.mark.parametrize(("asked", "planned"), [(0.25, 0.2), (0.1, 0.1)])
@@ -148,48 +149,61 @@ def test_stop_and_resume_later(
     assert ended(handle).outcome.code == Outcome.OK
 
 
+class SlowDisk:
+    """What a disk does that others keep busy: whoever writes waits until it is free."""
+
+    def __init__(self) -> None:
+        self.waits, self._free = threading.Event(), threading.Event()
+
+    def write(self) -> None:
+        self.waits.set()
+        self._free.wait()
+
+    def free(self) -> None:
+        self._free.set()
+
+
 @pytest.fixture
-def slow_disk() -> Iterator[threading.Event]:
-    """What waits for it goes on when it is set."""
-    one = threading.Event()
+def slow_disk() -> Iterator[SlowDisk]:
+    one = SlowDisk()
     yield one
-    one.set()
+    one.free()
 
 
 def test_a_silent_guard_stops_a_motion_even_while_a_disk_is_slow(
-    slow_disk: Any, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+    slow_disk: SlowDisk, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
 ) -> None:
     trace = tmp_path / "trace.csv"
     node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
     handle = operator.measure(plan, tmp_path / "session")
     until(lambda: node.runner is not None and node.runner.moving)
-    node.runner.post(Call(slow_disk.wait))  # what a disk does that others keep busy
-    time.sleep(0.1)
+    node.runner.post(Call(slow_disk.write))
+    assert slow_disk.waits.wait(20.0)
     world.timer.cancel()
     until(lambda: trace.exists() and trace.read_text())  # it is made first, and written then
-    slow_disk.set()
+    slow_disk.free()
     assert "stop" in trace.read_text()
     handle.cancel_goal_async()
     assert ended(handle).outcome.code == Outcome.CANCELLED
 
 
 def test_the_operator_stops_a_motion_even_while_a_disk_is_slow(
-    slow_disk: Any, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+    slow_disk: SlowDisk, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
 ) -> None:
     trace = tmp_path / "trace.csv"
     node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
     handle = operator.measure(plan, tmp_path / "session")
     until(lambda: node.runner is not None and node.runner.moving)
-    node.runner.post(Call(slow_disk.wait))
-    time.sleep(0.1)
+    node.runner.post(Call(slow_disk.write))
+    assert slow_disk.waits.wait(20.0)
     assert operator.says("stop").success
     assert "stop" in trace.read_text()
-    slow_disk.set()
+    slow_disk.free()
     assert ended(handle).outcome.code == Outcome.STOPPED
 
 
 def test_a_lost_instrument_stops_a_motion_even_while_a_disk_is_slow(
-    slow_disk: Any, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+    slow_disk: SlowDisk, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
 ) -> None:
     """It is stopped before the runner can look, which then pauses: nothing moves before the operator says so."""
     trace = tmp_path / "trace.csv"
@@ -197,15 +211,15 @@ def test_a_lost_instrument_stops_a_motion_even_while_a_disk_is_slow(
     check = world.node.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
     handle = operator.measure(plan, tmp_path / "session")
     until(lambda: node.runner is not None and node.runner.moving)
-    node.runner.post(Call(slow_disk.wait))
-    time.sleep(0.1)
+    node.runner.post(Call(slow_disk.write))
+    assert slow_disk.waits.wait(20.0)
     check.publish(SampleCheck(name="mp1", problem=SampleCheck.TWO_SOURCES, text="two publishers"))
     until(lambda: trace.exists() and trace.read_text())
     time.sleep(0.2)
     assert trace.read_text().count("stop") == 1
     check.publish(SampleCheck(name="mp1", problem=SampleCheck.FINE))
-    time.sleep(0.2)
-    slow_disk.set()  # the runner looks when nothing is lost any more
+    until(lambda: not node._equipment.fault(time.monotonic()))
+    slow_disk.free()  # the runner looks when nothing is lost any more
     until(lambda: node.runner.sequence.paused)
     handle.cancel_goal_async()
     assert ended(handle).outcome.code == Outcome.CANCELLED
@@ -396,8 +410,9 @@ def test_who_comes_late_to_progress_hears_what_is_known_now(spinning: Any, until
 
 @pytest.mark.parametrize("how", ["deleted", "moved away"])
 def test_a_session_that_is_gone_is_told_at_once_and_nothing_is_read_into_nothing(
-    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any, how: str
-) -> None:
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any, how: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     """Where it is put back, the run goes on, and what was told meanwhile stands in it."""
     spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
     session = tmp_path / "session"
@@ -415,6 +430,19 @@ def test_a_session_that_is_gone_is_told_at_once_and_nothing_is_read_into_nothing
     until(lambda: operator.states[-1].paused)
     assert len(operator.readings) == before
     if how == "moved away":
+        world.temperature = HOT
+        until(lambda: any(one.kind == SessionEvent.CONDITION_VIOLATED for one in operator.events))
+        assert operator.overrides("temperature").code == Outcome.OK
+        note, tried = Session.note, list[Event]()
+
+        def late(one: Session, event: Event) -> None:
+            """They are gone when it is written, and back before anybody looks why it could not be."""
+            tried.append(event)
+            if len(tried) == 1:
+                raise SessionGoneError(one.directory, "", "nothing", "what was left")
+            note(one, event)
+
+        monkeypatch.setattr(Session, "note", late)
         (tmp_path / "elsewhere").rename(session)
         until(lambda: operator.says("resume").success and not operator.states[-1].paused)
         until(lambda: operator.steps[-1].phase == MeasurementStep.UNLOADING)
@@ -422,11 +450,33 @@ def test_a_session_that_is_gone_is_told_at_once_and_nothing_is_read_into_nothing
         assert ended(handle).outcome.code == Outcome.OK
         with Session.look(session) as one:
             assert len(one.confirmed()) == 6
-            assert "paused" in [event.kind for event in one.events]
+            kinds = [event.kind for event in one.events]
+            told = ["paused", "load_applied", "condition_violated", "condition_overridden", "continued"]
+            assert sorted(told, key=kinds.index) == told
+            assert [override.condition for override in one.overrides] == ["temperature"]
+            assert any(row.met is False for table in one.conditions for row in table)
     else:
         assert operator.says("stop").success
         assert ended(handle).outcome.code != Outcome.OK
     assert not (session / "session.db").exists() or how == "moved away"
+
+
+def test_a_robot_that_was_jogged_is_not_read(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    """By less than the plan allows, yet by more than a load step may differ from the unloaded one."""
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    handle = operator.measure(plan, tmp_path / "session")
+    world.q = np.array(GOAL)
+    until(lambda: operator.states and operator.states[-1].state == ProcedureState.LOADING)
+    world.q = np.array([GOAL[0], GOAL[1] + 2e-3, *GOAL[2:]])
+    assert operator.loaded(7, 1).code == Outcome.OK
+    until(lambda: operator.states[-1].paused)
+    asked = operator.states[-1].question
+    assert asked.startswith("joint_2: found 0.20200 rad, expected 0.20000 ± 0.00050 rad of step 0")
+    assert len(operator.readings) == 3
+    assert operator.says("stop").success
+    assert ended(handle).outcome.code == Outcome.STOPPED
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,10 @@ class SessionError(InputError):
     """A session directory is missing, damaged, in use, or belongs to another plan or cell."""
 
 
+class SessionGoneError(SessionError):
+    """The files of a session that is being written were moved, deleted or changed by others."""
+
+
 class TrajectoryError(InputError):
     """A motion cannot be carried out within the joint limits, the speed limit and the controller's number of points."""
 

@@ -122,11 +122,11 @@ class ConditionsWatch:
             session.override(self._node.now_ns(), one)
         self._overrides = list(session.overrides)
 
-    def override(self, request: Any, session: Any) -> None:
+    def override(self, request: Any, port: Any) -> None:
         """Take an override during a run, and store it; it is told at the next look."""
-        one = from_override(request)
+        one, now = from_override(request), self._node.now_ns()
         self._overrides.append(one)
-        session.override(self._node.now_ns(), one)
+        port.keep(lambda: port.session.override(now, one))
         self._looked = -math.inf
 
     def look(self, port: Any, runner: Any) -> None:
@@ -141,7 +141,7 @@ class ConditionsWatch:
         if changed or self._looked - self._sent >= REPORT_PERIOD:
             now, self._sent = self._node.now_ns(), self._looked
             self._publisher.publish(to_conditions(now, found))
-            port.session.judge(now, found)
+            port.keep(lambda: port.session.judge(now, found))
             for one in found:
                 old = before.get(one.name)
                 if one.met is False and (old is None or old.met is not False):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,13 +16,13 @@ from calibration.cell.reading_checks import PresentLoad, ReadingChecks
 from calibration.cell.readings import ReadingError, confirmed_readings, to_reading
 from calibration.conversions import to_header, to_step
 from calibration.motion.arrival import Joints
-from calibration_core.errors import SessionError
+from calibration_core.errors import SessionGoneError
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.load_time import LoadTime
 from calibration_core.measurement.session import Session
 from calibration_core.measurement.target_check import TARGETS
 from calibration_core.planning.plans.plan import REFERENCE_NUMBER, placed
-from calibration_core.recording.session_values import Decision, Event
+from calibration_core.recording.session_values import Event
 from calibration_core.timeseries import NANOSECONDS, Float1D, Override
 
 DEVICE = "the load device"
@@ -97,8 +98,8 @@ class CellPort:
         self._temperature, self.progress, self.scaling = temperature, progress, scaling
         self._plan = session.plan_sha256
         self._identity = session.identity
-        self._unwritten: list[Callable[[], None]] = []  # events and decisions, while the session cannot be written
-        self._attempt: tuple[int, int, int] | None = None  # row of the session, configuration, count
+        self._unwritten: list[Callable[[], object]] = []  # while the session's files are gone
+        self._attempt: int | None = None  # row of the session
         self._awaited: tuple[m.RequestLoad, Callable[[bool, str], None]] | None = None
         self._reached: Reached | None = None
         self.confirmed = 0
@@ -182,7 +183,8 @@ class CellPort:
         """Take a load that the sensor does not find, and record who answers for it."""
         place = placed(command.configuration, command.step)
         self._checks.override(command.configuration, command.step)
-        self.session.override(self._node.now_ns(), Override(LOAD_OVERRIDE, operator, f"{place}: {text}"))
+        now, override = self._node.now_ns(), Override(LOAD_OVERRIDE, operator, f"{place}: {text}")
+        self.keep(lambda: self.session.override(now, override))
         words = f"by {operator}: {text}"
         self.carry_out(m.Record(m.Kind.LOAD_OVERRIDDEN, command.configuration, command.step, words))
 
@@ -212,7 +214,7 @@ class CellPort:
 
     def override_condition(self, message: Any) -> None:
         """Take an override by name: of a condition of the standard, or of what was found wrong with the targets."""
-        self._node.conditions.override(message, self.session)
+        self._node.conditions.override(message, self)
         if message.condition == TARGETS:
             self._checks.targets.accept()
             text = f"{TARGETS} by {message.operator_name.strip()}: {message.reason.strip()}"
@@ -248,6 +250,7 @@ class CellPort:
         lost = self.lost(time.monotonic())
         if lost:
             raise ReadingError(lost)
+        self.write()
         self._checks.reading(command, measured)
         place = (command.configuration, command.step)
         temperature = self._temperature()
@@ -255,7 +258,7 @@ class CellPort:
         row = self._row(command.configuration)
         self.session.record(row, rows)
         if command.configuration == REFERENCE_NUMBER:
-            self.session.end_attempt(row, completed=True)
+            self.keep(lambda: self.session.end_attempt(row, completed=True))
         self.confirmed += len(rows)
         tare = 0 if measured.wrench is None else measured.wrench.tare
         for reading, mean in zip(rows, measured.points, strict=True):
@@ -267,7 +270,15 @@ class CellPort:
     def _row(self, configuration: int) -> int:
         if configuration == REFERENCE_NUMBER or self._attempt is None:
             return self.session.begin_attempt(configuration, self._node.now_ns())
-        return self._attempt[0]
+        return self._attempt
+
+    def _begin_attempt(self, configuration: int, now: int) -> None:
+        self._attempt = self.session.begin_attempt(configuration, now)
+
+    def _end_attempt(self, *, completed: bool, reason: str) -> None:
+        if self._attempt is not None:
+            self.session.end_attempt(self._attempt, completed=completed, reason=reason)
+        self._attempt = None
 
     # --- what needs no answer ----------------------------------------------------------------------------------------
 
@@ -279,12 +290,9 @@ class CellPort:
                 self._node.steps.publish(to_step(now, command.configuration, command.step, command.phase))
             case m.BeginAttempt():
                 self._checks.begin()
-                row = self.session.begin_attempt(command.configuration, now)
-                self._attempt = (row, command.configuration, command.attempt)
+                self.keep(lambda: self._begin_attempt(command.configuration, now))
             case m.EndAttempt():
-                if self._attempt is not None:
-                    self.session.end_attempt(self._attempt[0], completed=command.completed, reason=command.reason)
-                self._attempt = None
+                self.keep(lambda: self._end_attempt(completed=command.completed, reason=command.reason))
             case m.AskOperator():
                 self.ask(command.text)
             case m.Record():
@@ -296,7 +304,7 @@ class CellPort:
         self._node.events.publish(SessionEvent(header=to_header(now), kind=int(record.kind), **place, **words))
         text = logged(record)
         event = Event(now, record.kind.name.lower(), f"{record.configuration}.{record.step} {record.text}")
-        self._write(lambda: self.session.note(event))
+        self.keep(lambda: self.session.note(event))
         if record.kind in ERRORS:
             self._node.get_logger().error(text)
         elif record.kind in WARNINGS:
@@ -311,21 +319,21 @@ class CellPort:
         self._node.diagnostics.report("operator", 1, text)
         self._node.get_logger().warning(text)
 
-    def decided(self, decision: Decision) -> None:
-        """Store a change of the guard's mind."""
-        self._write(lambda: self.session.decide(decision))
-
-    def _write(self, work: Callable[[], None]) -> None:
+    def keep(self, work: Callable[[], object]) -> None:
         """Write to the session; where its files are gone the run is paused, and it is written once they are back."""
         self._unwritten.append(work)
-        try:
-            while self._unwritten:
-                self._unwritten[0]()
-                self._unwritten.pop(0)
-        except SessionError as error:
-            if not self.session.fault():
-                raise
-            self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
+        with contextlib.suppress(SessionGoneError):  # told as what is lost
+            self.write()
+
+    def write(self) -> None:
+        """Write what could not be written before.
+
+        Raises:
+            SessionError: It still cannot be.
+        """
+        while self._unwritten:
+            self._unwritten[0]()
+            self._unwritten.pop(0)
 
     # --- stopping, and requests without an answer --------------------------------------------------------------------
 

@@ -233,14 +233,14 @@ class SequencerNode(CalibrationNode):
             return
         reasons = tuple(filter(None, str(message.text).split("; "))) if not message.permitted else ()
         decision = Decision(stamp_ns(message.header.stamp), message.permitted, message.latched, reasons)
-        runner.post(Call(lambda: port.decided(decision)))
+        runner.post(Call(lambda: port.keep(lambda: port.session.decide(decision))))
 
     def _on_event(self, message: SessionEvent) -> None:
         """Write down, in the session under way, what an operator asked for at a panel."""
         runner, port = self.runner, self.port
         if message.kind == SessionEvent.OPERATOR_ACTION and runner is not None and port is not None:
             event = Event(self.now_ns(), "operator_action", f"{message.source}: {message.text}")
-            runner.post(Call(lambda: port.session.note(event)))
+            runner.post(Call(lambda: port.keep(lambda: port.session.note(event))))
 
     def _on_timer(self) -> None:
         self._on_silence()  # its event may come but once, and the runner may be waiting for a disk
@@ -321,12 +321,12 @@ class SequencerNode(CalibrationNode):
             lost = self._recorder.record(bag, goal.until)
             if lost:
                 return RunPlan.Result(outcome=to_outcome(Outcome.NO_DATA, lost), session=str(directory))
-            runner = self._start(goal, plan, session)
+            runner, port = self._start(goal, plan, session)
             self.feedback.begin(goal.handle, runner)
             self._client.begin(time.monotonic())
             finish = runner.run(held=held)
+            port.write()
             done, skipped = len(runner.sequence.queue.completed), len(runner.sequence.queue.given_up)
-            readings = self.port.confirmed if self.port is not None else 0
         goal.end()
         self._recorder.close()
         recorded, lost = self._recorder.recorded(directory, BAG)
@@ -337,10 +337,10 @@ class SequencerNode(CalibrationNode):
             recording=str(recorded),
             configurations_done=done,
             configurations_skipped=skipped,
-            readings=readings,
+            readings=port.confirmed,
         )
 
-    def _start(self, goal: Goal, plan: Plan, session: Session) -> Runner:
+    def _start(self, goal: Goal, plan: Plan, session: Session) -> tuple[Runner, CellPort]:
         memory = LoadMemory(memory_file(self.cell, self.get_namespace(), self.value("load.memory")))
         given_up = session.given_up(self._rules.attempts)
         sequence = Sequence(
@@ -351,7 +351,7 @@ class SequencerNode(CalibrationNode):
             visits=session.reference_visits,
             loaded=self._load_device is not None or memory.left != "",
         )
-        self.port = CellPort(
+        self.port = port = CellPort(
             self,
             session,
             self._joints,
@@ -363,10 +363,10 @@ class SequencerNode(CalibrationNode):
             progress=self._progress,
             scaling=lambda: self.conditions.scaling,
         )
-        self.runner = Runner(
+        self.runner = runner = Runner(
             goal,
             sequence,
-            self.port,
+            port,
             self._backend,
             self._joints,
             self.watch,
@@ -377,8 +377,8 @@ class SequencerNode(CalibrationNode):
             settle_time=self.value("settle_time"),
         )
         self._decided = ()  # what the guard says next is stored
-        goal.begin(self.runner)
-        return self.runner
+        goal.begin(runner)
+        return runner, port
 
     def _missing(self, goal: Goal) -> str:
         """Look for everything that a run needs, before anything moves; return all that is not there."""

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 from calibration_core.cell import Cell
-from calibration_core.errors import SessionError, storage_fault
+from calibration_core.errors import SessionError, SessionGoneError, storage_fault
 from calibration_core.planning.plans.plan import REFERENCE_NUMBER
 from calibration_core.recording.session_values import ConfirmedReading, Decision, Event, packed, unpacked
 from calibration_core.recording.source import SESSION_DATABASE
@@ -64,7 +64,10 @@ class Session:
         self.directory = directory
         self._database = database
         self._lock = lock
-        self._left = self._found()
+        self._files = (directory / DATABASE, directory / f"{DATABASE}-wal")
+        # They follow files that are moved.  To close a handle that can read would give SQLite's locks free.
+        self._held = [os.open(file, os.O_PATH) for file in self._files if lock is not None]
+        self._left = [_state(os.fstat(file)) for file in self._held]
 
     # --- opening -----------------------------------------------------------------------------------------------------
 
@@ -137,6 +140,8 @@ class Session:
     def close(self) -> None:
         """Close the database and let others write."""
         self._database.close()
+        while self._held:
+            os.close(self._held.pop())
         if self._lock is not None:
             self._lock.close()
 
@@ -287,20 +292,15 @@ class Session:
 
     def fault(self) -> str:
         """Say that its database is not as this process has left it: moved, deleted or written by others; else empty."""
-        if self._found() == self._left:
+        found = []
+        for file in self._files:
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                found.append(_state(file.stat()))
+        if found == self._left:
             return ""
         gone = not (self.directory / DATABASE).is_file()
         what = "is gone" if gone else "was changed by another program"
         return f"{self.directory / DATABASE} {what}: put it back as it was, or begin a new session"
-
-    def _found(self) -> tuple[object, ...]:
-        """Return what tells whether somebody else has touched the database: its files, sizes and times."""
-        found: list[object] = []
-        for file in (self.directory / DATABASE, self.directory / f"{DATABASE}-wal"):
-            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-                at = file.stat()
-                found.append((at.st_dev, at.st_ino, at.st_size, at.st_mtime_ns))
-        return tuple(found)
 
     # --- the database ------------------------------------------------------------------------------------------------
 
@@ -309,7 +309,7 @@ class Session:
         if self._lock is None:
             raise SessionError(self.directory, "", "a session opened to be read", "one created or resumed")
         if wrong := self.fault():
-            raise SessionError(self.directory, "", wrong, "the database as it was left")
+            raise SessionGoneError(self.directory, "", wrong, "the database as it was left")
         try:
             self._database.execute("BEGIN IMMEDIATE")
             yield
@@ -322,7 +322,7 @@ class Session:
         finally:
             if self._database.in_transaction:  # not committed: SQLite itself may have rolled back already
                 self._database.execute("ROLLBACK")
-            self._left = self._found()
+            self._left = [_state(os.fstat(file)) for file in self._held]
 
     def _insert(self, statement: str, row: tuple[object, ...]) -> int:
         with self._transaction():
@@ -338,6 +338,11 @@ class Session:
 
     def _one(self, statement: str, row: tuple[object, ...] = ()) -> tuple[Any, ...]:
         return self._all(statement, row)[0]
+
+
+def _state(of: os.stat_result) -> tuple[int, int, int, int]:
+    """Return what tells whether somebody else has touched a file."""
+    return of.st_dev, of.st_ino, of.st_size, of.st_mtime_ns
 
 
 def _conditions(text: str) -> tuple[Condition, ...]:

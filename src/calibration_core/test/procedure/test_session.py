@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import Cell, load_cell
-from calibration_core.errors import SessionError
+from calibration_core.errors import SessionError, SessionGoneError
 from calibration_core.measurement.session import DATABASE, PLAN, Session
 from calibration_core.recording.session_values import ConfirmedReading, Decision, Event, as_readings
 
@@ -284,13 +284,28 @@ def test_a_database_that_others_touch_is_told_before_the_next_row(tmp_path: Path
             session.record(attempt, [reading(1, 1)])
 
 
-def test_a_session_that_was_moved_and_put_back_goes_on(tmp_path: Path, cell: Cell) -> None:
-    with Session.create(tmp_path / "s", PLAN_TEXT, cell) as session:
-        (tmp_path / "s").rename(tmp_path / "elsewhere")
+@pytest.mark.parametrize("moved", ["BEGIN IMMEDIATE", "COMMIT", ""])
+def test_a_session_that_was_moved_and_put_back_goes_on(tmp_path: Path, cell: Cell, moved: str) -> None:
+    """Also where it is moved while a row is written, which is in the file that comes back."""
+    there, elsewhere = tmp_path / "s", tmp_path / "elsewhere"
+
+    def leave(statement: str) -> None:
+        if statement == moved:
+            there.rename(elsewhere)
+
+    with Session.create(there, PLAN_TEXT, cell) as session:
+        attempt = session.begin_attempt(1, 0)
+        session._database.set_trace_callback(leave)
+        session.record(attempt, [reading(1, 0)])
+        leave("")
         assert "is gone" in session.fault()
-        (tmp_path / "elsewhere").rename(tmp_path / "s")
+        with pytest.raises(SessionGoneError):
+            session.record(attempt, [reading(1, 1)])
+        elsewhere.rename(there)
         assert session.fault() == ""
-        session.record(session.begin_attempt(1, 0), [reading(1, 0)])
+        session._database.set_trace_callback(None)
+        session.record(attempt, [reading(1, 1)])
+        assert len(session.confirmed(all_attempts=True)) == 2
 
 
 def test_a_session_has_an_identity_of_its_own(tmp_path: Path, cell: Cell) -> None:
