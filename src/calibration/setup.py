@@ -24,15 +24,14 @@ setup(
     maintainer_email="maintainers@users.noreply.github.com",
     python_requires=">=3.11",
     packages=find_packages(include=["calibration", "calibration.*"]),
-    package_data={
-        "calibration": ["py.typed", "loopback.xml", "web/static/*", "web/static/words/*", "robot_state/drivers/*.yaml"]
-    },
+    package_data={"calibration": ["py.typed", "loopback.xml", "web/static/*", "web/static/words/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/calibration"]),
         ("share/calibration", ["package.xml"]),
         ("share/calibration/launch", sorted(glob("launch/*.launch.py"))),  # noqa: PTH207
         ("share/calibration/security", sorted(glob("security/*.xml"))),  # noqa: PTH207
         ("share/calibration/config", CONFIG),
+        ("share/calibration/config/drivers", sorted(glob("../../config/drivers/*.yaml"))),  # noqa: PTH207
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

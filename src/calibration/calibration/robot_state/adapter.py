@@ -15,18 +15,17 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from calibration.robot_state import FOLDER, GENERIC, NAMES
+from calibration.tables import Strict, read_table
 from calibration.topics import NO_PACKAGE, load_type
 from calibration_core.cell.values import FieldError
 from calibration_core.errors import InputError, quoted
-from calibration_core.files.yaml_file import read_yaml
 from calibration_core.motion.robot_status import Drives, OperatingMode, Reason, RobotStatus, SafetyState
 from calibration_core.timeseries import NANOSECONDS
 
 LONGEST_AGE = 10.0  # s: whoever has heard nothing for longer knows nothing
-LARGEST_FILE = 100_000  # bytes
 NEXT = "next"  # a rule's word: the rule after it decides
 TRUTHS: Mapping[Any, Any] = {True: True, False: False}
 WORDS: Mapping[str, Mapping[Any, Any]] = {
@@ -45,12 +44,6 @@ Messages = Mapping[str, Any]  # source -> latest message, or answer; what is abs
 Load = Callable[[str], Any]
 Age = Annotated[float, Field(gt=0.0, le=LONGEST_AGE, strict=True)]
 Text = Annotated[str, Field(min_length=1, max_length=1000)]
-
-
-class Strict(BaseModel):
-    """A part of a table: no unknown keys, values never change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Source(Strict):
@@ -102,7 +95,7 @@ class Rule(Strict):
     """
 
     read: str
-    means: dict[str, Any] = {}
+    means: dict[str, Any] = Field(default_factory=dict)
     times: float = 1.0
 
 
@@ -122,12 +115,12 @@ class Adapter(Strict):
 
     name: str
     driver: str = ""
-    releases: dict[str, Text] = {}
+    releases: dict[str, Text] = Field(default_factory=dict)
     sources: dict[str, Source]
     state: dict[str, tuple[Rule, ...]]
     in_motion_latency: Annotated[float, Field(ge=0.0, le=LONGEST_AGE)] = 0.0
     remote: bool = True
-    notes: dict[str, Text] = {}
+    notes: dict[str, Text] = Field(default_factory=dict)
 
     @field_validator("state", mode="before")
     @classmethod
@@ -312,22 +305,7 @@ def load_adapter(name: str, own: str = "") -> Adapter:
         raise InputError("parameters", "robot_state.adapter", quoted(name), f"one of {', '.join(NAMES)}")
     if name == GENERIC and not own:
         raise InputError("parameters", "robot_state.table", "nothing", "the file of your driver's table")
-    file = read_yaml(own if name == GENERIC else FOLDER / f"{name}.yaml", LARGEST_FILE, "table of a driver (YAML)")
-    if not isinstance(file.data, dict):
-        raise InputError(file.path, "", quoted(file.data), "a table of a driver: a mapping")
-    with file.locating():
-        try:
-            return Adapter.model_validate({"name": name, **file.data})
-        except ValidationError as faults:
-            fault = faults.errors()[0]
-        place, cause = ".".join(str(part) for part in fault["loc"]), fault.get("ctx", {}).get("error")
-        if isinstance(cause, FieldError):
-            raise InputError(file.path, ".".join(filter(None, (place, cause.place))), cause.found, cause.expected)
-        expected = fault["msg"].removeprefix("Input should be ")
-        found = {"missing": "nothing", "extra_forbidden": "an unknown key"}.get(fault["type"], quoted(fault["input"]))
-        raise InputError(
-            file.path, place, found, {"nothing": "a value", "an unknown key": "a key of a table"}.get(found, expected)
-        )
+    return read_table(own if name == GENERIC else FOLDER / f"{name}.yaml", Adapter, "a driver", name=name)
 
 
 def _read_rules(quantity: str, rules: Any) -> Iterator[Rule]:
