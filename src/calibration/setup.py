@@ -24,7 +24,7 @@ setup(
     maintainer_email="maintainers@users.noreply.github.com",
     python_requires=">=3.11",
     packages=find_packages(include=["calibration", "calibration.*"]),
-    package_data={"calibration": ["py.typed", "loopback.xml", "web/static/*", "web/static/words/*"]},
+    package_data={"calibration": ["py.typed", "loopback.xml", "web/static/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/calibration"]),
         ("share/calibration", ["package.xml"]),

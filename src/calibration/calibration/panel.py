@@ -26,14 +26,13 @@ from calibration.conversions import joint_positions, to_header
 from calibration.lifecycle.heartbeat import FRESH
 from calibration.node import CalibrationNode, Declared, ParameterError, run
 from calibration.topics import EVENT, STATE
-from calibration.web.access import Control, Session
+from calibration.web.access import EVERY, Control, Session, bracketed, origins
 from calibration.web.folder import Folder
 from calibration.web.hub import Hub
 from calibration.web.link import CellLink, Latest
 from calibration.web.operator import Operator
-from calibration.web.origin import bracketed, hosts
 from calibration.web.server import Server, Settings
-from calibration.web.serving import Door, Serving, listening, printed, tls_context
+from calibration.web.serving import Door, Serving, listening, printed
 from calibration.web.shown.band import Held
 from calibration.web.shown.plain import EVENT_KINDS, plain
 from calibration.web.shown.view import checklist, forgotten, place_of, unfinished, view
@@ -49,10 +48,8 @@ PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
     Declared("session", "", "Directory of a session; plans and sessions are beside it.", required=True),
     Declared("host", LOOPBACK, "Address to listen at; 0.0.0.0: at every one of this machine."),
-    Declared("names", [], "Further names under which tablets reach this machine."),
+    Declared("names", [], "Further names of this machine; `https://NAME`: as a reverse proxy serves the page."),
     Declared("port", 8420, "Port to listen at, or the next one that is free; 0: any.", low=0, high=65535),
-    Declared("tls_certificate", "", "Certificate (PEM); with it the page is served over TLS."),
-    Declared("tls_key", "", "Its key (PEM)."),
 )
 
 
@@ -70,7 +67,6 @@ class PanelNode(CalibrationNode):
     def on_configure(self) -> None:
         """Read the cell, take the port, and make what is served; nothing is served yet."""
         self._cell = load_cell(self.value("cell"), live=True)
-        tls = tls_context(self.value("tls_certificate"), self.value("tls_key"))
         host = self.value("host")
         try:
             self._socket = listening(host, self.value("port"))
@@ -78,10 +74,9 @@ class PanelNode(CalibrationNode):
             raise ParameterError(self.get_name(), "host", f"{host}: {error.strerror}", "one to listen at") from error
         port = int(self._socket.getsockname()[1])
         names = [*self.value("names"), *([socket.gethostname()] if host != LOOPBACK else [])]
-        shown = bracketed(names[0] if host in ("0.0.0.0", "::") else host)
-        address = f"{'https' if tls else 'http'}://{shown}:{port}"
-        self._tls = tls
-        settings = Settings(hosts(host, names, port, tls=tls is not None), tls is not None, port, address)
+        shown = f"http://{bracketed(names[0] if host in EVERY else host)}:{port}"
+        address = next((one.rstrip("/") for one in names if "://" in one), shown)
+        settings = Settings(origins(host, names, port), port, address)
         folder = Folder(Path(self.value("session")).absolute().parent)
         self._hub, self._control, self._folder = Hub(), Control(), folder
         self._held = Held()
@@ -91,18 +86,18 @@ class PanelNode(CalibrationNode):
         self._operator_events: collections.deque[SessionEvent] = collections.deque()
         self._event = self.create_publisher(EVENT.message, EVENT.relative, EVENT.qos)
         self._link = CellLink(self)
-        self._operator = Operator(self._link, folder, self._hub, self._control, self.value("cell"), self._log)
+        self._operator = Operator(self._link, folder, self._hub, self._control, self._log)
         scene = functools.cache(self._in_space)
         do, door = self._operator.do, self._door
         self._server = Server(settings, folder, self._hub, self._control, do, self._on_entry, scene, door)
-        if host != LOOPBACK and tls is None:
+        if host != LOOPBACK:
             self.get_logger().warning(f"the page is served at {host} without TLS: who listens there can read the token")
 
     def on_activate(self) -> None:
         """Listen to the cell, and serve."""
         if self._socket.fileno() < 0:  # it was given back when the node was deactivated
             self._socket = listening(self.value("host"), self._server.settings.port)
-        self._web = Serving(self._server.application(), self._socket, self._tls, self._operator.close, self._door)
+        self._web = Serving(self._server.application(), self._socket, self._operator.close, self._door)
         self._heard = self._moved = -FRESH
         self._slow = -SLOW
         self._disk: float | None = None
@@ -231,7 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node, or show the panel in this terminal (`--terminal`); return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if "--terminal" in given:
-        from calibration.web.shown.terminal import show
+        from calibration.web.terminal import show
 
         return show(given)
     return run(PanelNode, given)

@@ -207,12 +207,14 @@ def test_one_button_goes_on_after_a_pause(
     assert page.locator("#pause:visible").count() == 0
 
 
-def test_a_pause_at_a_load_step_is_shown(page_of: Callable[..., Any], state: State) -> None:
+def test_what_is_done_and_a_pause_at_a_load_step_are_shown(page_of: Callable[..., Any], state: State) -> None:
     state.procedure.state, state.procedure.waits_for = ProcedureState.LOADING, ProcedureState.OPERATOR
     page = page_of()
     wait(page, lambda: page.inner_text("#now").startswith("Load of configuration"))
     state.procedure.paused = True
     wait(page, lambda: page.inner_text("#now").endswith("Paused: nothing moves after this"))
+    state.procedure.state, state.procedure.kind, state.procedure.paused = ProcedureState.MOVING, "startup", False
+    wait(page, lambda: page.inner_text("#now") == "Start-up cycle: Move")
 
 
 def test_a_load_that_was_left_on_is_told_at_the_top_of_every_part(page_of: Callable[..., Any], state: State) -> None:
@@ -487,7 +489,7 @@ def test_what_has_the_focus_comes_out_from_under_a_message(
     page.set_viewport_size({"width": 800, "height": 700})
     page.click("#tab_before")
     wait(page, lambda: page.locator("#toast:visible").count() == 0)
-    page.focus("#plan_name")
+    page.focus("#session_name")
     page.evaluate("document.getElementById('toast').textContent = 'Not done: a reason'")
     page.evaluate("""const low = document.getElementById("foot").getBoundingClientRect().top;
         window.scrollBy(0, document.activeElement.getBoundingClientRect().bottom - low + 2);

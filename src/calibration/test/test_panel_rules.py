@@ -22,14 +22,15 @@ from calibration.web.access import (
     Control,
     Rate,
     Session,
+    host_allowed,
+    origin_allowed,
+    origins,
     page_token,
     write_private,
 )
 from calibration.web.folder import Folder
-from calibration.web.origin import host_allowed, hosts, origin_allowed
 from calibration.web.request_table import KINDS, RequestError, read
 from calibration.web.shown.band import Held, _advice, pull
-from calibration_core.acceptance.decision import WORDS
 
 STATIC = Path(__file__).resolve().parents[1] / "calibration" / "web" / "static"
 
@@ -159,7 +160,7 @@ def test_strangers_do_not_fill_the_memory() -> None:
 
 
 def test_served_hosts_are_ours_and_no_others() -> None:
-    served = hosts("192.168.1.7", ["cell-pc"], 8420, tls=False)
+    own = origins("192.168.1.7", ["cell-pc", "https://cell.example/"], 8420)
     for host in (
         "127.0.0.1:8420",
         "localhost:8420",
@@ -167,22 +168,26 @@ def test_served_hosts_are_ours_and_no_others() -> None:
         "[::1]:8420",
         "192.168.1.7:8420",
         "cell-pc:8420",
+        "cell.example",
     ):
-        assert host_allowed(host, served), host
+        assert host_allowed(host, own), host
     for host in (None, "", "evil.example:8420", "127.0.0.1", "127.0.0.1:80", "localhost:8420.evil.example",
-                 "evil.example:8420@localhost:8420", "0.0.0.0:8420"):  # fmt: skip
-        assert not host_allowed(host, served), host
-    assert host_allowed("localhost", hosts("127.0.0.1", [], 443, tls=True))
-    assert not host_allowed("0.0.0.0:1", hosts("0.0.0.0", [], 1, tls=False))
+                 "evil.example:8420@localhost:8420", "0.0.0.0:8420", "cell.example:8420"):  # fmt: skip
+        assert not host_allowed(host, own), host
+    assert host_allowed("localhost", origins("127.0.0.1", [], 80))
+    assert host_allowed("[fe80::1]:1", origins("fe80::1", [], 1))
+    assert not host_allowed("0.0.0.0:1", origins("0.0.0.0", [], 1))
 
 
 def test_an_origin_is_the_page_itself() -> None:
-    host = "127.0.0.1:8420"
-    assert origin_allowed("http://127.0.0.1:8420", host, tls=False)
+    host, own = "127.0.0.1:8420", origins("127.0.0.1", ["https://cell.example"], 8420)
+    assert origin_allowed("http://127.0.0.1:8420", host, own)
     for origin in (None, "null", "", "https://127.0.0.1:8420", "http://127.0.0.1:8421", "http://127.0.0.1",
-                   "http://127.0.0.1:8420.evil.example", "http://evil.example", "http://localhost:8420"):  # fmt: skip
-        assert not origin_allowed(origin, host, tls=False), origin
-    assert not origin_allowed("http://127.0.0.1:8420", host, tls=True)
+                   "http://127.0.0.1:8420.evil.example", "http://evil.example", "http://localhost:8420",
+                   "https://cell.example"):  # fmt: skip
+        assert not origin_allowed(origin, host, own), origin
+    assert origin_allowed("https://cell.example", "cell.example", own)
+    assert not origin_allowed("http://cell.example", "cell.example", own)
 
 
 # --- what ---------------------------------------------------------------------------------------------------------
@@ -216,10 +221,7 @@ def test_a_request_is_read_with_its_defaults() -> None:
         ("override_condition", {"condition": "a", "reason": "\u202eevil"}),
         ("hold_time", {"seconds": float("nan")}),
         ("hold_time", {"seconds": 31.0}),
-        ("plan", {"name": "../../etc"}),
-        ("plan", {"name": ".hidden"}),
-        ("plan", {"name": "a/b"}),
-        ("plan", {"name": ""}),
+        *(("identify", {"what": "stiffness", "session": one}) for one in ("../../etc", ".hidden", "a/b", "")),
         ("identify", {"what": "rm -rf", "session": "a"}),
     ],
 )
@@ -324,7 +326,6 @@ def test_only_listed_files_of_a_session_are_handed_out(tmp_path: Path) -> None:
         (tmp_path / name).write_text("x", "utf-8")
     folder = Folder(tmp_path)
     assert sorted(folder.plans()) == ["made/plan.yaml", "one/diagnose/next.yaml"]
-    assert list(folder.models()) == ["one/identify/model.yaml"]
     assert [one["name"] for one in folder.sessions()] == ["one"]
     assert set(folder.files("one")) == {"model.yaml", "identify/model.yaml", "identify/result.json"}
     for name in ("..", ".", "../one", "a/b", "", "a\x00b", "-rf"):
@@ -343,27 +344,34 @@ def test_hidden_files_and_what_is_no_plan_are_not_offered(tmp_path: Path) -> Non
     for root in (tmp_path, tmp_path / ".old" / ".."):
         folder = Folder(root)
         assert sorted(folder.plans()) == ["one/diagnose/next.yaml", "one/plan.yaml", "other.yaml", "plan.yaml"]
-        assert list(folder.models()) == ["one/diagnose/model.yaml"]
         assert [one["name"] for one in folder.sessions()] == ["one"]
 
 
 # --- the page -----------------------------------------------------------------------------------------------------
 
 
-def words(language: str) -> dict[str, str]:
-    return dict(json.loads((STATIC / "words" / f"{language}.json").read_text("utf-8")))
+MADE = re.compile(  # keys that the page puts together from codes
+    "(against|check|column|drives|fault|help|mode|node|party|phase|reason|remedy|scene|self_test|state|stream|test"
+    "|usable|verdict)_"
+)
 
 
-def test_every_word_of_the_page_is_there_in_both_languages() -> None:
-    english, german = words("en"), words("de")
-    assert english.keys() == german.keys()
+def words() -> dict[str, list[str]]:
+    return dict(json.loads((STATIC / "words.json").read_text("utf-8")))
+
+
+def test_every_word_of_the_page_is_there_in_both_languages_and_used() -> None:
     marks = re.compile(r"\{\w+\}")
-    assert [key for key in english if set(marks.findall(english[key])) != set(marks.findall(german[key]))] == []
+    for key, (english, german) in words().items():
+        assert english, key
+        assert set(marks.findall(english)) == set(marks.findall(german)), key
     used = set()
     for path in STATIC.glob("*.js"):
         used |= set(re.findall(r'\b(?:w|card)\("(\w+)"', path.read_text("utf-8")))
     assert len(used) > 80
-    assert used - english.keys() == set()
+    assert used - words().keys() == set()
+    scripts = "".join(path.read_text("utf-8") for path in STATIC.glob("*.js"))
+    assert [one for one in words() if not MADE.match(one) and f'"{one}"' not in scripts] == []
 
 
 def test_every_code_of_the_nodes_has_words() -> None:
@@ -371,23 +379,20 @@ def test_every_code_of_the_nodes_has_words() -> None:
     from calibration.manager import NAMES
     from calibration.web.shown.plain import CONSTANTS
 
-    english = words("en")
     codes = [f"node_{one}" for one in NAMES]
     codes += [f"reason_{one}" for one in CONSTANTS["Permission"]["reasons"].values()]
     codes += [f"state_{one}" for one in CONSTANTS["ProcedureState"]["state"].values()]
     codes += [f"party_{one}" for one in CONSTANTS["ProcedureState"]["waits_for"].values()]
     codes += [f"verdict_{one}" for one in CONSTANTS["ProcedureState"]["reading_verdict"].values()]
     problems = (*CONSTANTS["SampleCheck"]["problem"].values(), "not_heard")
-    codes += [f"{use}{one}" for one in problems for use in ("stream_", "against_stream_") if one != "fine"]
+    codes += [f"stream_{one}" for one in problems]
     codes += [f"against_{one}" for one in re.findall(r'return "(\w+)"', inspect.getsource(_advice))]
     codes += [f"mode_{one}" for one in CONSTANTS["RobotState"]["operating_mode"].values()]
     codes += [f"drives_{one}" for one in CONSTANTS["RobotState"]["drives"].values()]
-    codes += [f"decision_{one}" for one in WORDS]
-    codes += [f"purpose_{one}" for one in KINDS["plan"].fields["purpose"].choices]
     faults = Path(STATIC.parents[1] / "status" / "faults.py").read_text("utf-8")
     found = re.findall(r'_fault\(Fault[^"]*"(\w+)"|code = "(\w+)" if .* else "(\w+)"', faults)
     codes += [f"fault_{one}" for row in found for one in row if one]
-    assert [one for one in codes if one not in english] == []
+    assert [one for one in codes if one not in words()] == []
 
 
 def test_the_page_is_small_and_brings_everything_with_it() -> None:

@@ -119,7 +119,7 @@ def test_work_that_was_begun_in_the_thread_has_ended_when_it_has(caplog: pytest.
 
     held: list[Any] = []
     begun = threading.Event()
-    serving = Serving(web.Application(), listening("127.0.0.1", 0), None, nothing, Door(print))
+    serving = Serving(web.Application(), listening("127.0.0.1", 0), nothing, Door(print))
     serving.start()
     serving.do(lambda: serving.begin(outer()))
     assert begun.wait(5.0)

@@ -145,12 +145,9 @@ async def closed_with(socket: Any) -> int:
     raise AssertionError("the socket stays open")
 
 
-@pytest.mark.parametrize(
-    ("sent", "code"),
-    [("x" * 300, 1009), ("stop", 1008), ('{"do":"stop"}', 1008), ("1" * 20, 1008), ("\u0661", 1008), (b"1", 1008)],
-)
-def test_a_message_that_is_no_number_ends_the_socket(panel: Any, sent: str | bytes, code: int) -> None:
-    """Input validation, and a limit to the size of a message."""
+@pytest.mark.parametrize(("sent", "code"), [("x" * 300, 1009), ("1", 1008), (b"1", 1008)])
+def test_a_message_of_a_page_ends_the_socket(panel: Any, sent: str | bytes, code: int) -> None:
+    """A page has nothing to say there, and a message has a limit to its size."""
     address, token = panel.where()
 
     async def work() -> None:
@@ -163,16 +160,12 @@ def test_a_message_that_is_no_number_ends_the_socket(panel: Any, sent: str | byt
     run(work())
 
 
-def test_a_flood_ends_the_socket_and_sockets_are_counted(panel: Any) -> None:
+def test_sockets_are_counted(panel: Any) -> None:
     address, token = panel.where()
 
     async def work() -> None:
         async with client(address) as one:
             await one.enter(token)
-            async with one.http.ws_connect(f"{address}/pages", headers=one.headers()) as socket:
-                for number in range(40):
-                    await socket.send_str(str(number))
-                assert await closed_with(socket) == 1008
             many = [await one.http.ws_connect(f"{address}/pages", headers=one.headers()) for _ in range(4)]
             assert await refused(one) == 429
             for socket in many:

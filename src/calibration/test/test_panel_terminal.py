@@ -19,11 +19,8 @@ from std_srvs.srv import Trigger
 from textual.widgets import Static
 
 from calibration.topics import EVENT, STATE
-from calibration.web.shown import terminal, text
-from calibration.web.shown.plain import plain
-from calibration.web.shown.terminal import Terminal
-from calibration.web.shown.view import view
-from calibration.web.shown.words import Words
+from calibration.web import terminal
+from calibration.web.terminal import Terminal
 
 
 def loading() -> State:
@@ -31,38 +28,26 @@ def loading() -> State:
     procedure = ProcedureState(
         state=ProcedureState.LOADING, waits_for=ProcedureState.OPERATOR, configuration=7, step=1, steps=4,
         configurations_total=18, configurations_done=6, load_awaited=True, load_felt_known=True, band_force=25.0,
-        band_angle=0.1, share_done=0.33, seconds_left=math.nan, load_fault="force: wanted, found",
+        band_angle=0.1, share_done=0.33, seconds_left=math.nan, load_fault="force: wanted, found: pull harder",
     )  # fmt: skip
     procedure.target.force.z, procedure.load_felt.force.z = -1000.0, -900.0
     permission = Permission(permitted=True, speed=0.0, speed_limit=0.25, speed_point="flange")
     fault = Fault(level=Fault.WARN, code="suspicious", source="configuration 5", text="[5] is odd", remedy="again")
     return State(
         procedure=procedure, procedure_known=True, permission=permission, permission_known=True, faults=[fault],
-        waiting="operator: pull",
+        text="load of configuration 7", waiting="operator: pull",
     )  # fmt: skip
 
 
-def test_a_load_is_told_with_what_speaks_against_it() -> None:
-    shown = view(plain(loading()))
-    lines = text.load(shown, Words("en"))
-    assert lines[0] == "Pull with 1000 N"
-    assert "Felt: 900 N, off by -100 N (band ± 25 N)" in lines
-    assert lines[-1] == "Pull harder."
-    assert text.load(shown, Words("de"))[-1] == "Stärker ziehen."
-    assert text.load({**shown, "load": {**shown["load"], "awaited": False}}, Words("en")) == []
-    left = {**shown["load"], "awaited": False, "left": "It was left on by a1."}
-    assert text.load({**shown, "load": left}, Words("en")) == [
-        "900 N pull at the tool: release the load. It was left on by a1."
-    ]
-
-
-def test_a_guard_that_is_silent_permits_nothing() -> None:
+def test_a_load_is_told_with_what_is_felt() -> None:
     state = loading()
-    state.permission_known = False
-    assert text.permission(view(plain(state)), Words("en")) == [
-        "It is not known whether the robot may move",
-        "the guard is silent",
-    ]
+    assert "load: pull with 1000 N, felt: 900 N. force: wanted, found: pull harder" in terminal.told(state)
+    state.procedure_known = False
+    assert "felt: not known" in terminal.told(state)
+    state.procedure.load_awaited = False
+    assert "load" not in terminal.told(state).partition("\n")[2]
+    state.procedure.load_left = "It was left on by a1."
+    assert "It was left on by a1." in terminal.told(state)
 
 
 def test_the_keys_ask_what_they_say(spinning: Any, until: Any) -> None:
@@ -87,7 +72,7 @@ def test_the_keys_ask_what_they_say(spinning: Any, until: Any) -> None:
     publisher = cell.create_publisher(STATE.message, STATE.relative, STATE.qos)
 
     async def work() -> None:
-        app = Terminal(node, "Ann", "en")
+        app = Terminal(node, "Ann")
         async with app.run_test() as pilot:
 
             def said(place: str) -> str:
@@ -96,14 +81,14 @@ def test_the_keys_ask_what_they_say(spinning: Any, until: Any) -> None:
             for _ in range(200):
                 publisher.publish(loading())
                 await pilot.pause(0.1)
-                if "configuration 7" in said("status"):
+                if "configuration 7" in said("state"):
                     break
-            assert "6 of 18" in said("status")
-            assert "Pull harder." in said("load")
-            assert "[5] is odd" in said("faults")  # as it came, no markup
+            assert "6 of 18" in said("state")
+            assert "[5] is odd" in said("state")  # as it came, no markup
+            assert said("permission") == "The robot may move"
             assert app.query_one("#permission").has_class("yes")
             await pilot.pause(1.0)
-            assert (said("load"), said("permission")) == ("", "")  # nothing has come for a while
+            assert (said("state"), said("permission")) == ("", terminal.SILENT)  # nothing has come for a while
             assert not app.query_one("#permission").has_class("yes")
             for key, found in (("s", stopped), ("c", loads)):
                 for _ in range(50):
@@ -126,11 +111,11 @@ def test_states_that_arrive_while_it_ends_do_no_harm(spinning: Any, monkeypatch:
 
     async def work() -> None:
         for _ in range(10):
-            app = Terminal(node, "Ann", "en")
+            app = Terminal(node, "Ann")
             async with app.run_test() as pilot:
-                app.cell_shown, app.cell_heard = view(plain(loading())), time.monotonic()
-                await pilot.pause(0.02)
-                assert "configuration 7" in str(app.query_one("#status", Static).render())
+                while "configuration 7" not in str(app.query_one("#state", Static).render()):
+                    app.cell_shown, app.cell_heard = loading(), time.monotonic()
+                    await pilot.pause(0.02)
                 asking = asyncio.create_task(app.action_do("stop"))
             await asking
 

@@ -26,9 +26,7 @@ from calibration_interfaces.msg import (
 from lifecycle_msgs.msg import State as Lifecycle
 
 from calibration.web.shown.plain import CONSTANTS, plain
-from calibration.web.shown.text import status
 from calibration.web.shown.view import checklist, forgotten, place_of, running, unfinished, view
-from calibration.web.shown.words import Words
 
 
 def loading(**changes: Any) -> State:
@@ -239,9 +237,3 @@ def test_how_far_an_average_is_is_told_while_one_is_taken() -> None:
     assert view(plain(loading()))["procedure"]["averaged"] is None
     shown = view(plain(loading(state=ProcedureState.READING, averaged=0.4)))
     assert shown["procedure"]["averaged"] == pytest.approx(0.4)
-    assert any("40 %" in line for line in status(shown, Words("de")))
-
-
-def test_the_start_up_cycle_and_the_reference_are_called_by_their_names() -> None:
-    shown = view(plain(loading(state=ProcedureState.MOVING, kind="startup", load_awaited=False)))
-    assert status(shown, Words("en"))[0] == "Start-up cycle: Move"

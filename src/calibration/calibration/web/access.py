@@ -1,4 +1,4 @@
-"""Who may see the panel, and who holds control: one-time tokens, sessions, one operator at a time, rate limits.
+"""Who may see the panel, from where, and who holds control: tokens, sessions, one operator at a time, rate limits.
 
 Times are s of a steady clock.  Nothing here knows about the network or about ROS.  Sessions outlive the process in a
 file that holds no secret: of a cookie its hash alone, and the page's own token follows from the cookie.
@@ -10,16 +10,20 @@ import contextlib
 import dataclasses
 import hashlib
 import hmac
+import ipaddress
 import json
 import os
 import secrets
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 IDLE = 12 * 3600.0  # s, a shift: a session that nobody uses for so long has ended
 TOKEN_LIFE = 12 * 3600.0  # s, that a token which nobody has used is good for
 ABSENT = 5.0  # s without an open page, after which control may be taken without asking
 MOST_SESSIONS = 16
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+EVERY = ("0.0.0.0", "::", "")  # addresses to listen at that no page is reached under
 
 
 @dataclasses.dataclass(eq=False)
@@ -204,3 +208,40 @@ class Rate:
         if len(self._left) > 1000:
             full = self._reserve / self._rate
             self._left = {key: one for key, one in self._left.items() if now - one[1] < full}
+
+
+def origins(bound: str, others: Iterable[str], port: int) -> frozenset[str]:
+    """Return the origins of our own pages, as browsers state them.
+
+    Args:
+        bound: Address or name to which the server is bound.
+        others: Further names of this machine; with `http://` or `https://` the whole origin, as of a reverse proxy.
+        port: Where the server listens.
+    """
+    names = {*LOOPBACK, *others, *(() if bound in EVERY else (bound,))}
+    at = "" if port == 80 else f":{port}"  # a usual port stands in no origin
+    return frozenset((one if "://" in one else f"http://{bracketed(one)}{at}").rstrip("/").lower() for one in names)
+
+
+def bracketed(host: str) -> str:
+    """Return a host as it stands in an address: IPv6 in brackets."""
+    try:
+        return f"[{host}]" if ipaddress.ip_address(host).version == 6 else host
+    except ValueError:
+        return host
+
+
+def host_allowed(host: str | None, own: frozenset[str]) -> bool:
+    """Whether a request's Host is one of ours: a stranger's name that points here (DNS rebinding) is another one."""
+    return host is not None and host.lower() in {one.partition("://")[2] for one in own}
+
+
+def origin_allowed(origin: str | None, host: str, own: frozenset[str]) -> bool:
+    """Whether a request comes from a page of ours that was served under the same Host.
+
+    Args:
+        origin: Of the request; None: it has none.  Browsers send it with every WebSocket and every POST.
+        host: Host of the request.
+        own: Origins of our own pages.
+    """
+    return origin is not None and origin.lower() in own and origin.lower().partition("://")[2] == host.lower()

@@ -17,9 +17,7 @@ PLAN = "plan.yaml"
 PROPOSED = "diagnose/next.yaml"  # the plan of what a diagnosis would measure next
 LOOKED_AT = 1 << 16  # bytes: what stands before a plan's configurations is short
 BAG = "bag"
-VERIFIED = "verify"
-MODELS = ("identify/model.yaml", "diagnose/model.yaml")
-EVALUATIONS = ("identify", "diagnose", VERIFIED)
+EVALUATIONS = ("identify", "diagnose", "verify")
 FILES = ("result.json", "report.html", "report.pdf", "model.yaml", "table2.csv", "certificate.pdf", "certificate.json")
 
 
@@ -48,18 +46,15 @@ class Folder:
 
         Beside the folders, other files end in .yaml, too: cell files and parameters are no plans.
         """
-        found = self._newest(f"*/{PLAN}", "*.yaml", f"*/{PROPOSED}")
-        return {name: path for name, path in found.items() if "/" in name or name == PLAN or _is_plan(path)}
-
-    def models(self) -> dict[str, Path]:
-        """Return the models that were identified or extended, by session and file, the newest first."""
-        return self._newest(*(f"*/{model}" for model in MODELS))
-
-    def _newest(self, *patterns: str) -> dict[str, Path]:
+        patterns = (f"*/{PLAN}", "*.yaml", f"*/{PROPOSED}")
         found = [path for pattern in patterns for path in self.root.glob(pattern) if path.is_file()]
         found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
-        names = {path.relative_to(self.root): path for path in found}
-        return {name.as_posix(): path for name, path in names.items() if not _hidden(name)}
+        names = {path.relative_to(self.root).as_posix(): path for path in found}
+        return {
+            name: path
+            for name, path in names.items()
+            if not _hidden(Path(name)) and ("/" in name or name == PLAN or _is_plan(path))
+        }
 
     def sessions(self) -> list[dict[str, Any]]:
         """Return the sessions there are, the newest first: name, and which evaluations have results."""

@@ -15,12 +15,10 @@ from calibration_interfaces.srv import SelfTest
 
 from calibration.background import in_loop
 from calibration.web.access import Control, Session
-from calibration.web.commands import run_command
-from calibration.web.folder import BAG, PLAN, VERIFIED, Folder
+from calibration.web.folder import BAG, Folder
 from calibration.web.hub import Hub
 from calibration.web.link import Answer, CellLink
-from calibration.web.request_table import RequestError
-from calibration_core.errors import InputError, quoted
+from calibration_core.errors import InputError
 
 BETWEEN_STOPS = 0.1  # s of wall time between two stops that are asked for: taps in between share the next one
 STEPS = {"add": SelfTest.Request.ADD, "evaluate": SelfTest.Request.EVALUATE, "clear": SelfTest.Request.CLEAR}
@@ -30,7 +28,7 @@ Log = Callable[[str], None]
 class Operator:
     """Does what pages ask for."""
 
-    def __init__(self, link: CellLink, folder: Folder, hub: Hub, control: Control, cell: str, log: Log) -> None:
+    def __init__(self, link: CellLink, folder: Folder, hub: Hub, control: Control, log: Log) -> None:
         """Prepare.
 
         Args:
@@ -38,17 +36,16 @@ class Operator:
             folder: Where sessions and plans are.
             hub: Where it is shown what is under way.
             control: Who holds control.
-            cell: The cell file.
             log: Takes one line for every request, with who asks and from where.
         """
         self._link, self._folder, self._hub, self._log = link, folder, hub, log
-        self.control, self._cell = control, cell
+        self.control = control
         self._hold = 0.0
         self._chooser: Session | None = None
         self._stop: asyncio.Task[Answer] | None = None  # the one that is yet to be asked for
         self._stopped = -math.inf
         self._overrides: dict[str, ConditionOverride] = {}  # conditions that are overridden in the next run
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._evaluation: asyncio.Task[None] | None = None
 
     async def do(self, name: str, values: dict[str, Any], session: Session) -> Answer:
         """Do what a session asks for; every request and its answer are logged.
@@ -89,14 +86,10 @@ class Operator:
                 return Answer(done=True)
             case "run":
                 return await self._run(values)
-            case "plan":
-                return self._aside("plan", self._plan(values))
-            case "identify" | "verify":
-                verifies = name == "verify"
-                work = self._verify(values) if verifies else self._evaluate(values)
-                return self._aside("verification" if verifies else "evaluation", work)
+            case "identify":
+                return self._aside(values)
             case "cancel_evaluation":
-                return self._cancel("verification") or self._link.cancel_evaluation()
+                return self._link.cancel_evaluation()
         return await self._link.ask(name, **_fields(name, values, session))
 
     async def _override(self, name: str, values: dict[str, Any], session: Session) -> Answer:
@@ -122,7 +115,7 @@ class Operator:
             return Answer(done=True)
         return Answer(self.control.answer(session, give=bool(values["give"])))
 
-    # --- runs, plans, evaluations -------------------------------------------------------------------------------------
+    # --- runs, evaluations -------------------------------------------------------------------------------------------
 
     async def _run(self, values: dict[str, Any]) -> Answer:
         plans = await asyncio.to_thread(self._folder.plans)
@@ -144,90 +137,38 @@ class Operator:
             self._hub.show("overrides", [])
         return answer
 
-    async def _plan(self, values: dict[str, Any]) -> None:
-        name, purpose = str(values["name"]), str(values["purpose"])
-        directory = self._folder.session(name)
-        if (directory / PLAN).exists():
-            self._report("plan", 1.0, f"there is a plan {name} already", failed=True)
-            return
-        arguments = ["plan", "--cell", self._cell, "--for", purpose, "--out", str(directory)]
-        arguments += await self._target(values) if purpose == "verify" else []
-        failure = await run_command(arguments, lambda share, text: self._report("plan", share, text))
-        self._report("plan", 1.0, failure or f"{name}/{PLAN}", failed=bool(failure))
-
-    async def _target(self, values: dict[str, Any]) -> list[str]:
-        """Return the arguments that name a model and the tolerance that it is held against.
-
-        Raises:
-            RequestError: There is no such model.
-        """
-        models = await asyncio.to_thread(self._folder.models)
-        model = models.get(str(values["model"]))
-        if model is None:
-            expected = f"one of {', '.join(models)}" if models else "a session that was identified"
-            raise RequestError("verification", "model", quoted(values["model"]), expected)
-        return ["--model", str(model), "--tolerance", f"{float(values['tolerance']):.9g}"]
+    def _aside(self, values: dict[str, Any]) -> Answer:
+        """Begin an evaluation; the page shows how far it is.  One at a time."""
+        if self._evaluation is not None and not self._evaluation.done():
+            return Answer(done=False, text="one is under way")
+        self._evaluation = asyncio.get_running_loop().create_task(self._evaluate(values))
+        return Answer(done=True)
 
     async def _evaluate(self, values: dict[str, Any]) -> None:
         what, session = str(values["what"]), str(values["session"])
-        recording: Path = self._folder.session(session) / BAG
         loop = asyncio.get_running_loop()
 
-        def progress(share: float, text: str) -> None:
-            in_loop(loop, lambda: self._report("evaluation", share, text))
+        def report(share: float, text: str, *, failed: bool = False) -> None:
+            self._hub.show("work_evaluation", {"share": share, "text": text, "failed": failed})
 
-        answer = await self._link.evaluate(what, str(recording), progress)
+        report(0.0, "")
+        try:
+            recording: Path = self._folder.session(session) / BAG
+            answer = await self._link.evaluate(
+                what, str(recording), lambda share, text: in_loop(loop, lambda: report(share, text))
+            )
+        except Exception as error:  # noqa: BLE001  # whatever it is, whoever asked must learn of it
+            answer = Answer(done=False, text=_words(error))
         await asyncio.sleep(0)  # progress that was told before the end comes before it
-        self._report(
-            "evaluation", 1.0, answer.text if not answer.done else f"{session}: {what}", failed=not answer.done
-        )
-
-    async def _verify(self, values: dict[str, Any]) -> None:
-        """Judge a model by a session that it was not identified from; the results are put into that session."""
-        name = str(values["session"])
-        session = self._folder.session(name)
-        target = await self._target(values)
-        out = str(session / VERIFIED)
-        arguments = ["verify", str(session / BAG), "--cell", self._cell, *target, "--out", out]
-        arguments += ["--fit-tracker"] if values["fit_tracker"] else []
-        failure = await run_command(arguments, lambda share, text: self._report("verification", share, text))
-        self._report("verification", 1.0, failure or f"{name}: {VERIFIED}", failed=bool(failure))
-
-    def _report(self, what: str, share: float, text: str, *, failed: bool = False) -> None:
-        self._hub.show("work_" + what, {"share": share, "text": text, "failed": failed})
-
-    def _aside(self, what: str, work: Any) -> Answer:
-        """Begin what takes long; the page shows how far it is.  One of a kind at a time."""
-        if any(task.get_name() == what for task in self._tasks):
-            work.close()
-            return Answer(done=False, text="one is under way")
-        task = asyncio.get_running_loop().create_task(work, name=what)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        task.add_done_callback(lambda one: self._broken(what, one))
-        self._report(what, 0.0, "")
-        return Answer(done=True)
-
-    def _broken(self, what: str, task: asyncio.Task[None]) -> None:
-        if task.cancelled():
-            self._report(what, 1.0, "cancelled", failed=True)
-        elif error := task.exception():
-            self._report(what, 1.0, _words(error), failed=True)
-
-    def _cancel(self, what: str) -> Answer | None:
-        """Give up what is under way aside; return None where nothing is."""
-        found = [task for task in self._tasks if task.get_name() == what]
-        for task in found:
-            task.cancel()
-        return Answer(done=True) if found else None
+        report(1.0, f"{session}: {what}" if answer.done else answer.text, failed=not answer.done)
 
     async def close(self) -> None:
         """End what is under way here; what runs in the cell goes on."""
         self._link.leave()
-        for task in list(self._tasks):
-            task.cancel()
+        if self._evaluation is not None:
+            self._evaluation.cancel()
             with contextlib.suppress(asyncio.CancelledError):
-                await task
+                await self._evaluation
 
     # --- loads that are confirmed without a click ---------------------------------------------------------------------
 

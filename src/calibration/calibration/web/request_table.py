@@ -129,23 +129,7 @@ KINDS: Mapping[str, Kind] = {
     "tare": Kind({"clear": Field("flag", default=False)}),
     "self_test": Kind({"step": Field(choices=("add", "evaluate", "clear")), "mass": Field("number", 0.0, 5000.0, 0.0)}),
     # evaluation
-    "plan": Kind(
-        {
-            "name": FOLDER,
-            "purpose": Field(choices=("stiffness", "geometry", "verify"), default="stiffness"),
-            "model": Field(high=200, default=""),
-            "tolerance": Field("number", 0.0, 1.0, 0.0),
-        }
-    ),
     "identify": Kind({"what": Field(choices=("stiffness", "diagnosis")), "session": FOLDER}),
-    "verify": Kind(
-        {
-            "session": FOLDER,
-            "model": Field(high=200, low=1),
-            "tolerance": Field("number", 1e-6, 1.0),
-            "fit_tracker": Field("flag", default=False),
-        }
-    ),
     "cancel_evaluation": Kind(),
 }
 

@@ -15,14 +15,21 @@ from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from aiohttp import WSCloseCode, WSMsgType, web
+from aiohttp import WSCloseCode, web
 
-from calibration.web.access import Access, Control, Rate, Session, page_token, write_private
-from calibration.web.answers import REPORT_CSP, on_prepare, refused
+from calibration.web.access import (
+    Access,
+    Control,
+    Rate,
+    Session,
+    host_allowed,
+    origin_allowed,
+    page_token,
+    write_private,
+)
 from calibration.web.folder import Folder
 from calibration.web.hub import BEAT, Hub, Page
 from calibration.web.link import Answer
-from calibration.web.origin import host_allowed, origin_allowed
 from calibration.web.request_table import KINDS, OPERATOR, Field, RequestError, read
 from calibration.web.serving import Door
 from calibration_core.report.view3d import script
@@ -36,6 +43,42 @@ PAGES_OF_SESSION = 4
 PAGES = 24
 ENTRIES = (0.2, 8.0)  # a second, and at once, from one address
 KEPT = 600.0  # s between two writings of the sessions that are in use
+CSP = (
+    "default-src 'none'; "
+    "script-src 'self'; "
+    "style-src 'self'; "
+    "img-src 'self' data:; "
+    "connect-src 'self'; "
+    "frame-src 'self'; "
+    "base-uri 'none'; "
+    "form-action 'none'; "
+    "frame-ancestors 'none'; "
+    "require-trusted-types-for 'script'; "
+    "trusted-types 'none'"
+)
+# A report is a document of its own with scripts and styles inside it: it runs in a sandbox without our origin, and
+# can neither ask the panel for anything nor anybody else.
+REPORT_CSP = (
+    "sandbox allow-scripts; "
+    "default-src 'none'; "
+    "script-src 'unsafe-inline'; "
+    "style-src 'unsafe-inline'; "
+    "img-src data:; "
+    "font-src data:; "
+    "base-uri 'none'; "
+    "form-action 'none'; "
+    "frame-ancestors 'self'"
+)
+HEADERS = {
+    "Content-Security-Policy": CSP,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=(), usb=(), serial=()",
+    "Cache-Control": "no-store",
+}
+
 
 Do = Callable[[str, dict[str, Any], Session], Awaitable[Answer]]
 """Does what a session asks for: name of the request, its fields, the session."""
@@ -46,14 +89,12 @@ class Settings:
     """Where and how the server listens.
 
     Attributes:
-        served: Values of the Host header that are served.
-        tls: Whether it speaks TLS.
+        origins: Of our own pages.
         port: Where it listens.
-        address: Under which pages find it, `http://HOST:PORT`.
+        address: Under which pages find it, `http://HOST:PORT`, or as the reverse proxy before it serves it.
     """
 
-    served: frozenset[str]
-    tls: bool
+    origins: frozenset[str]
     port: int
     address: str
 
@@ -130,12 +171,12 @@ class Server:
         self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
     ) -> web.StreamResponse:
         """Refuse what is not from a page of ours, before anything else looks at it."""
-        if not host_allowed(request.headers.get("Host"), self.settings.served):
+        if not host_allowed(request.headers.get("Host"), self.settings.origins):
             return refused(421, "this host is not served here")
         if request.method not in ("GET", "HEAD", "POST"):
             return refused(405, "GET or POST")
         if request.method == "POST":
-            if not origin_allowed(request.headers.get("Origin"), request.host, tls=self.settings.tls):
+            if not self._from_own_page(request):
                 return refused(403, "the request comes from another page")
             if request.content_type != "application/json":
                 return refused(415, "application/json")
@@ -146,6 +187,9 @@ class Server:
         except TimeoutError:
             return refused(408, "the request does not come to its end")
         return await handler(request)
+
+    def _from_own_page(self, request: web.Request) -> bool:
+        return origin_allowed(request.headers.get("Origin"), request.host, self.settings.origins)
 
     def _cookie(self, request: web.Request) -> str:
         return request.cookies.get(self.settings.cookie, "")
@@ -187,9 +231,8 @@ class Server:
         self._entered(session, f"{name} has entered from {address}")
         await self._keep()
         answer = web.json_response({"token": page_token(cookie), "name": name})
-        answer.set_cookie(
-            self.settings.cookie, cookie, httponly=True, samesite="Strict", secure=self.settings.tls, path="/"
-        )
+        secure = request.headers["Origin"].lower().startswith("https:")  # which the gate has looked at
+        answer.set_cookie(self.settings.cookie, cookie, httponly=True, samesite="Strict", secure=secure, path="/")
         return answer
 
     # --- sessions outlive the process --------------------------------------------------------------------------------
@@ -270,8 +313,7 @@ class Server:
             return refused(429, "too many requests: wait a second")
         plans = list(await asyncio.to_thread(self._folder.plans))
         sessions = await asyncio.to_thread(self._folder.sessions)
-        models = list(await asyncio.to_thread(self._folder.models))
-        return web.json_response({"plans": plans, "sessions": sessions, "models": models})
+        return web.json_response({"plans": plans, "sessions": sessions})
 
     async def _on_scene(self, request: web.Request) -> web.StreamResponse:
         if self._session(request) is None:
@@ -307,7 +349,7 @@ class Server:
         return web.Response(body=found[1], content_type=found[0], charset="utf-8")
 
     async def _on_socket(self, request: web.Request) -> web.StreamResponse:
-        if not origin_allowed(request.headers.get("Origin"), request.host, tls=self.settings.tls):
+        if not self._from_own_page(request):
             return refused(403, "the request comes from another page")
         session = self._session(request)
         if session is None:
@@ -321,7 +363,8 @@ class Server:
         session.pages += 1
         sending = asyncio.get_running_loop().create_task(self._send(socket, page))
         try:
-            await self._listen(socket)
+            async for _ in socket:  # a page tells nothing here
+                await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"nothing is taken here")
         finally:
             sending.cancel()
             self._hub.pages.discard(page)
@@ -329,16 +372,6 @@ class Server:
             session.left = time.monotonic()
             await asyncio.wait({sending})  # it ends with the page, also where the server ends
         return socket
-
-    async def _listen(self, socket: web.WebSocketResponse) -> None:
-        """Take what a page sends, which is a number now and then, given back at once: how long the way is."""
-        rate = Rate(5.0, 10)
-        async for message in socket:
-            number = _number(message.data) if message.type is WSMsgType.TEXT else None
-            if number is None or not rate.take("", time.monotonic()):
-                await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"a number, now and then")
-                return
-            await socket.send_str(f'{{"back":{number}}}')
 
     async def _send(self, socket: web.WebSocketResponse, page: Page) -> None:
         session = page.session
@@ -365,11 +398,6 @@ class Server:
         }
 
 
-def _number(text: str) -> int | None:
-    """Return the number that a message is; None: it is none."""
-    return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else None
-
-
 def _files(folder: Path) -> dict[str, tuple[str, bytes]]:
     """Return the files of a folder by their paths in it: content type and content."""
     found = {}
@@ -377,6 +405,18 @@ def _files(folder: Path) -> dict[str, tuple[str, bytes]]:
         kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
         found[path.relative_to(folder).as_posix()] = (kind, path.read_bytes())
     return found
+
+
+async def on_prepare(_request: web.Request, response: web.StreamResponse) -> None:
+    """Put the headers on an answer, unless it brings its own."""
+    for name, value in HEADERS.items():
+        response.headers.setdefault(name, value)
+    response.headers["Server"] = "calibration"
+
+
+def refused(status: int, text: str) -> web.Response:
+    """Return an answer that says why a request is refused."""
+    return web.json_response({"done": False, "text": text}, status=status)
 
 
 async def _streamed(request: web.Request, directory: Path, name: str) -> web.StreamResponse:

@@ -10,7 +10,6 @@ import collections
 import errno
 import io
 import socket
-import ssl
 import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
@@ -19,7 +18,6 @@ from typing import Any
 from aiohttp import web
 
 from calibration.background import in_loop
-from calibration_core.errors import InputError
 
 NEXT = 20  # ports that are tried
 ENDING = 3.0  # s of wall time, that open connections have to end
@@ -55,27 +53,6 @@ def listening(host: str, port: int) -> socket.socket:
             port += 1
         else:
             return one
-
-
-def tls_context(certificate: str, key: str) -> ssl.SSLContext | None:
-    """Return how TLS is spoken; None without a certificate.
-
-    Raises:
-        InputError: Certificate or key cannot be used, or one is given without the other.
-    """
-    if not certificate and not key:
-        return None
-    if not certificate or not key:
-        raise InputError(
-            "panel", "tls_key" if certificate else "tls_certificate", "nothing", "certificate and key, or neither"
-        )
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    try:
-        context.load_cert_chain(certificate, key)
-    except OSError as error:  # also what ssl raises
-        raise InputError(certificate, "", str(error), f"a certificate (PEM) that fits the key {key}") from error
-    return context
 
 
 def printed(url: str) -> str:
@@ -136,7 +113,7 @@ class Door:
             if one.transport is transport:
                 one.known = True
 
-    async def serve(self, taken: socket.socket, protocol: Callable[[], Any], tls: ssl.SSLContext | None) -> None:
+    async def serve(self, taken: socket.socket, protocol: Callable[[], Any]) -> None:
         """Let connections in until this is cancelled; the socket is closed then."""
         loop = asyncio.get_running_loop()
         watching = loop.create_task(self._watch())
@@ -149,8 +126,7 @@ class Door:
                     self._close(self._strangers()[:1])
                     await asyncio.sleep(LOOK)
                     continue
-                wait = None if tls is None else STRANGER
-                opening = loop.connect_accepted_socket(protocol, one, ssl=tls, ssl_handshake_timeout=wait)
+                opening = loop.connect_accepted_socket(protocol, one)
                 self._connections.append(_Connection(str(peer[0]), loop.create_task(opening)))
                 if len(self._connections) > STRANGERS_OF_ADDRESS:
                     self._make_room(str(peer[0]))
@@ -196,7 +172,6 @@ class Serving:
         self,
         application: web.Application,
         taken: socket.socket,
-        tls: ssl.SSLContext | None,
         ending: Callable[[], Awaitable[None]],
         door: Door,
     ) -> None:
@@ -205,11 +180,10 @@ class Serving:
         Args:
             application: What is served.
             taken: The socket that listens; it is closed at the end.
-            tls: How TLS is spoken; None: it is not.
             ending: Called in the thread when it ends.
             door: Lets connections in.
         """
-        self._application, self._socket, self._tls, self._ending = application, taken, tls, ending
+        self._application, self._socket, self._ending = application, taken, ending
         self._door = door
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name="panel", daemon=True)
@@ -251,7 +225,7 @@ class Serving:
         )  # fmt: skip
         await runner.setup()
         assert runner.server is not None  # noqa: S101 - it was set up
-        self.begin(self._door.serve(self._socket, runner.server, self._tls))
+        self.begin(self._door.serve(self._socket, runner.server))
         self._ready.set()
         await self._stop.wait()
         await self._ending()

@@ -2,10 +2,8 @@
 import { h, text, once, rows, options, hide } from "./dom.js";
 import { w, number } from "./words.js";
 import { ask, folder } from "./link.js";
-import { verification } from "./verify.js";
 
 const EVALUATED = ["diagnose/result.json", "identify/result.json"];
-const VERIFIED = ["verify/result.json"];
 const PROPOSED = "diagnose/next.yaml";
 
 export function after(state, told) {
@@ -21,29 +19,26 @@ export function after(state, told) {
   const files = h("div", { class: "row", id: "files" });
   const frame = h("iframe", { id: "report", title: w("report"), sandbox: "allow-scripts", hidden: true });
   const table = h("div", { id: "result" });
-  const verify = verification(session, told);
   const next = h("button", { id: "next", class: "main", hidden: true, onclick: () => { state.proposed = `${session.value}/${PROPOSED}`; state.open("before"); } }, w("measure_next"));
   const node = h("div", { class: "grid pair", id: "after" },
     h("div", { class: "column" },
       h("section", { class: "card", "aria-label": w("evaluation") }, h("h2", {}, w("evaluation")), how,
         h("label", { for: "result_session" }, w("session")), session,
-        h("div", { class: "row" }, ...buttons, cancel), bar, doing),
-      verify.node),
+        h("div", { class: "row" }, ...buttons, cancel), bar, doing)),
     h("section", { class: "card", "aria-label": w("result") }, h("h2", {}, w("result")), table, next),
     h("section", { class: "card wide", "aria-label": w("files") }, h("h2", {}, w("files")), files, shows),
     h("section", { class: "wide" }, frame));
-  let found = { plans: [], sessions: [], models: [] };
-  let finished = "[null,null]";
+  let found = { plans: [], sessions: [] };
+  let finished = "null";
 
   const path = (file) => `/files/${encodeURIComponent(session.value)}/${file}`;
   async function opened() {
     found = await folder();
     options(session, found.sessions.map((one) => [one.name, one.name]), true);
-    verify.offer(found.models);
     await chosen();
   }
-  async function content(there, names) {
-    const best = names.find((file) => there.includes(file));
+  async function content(there) {
+    const best = EVALUATED.find((file) => there.includes(file));
     const answer = best ? await fetch(path(best), { cache: "no-store" }) : null;
     return answer && answer.ok ? answer.json() : null;
   }
@@ -54,15 +49,14 @@ export function after(state, told) {
       h("a", { class: "button", href: `${path(file)}?download`, download: "" }, w("download", { file })));
     rows(shows, there.filter((file) => file.endsWith("report.html")).map((file) => [session.value, file]), ([, file]) =>
       h("button", { class: "main", "data-file": file, onclick: () => { frame.src = path(file); hide(frame, false); frame.scrollIntoView(); } }, w("show_report", { name: file.split("/")[0] })));
-    const result = await content(there, EVALUATED);
+    const result = await content(there);
     rows(table, result ? [result] : [], shown);
     hide(next, !found.plans.includes(`${session.value}/${PROPOSED}`));
-    verify.show(await content(there, VERIFIED));
     update();
   }
   function shown(result) {
     const next = (result.next_measurements || []).slice(0, 5);
-    const light = result.usable ? w(`usable_${result.usable}`) : w(`outcome_${result.verdict}`);
+    const light = result.usable ? w(`usable_${result.usable}`) : result.verdict;
     const reasons = [...new Set((result.reason || "").split("; "))].join("; "); // the same may be said of several configurations
     const places = [...new Set((result.anomalies || []).map((one) => one.location && one.location.place).filter(Boolean))];
     return h("div", {}, h("p", { class: "number" }, light), h("p", {}, reasons),
@@ -82,21 +76,18 @@ export function after(state, told) {
       h("td", {}, interval), h("td", {}, nominal ? `${mega(nominal)}${change}` : "–"));
   }
   session.addEventListener("change", chosen);
-  verify.node.addEventListener("input", update);
   function update() {
     const mine = Boolean(state.me.control);
     const work = state.work_evaluation;
     const busy = Boolean(work) && work.share < 1;
     text(how, state.ended || "");
     for (const one of buttons) one.disabled = !mine || busy || !session.value;
-    const judging = state.work_verification;
-    verify.update(mine && Boolean(session.value), judging);
-    hide(cancel, !busy && !(judging && judging.share < 1));
+    hide(cancel, !busy);
     cancel.disabled = !mine;
     hide(bar, !busy);
     inside.style.width = `${Math.round(100 * (work ? work.share : 0))}%`;
     text(doing, !work ? "" : busy ? work.text : work.failed ? `${w("not_done")}: ${work.text}` : w("evaluated", { text: work.text }));
-    const now = JSON.stringify([work, judging].map((one) => (one && one.share >= 1 ? one : null)));
+    const now = JSON.stringify(work && !busy ? work : null);
     if (now !== finished) {
       finished = now;
       setTimeout(opened, 100);

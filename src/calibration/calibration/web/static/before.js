@@ -2,11 +2,9 @@
 import { h, text, rows, options, hide } from "./dom.js";
 import { w, known } from "./words.js";
 import { ask, folder } from "./link.js";
-import { target } from "./verify.js";
 
 const HOLDS = [0, 1, 2, 3, 5];
 const NEW = "";
-const PURPOSES = ["stiffness", "geometry", "verify"];
 
 export function before(state, told) {
   const list = h("ul", { class: "plain", id: "checklist" });
@@ -21,18 +19,11 @@ export function before(state, told) {
   hold.addEventListener("change", () => ask("hold_time", { seconds: Number(hold.value) }).then(told));
   const begin = h("button", { class: "go", id: "begin", onclick: () => run() }, w("begin"));
   const why = h("p", { id: "begin_why", "aria-live": "polite" });
-  const fresh = h("input", { id: "plan_name", maxLength: 60, autocomplete: "off", value: "plan" });
-  const making = h("p", { id: "making", "aria-live": "polite" });
   const frame = h("iframe", { title: w("plan_report"), sandbox: "allow-scripts", hidden: true });
   const look = h("button", { id: "plan_look", onclick: () => {
     frame.src = `/files/${plan.value.replace(/[^/]+$/, "report.html")}`;
     hide(frame, false);
   } }, w("plan_look"));
-  const purpose = h("select", { id: "purpose" }, ...PURPOSES.map((one) => h("option", { value: one }, w(`purpose_${one}`))));
-  const judged = target("plan");
-  const judging = h("div", { hidden: true }, ...judged.fields);
-  const verifies = () => purpose.value === "verify";
-  const make = h("button", { id: "plan_make", onclick: () => ask("plan", { name: fresh.value.trim(), purpose: purpose.value, ...(verifies() ? judged.value : {}) }).then(told) }, w("plan_make"));
 
   const mass = h("input", { id: "mass", inputMode: "decimal", size: 6, autocomplete: "off" });
   const held = h("p", { id: "self_test", "aria-live": "polite" }, w("self_test_1"));
@@ -50,9 +41,7 @@ export function before(state, told) {
       card("options", h("label", { for: "wanted" }, w("wanted")), wanted,
         h("div", { class: "check" }, enough, h("label", { for: "enough" }, w("stop_when_enough"))),
         h("label", { for: "hold" }, w("hold")), hold, h("p", { class: "small" }, w("hold_how")))),
-    h("div", { class: "column" },
-      card("plan_new", h("label", { for: "purpose" }, w("purpose")), purpose, judging, h("label", { for: "plan_name" }, w("plan_name")), fresh, make, making),
-      card("instruments", h("p", {}, w("tare_how")), tare, h("hr"), held, h("label", { for: "mass" }, w("mass")), mass, h("div", { class: "row" }, ...tests))),
+    card("instruments", h("p", {}, w("tare_how")), tare, h("hr"), held, h("label", { for: "mass" }, w("mass")), mass, h("div", { class: "row" }, ...tests)),
     h("section", { class: "wide" }, frame));
 
   let asked = false;
@@ -73,7 +62,6 @@ export function before(state, told) {
     options(plan, found.plans.map((one) => [one, one]), true);
     if (found.plans.includes(state.proposed)) plan.value = state.proposed;
     state.proposed = "";
-    judged.offer(found.models);
     options(session, [[NEW, w("session_new")], ...found.sessions.map((one) => [one.name, w("session_resume", { name: one.name })])], true);
     there = found.sessions.map((one) => one.name);
     propose();
@@ -81,7 +69,6 @@ export function before(state, told) {
   }
   session.addEventListener("change", update);
   plan.addEventListener("change", update);
-  for (const field of [purpose, judging]) field.addEventListener("input", () => update());
   let there = null; // sessions; null: not known yet
   let typed = false; // the name is the operator's, and stays
   name.addEventListener("input", () => { typed = true; });
@@ -93,7 +80,6 @@ export function before(state, told) {
     while (there.includes(one())) n += 1;
     if (name.value !== one()) name.value = one();
   }
-  let made = "";
   function update() {
     propose();
     if (!state.view) return;
@@ -117,16 +103,8 @@ export function before(state, told) {
     begin.disabled = asked || against !== "";
     text(why, against ? w(against) : "");
     for (const one of [tare, hold, ...tests]) one.disabled = !mine;
-    hide(judging, !verifies());
-    make.disabled = !mine || (verifies() && !judged.ready);
     if (document.activeElement !== hold) hold.value = String(state.hold || 0);
     look.disabled = !plan.value.includes("/");
-    const work = state.work_plan;
-    text(making, work ? (work.share < 1 ? `${Math.round(100 * work.share)} % ${work.text}` : work.failed ? `${w("not_done")}: ${work.text}` : w("plan_made", { name: work.text })) : "");
-    if (work && work.share === 1 && !work.failed && made !== work.text) {
-      made = work.text;
-      opened().then(() => { plan.value = made; update(); });
-    }
   }
   return { node, update, opened };
 }

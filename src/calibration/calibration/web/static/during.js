@@ -151,7 +151,7 @@ export function during(state, told) {
     confirm.disabled = !mine || !view.confirm.offered;
     const held = state.hold && view.confirm.by_itself ? ` (${w("confirms_itself", { s: number(Math.max(0, state.hold - (state.held || 0)), 1) })})` : "";
     text(confirm, `${w(release ? "confirm_release" : "confirm")}${held}`);
-    const why = [...(mine ? [] : ["no_control"]), ...view.confirm.against].map((one) => w(`against_${one}`));
+    const why = [...(mine ? [] : ["no_control"]), ...view.confirm.against].map((one) => (one.startsWith("stream_") ? w("against_stream", { problem: w(one) }) : w(`against_${one}`)));
     const differs = view.confirm.text && view.confirm.against.some((one) => one === "load_differs" || one === "load_not_felt");
     text(against, by_device ? w("device_loads") : [...why, ...(differs ? [view.confirm.text] : [])].join(" · "));
   }

@@ -1,14 +1,16 @@
 // Words of the page in the reader's language; a code without words is shown as it is, and texts of nodes are English.
 let words = {};
 export let language = "en";
+let place = 0; // of the language in a row of words
 
 export async function speak(wanted) {
   language = wanted === "de" ? "de" : "en";
-  words = await (await fetch(`/static/words/${language}.json`)).json();
+  place = wanted === "de" ? 1 : 0;
+  words = await (await fetch("/static/words.json")).json();
   document.documentElement.lang = language;
 }
 export function w(key, values = {}) {
-  const found = words[key] ?? key;
+  const found = key in words ? words[key][place] : key;
   return found.replace(/\{(\w+)\}/g, (_, name) => String(values[name] ?? ""));
 }
 export function known(key) {

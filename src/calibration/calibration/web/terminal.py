@@ -1,4 +1,4 @@
-"""The panel in a terminal, over ssh: the same state, and the keys of what is needed most.
+"""The panel in a terminal, over ssh: the state in the nodes' own words, and the keys of what is needed most.
 
 It is a node of its own and asks the same services as the page; over ssh there is no page to hold control, so that
 whoever sits there says a name when it is started.
@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import locale
+import math
 import threading
 import time
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import rclpy
-from calibration_interfaces.msg import SessionEvent
+from calibration_interfaces.msg import SessionEvent, State
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from textual.app import App, ComposeResult
-from textual.containers import VerticalScroll
 from textual.widgets import Footer, Static
 
 from calibration.background import in_executor
@@ -29,13 +28,28 @@ from calibration.lifecycle.heartbeat import FRESH
 from calibration.node import spin
 from calibration.topics import EVENT, STATE
 from calibration.web.link import CellLink, Latest
-from calibration.web.shown import text
-from calibration.web.shown.plain import plain
-from calibration.web.shown.view import view
-from calibration.web.shown.words import Words
 
 NODE = "panel_terminal"
 LOOK = 0.1  # s of wall time between two looks
+SILENT = "The manager is silent: nothing is known of the cell."
+
+
+def told(state: State) -> str:
+    """Return what is shown of a state: what is done and waited for, the load, the faults with the way out."""
+    one = state.procedure
+    lines = [state.text, f"waits for: {state.waiting}" if state.waiting else ""]
+    if one.configurations_total:
+        lines.append(f"{one.configurations_done} of {one.configurations_total} configurations done")
+    if one.load_awaited or one.load_left:
+        felt = f"{_size(one.load_felt):.0f} N" if state.procedure_known and one.load_felt_known else "not known"
+        wanted = f"pull with {_size(one.target):.0f} N, " if one.load_awaited else ""
+        lines.append(f"load: {wanted}felt: {felt}. {one.load_left or one.load_fault}")
+    lines += [state.progress.text, *(f"{fault.text}\n  → {fault.remedy}" for fault in state.faults)]
+    return "\n".join(filter(None, lines))
+
+
+def _size(wrench: Any) -> float:
+    return math.hypot(wrench.force.x, wrench.force.y, wrench.force.z)
 
 
 class Terminal(App[None]):
@@ -52,31 +66,25 @@ class Terminal(App[None]):
         ("q", "quit", "quit"),
     ]
 
-    def __init__(self, node: Any, name: str, language: str) -> None:
+    def __init__(self, node: Any, name: str) -> None:
         """Prepare.
 
         Args:
             node: Spun by somebody else.
             name: Of the operator.
-            language: Of the words.
         """
         super().__init__()
-        self.cell_node, self.operator, self.words = node, name, Words(language)
+        self.cell_node, self.operator = node, name
         self.cell_state = Latest(node, STATE.message, STATE.relative, STATE.qos)
         self.cell_event = node.create_publisher(EVENT.message, EVENT.relative, EVENT.qos)
         self.cell_link = CellLink(node)
-        self.cell_shown: dict[str, Any] | None = None
+        self.cell_shown: State | None = None
         self.cell_heard = time.monotonic()
 
     def compose(self) -> ComposeResult:
         """Make what is shown."""
-        yield Static(id="status", markup=False)
-        yield Static(id="permission", markup=False)
-        with VerticalScroll():
-            yield Static(id="load", markup=False)
-            yield Static(id="bars", markup=False)
-            yield Static(id="faults", markup=False)
-        yield Static(id="answer", markup=False)
+        for place in ("permission", "state", "answer"):
+            yield Static(id=place, markup=False)
         yield Footer()
 
     def on_mount(self) -> None:
@@ -88,23 +96,19 @@ class Terminal(App[None]):
             return
         message = self.cell_state.take()
         if message is not None:
-            self.cell_shown, self.cell_heard = view(plain(message)), time.monotonic()
-        if self.cell_shown is None or time.monotonic() - self.cell_heard > FRESH:
-            self._fill("status", [self.words("nothing_known")])
-            self.query_one("#permission").set_class(False, "yes")
-            for place in ("permission", "load", "bars", "faults"):  # nothing of it is current
-                self._fill(place, [])
-            return
-        shown, w = self.cell_shown, self.words
-        self._fill("status", text.status(shown, w))
-        self._fill("permission", text.permission(shown, w))
-        self.query_one("#permission").set_class(shown["permission"]["permitted"], "yes")
-        self._fill("load", text.load(shown, w))
-        self._fill("bars", text.bars(shown, w))
-        self._fill("faults", text.faults(shown, w))
+            self.cell_shown, self.cell_heard = message, time.monotonic()
+        state = None if time.monotonic() - self.cell_heard > FRESH else self.cell_shown
+        permitted = state is not None and state.permission_known and not state.not_permitted
+        self.query_one("#permission").set_class(permitted, "yes")
+        if state is None:  # nothing of it is current
+            self._fill("permission", SILENT)
+            self._fill("state", "")
+        else:
+            self._fill("permission", "The robot may move" if permitted else state.not_permitted)
+            self._fill("state", told(state))
 
-    def _fill(self, place: str, lines: list[str]) -> None:
-        self.query_one(f"#{place}", Static).update("\n".join(lines), layout=True)
+    def _fill(self, place: str, text: str) -> None:
+        self.query_one(f"#{place}", Static).update(text, layout=True)
 
     async def action_do(self, request: str) -> None:
         """Ask for something."""
@@ -113,12 +117,12 @@ class Terminal(App[None]):
         if request in ("resume_motion", "guard_reset"):
             fields = by
         elif request == "load_applied":
-            procedure = (self.cell_shown or {}).get("procedure", {"configuration": 0, "step": 0})
-            fields = {**by, "configuration": procedure["configuration"], "step": procedure["step"]}
+            procedure = (self.cell_shown or State()).procedure
+            fields = {**by, "configuration": procedure.configuration, "step": procedure.step}
         answer = await self.cell_link.ask(request, **fields)
         self._show(f"{request} by {self.operator} at a terminal{'' if answer.done else f': refused: {answer.text}'}")
         if self.is_running:
-            self._fill("answer", [self.words("done") if answer.done else f"{self.words('not_done')}: {answer.text}"])
+            self._fill("answer", "Done" if answer.done else f"Not done: {answer.text}")
 
     def _show(self, line: str) -> None:
         header = to_header(self.cell_node.get_clock().now().nanoseconds)
@@ -131,14 +135,13 @@ def show(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="panel --terminal", description="The operator's panel in a terminal.")
     parser.add_argument("--terminal", action="store_true", required=True)
     parser.add_argument("--name", required=True, help="of the operator: what is asked for is logged by it")
-    parser.add_argument("--language", default=(locale.getlocale()[0] or "en")[:2], help="en or de")
     given = parser.parse_args(remove_ros_args(["panel", *arguments])[1:])
     rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(NODE)
     node.failed = threading.Event()  # set when a callback raises
     executor, ending = SingleThreadedExecutor(), threading.Event()
     executor.add_node(node)
-    app = Terminal(node, given.name, given.language)
+    app = Terminal(node, given.name)
     thread = threading.Thread(target=spin, args=(executor, node, ending), name="executor", daemon=True)
     thread.start()
     try:
