@@ -44,6 +44,7 @@ class Kind:
         time: Whether times are right, too.
         loaded: Whether forces are.
         warm: Whether the temperature is.
+        rounded: Whether the file holds positions to a millimetre alone.
     """
 
     files: dict[str, str]
@@ -53,6 +54,7 @@ class Kind:
     time: bool = False
     loaded: bool = False
     warm: bool = False
+    rounded: bool = False
 
 
 def table(head: list[str], rows: Rows, separator: str = ",", *, title: str = "", end: str = "") -> str:
@@ -151,6 +153,27 @@ STUDIO = table(
     ["receive_time", "header.stamp", "point.x", "point.y", "point.z"],
     beside([[str(int(1e9 * t))] for t in TIME], [[str(int(1e9 * t))] for t in TIME], numbers(XYZ)),
 )
+LISTS = [", ".join(f"{value:g}" for value in row) for row in DEGREES]
+BLANKED = [row.replace(",", "") for row in LISTS]
+EXPORT = "export the joint angles as a table"
+OTHER_PROGRAMS = {
+    "Yaskawa": ("cal.jbi", "/JOB\n//NAME CAL\n//POS\n///NPOS 6,0,0,0,0,0\n///TOOL 0\n///POSTYPE PULSE\n///PULSE\n"
+                + "".join(f"C0000{k}={row}\n" for k, row in enumerate(LISTS)) + "//INST\nNOP\nEND\n"),
+    "Staubli": ("cal.dtx", "<Database>\n" + "".join(
+        f'<Value key="{k}" ' + " ".join(f'j{i + 1}="{value:g}"' for i, value in enumerate(row)) + " />\n"
+        for k, row in enumerate(DEGREES)) + "</Database>\n"),
+    "Kawasaki": ("cal.as", ".JOINTS\n" + "".join(f"#p{k} {row}\n" for k, row in enumerate(BLANKED)) + ".END\n"),
+    "Mitsubishi": ("cal.prg", "1 Mov J1\n2 End\n" + "".join(f"J{k}=({row})\n" for k, row in enumerate(LISTS))),
+    "Denso": ("cal.pac", "PROGRAM cal\n" + "".join(f"MOVE P, J({row})\n" for row in LISTS) + "END\n"),
+    "Nachi": ("cal.src", "'CAL\n" + "".join(f"MOVEX A=1,M1J,P,({row}),T=10,H=1\n" for row in LISTS) + "END\n"),
+    "Comau": ("cal.lsv", "cal:\n" + "".join(f"p{k} JNTP Arm: 1 AX: 6\n {row}\n" for k, row in enumerate(BLANKED))),
+}  # fmt: skip
+
+
+def thousands(form: str) -> str:
+    return table(MM, [["mp1", *(f'"{form.format(value)}"' for value in 1e3 * row)] for row in XYZ])
+
+
 KINDS = {
     "empty last column": points(table([*MM, "Remark"], POINTS, end=",")),
     "empty last columns, y first": points(
@@ -277,6 +300,23 @@ KINDS = {
         "cal.script", script("  q{k} = [{row}]\n  movej(q{k})", "  cog = [0.0, 0.0, 0.05]\n  set_tcp(p[0,0,0,0,0,0])")),
     "a number that is none in a script": program(
         "cal.script", script("  movej([{row}])", "  movej([1,2,oops,4,5,6])"), refused="line 2: found 'oops'"),
+    **{f"positions of {maker}": program(name, text, refused=EXPORT) for maker, (name, text) in OTHER_PROGRAMS.items()},
+    "a binary program": program("cal.tp", "\x00\x01TPP\x00", refused=EXPORT),
+    "a script in degrees": program(
+        "cal.drl", "\n".join(f"movej([{', '.join(f'{value:g}' for value in row)}], v=30)" for row in DEGREES),
+        refused="line 1: found -20.5 rad, more than a turn"),
+    "whole thousands in quotes": points(thousands("{:,.0f}"), refused="line 2: found '2,000', expected a number"),
+    "whole thousands in quotes, with a decimal mark": Kind(
+        {"points.csv": thousands("{:,.0f}"), "joints.csv": JOINTS}, {"files": [{"match": "points*", "decimal": "."}]},
+        rounded=True),
+    "one whole thousand beside decimals": points(
+        thousands("{:.3f}").replace("2000.123", "2,000"), refused="line 2: found '2,000', expected a number"),
+    "whole thousands beside thousands with decimals": points(
+        thousands("{:,.3f}").replace("2,000.123", "2,000"), rounded=True),
+    "decimal commas in quotes": points(thousands("{:.3f}").replace(".", ",")),
+    "decimal commas beside three integers": points(
+        table(["No", "Layer", "Point", *MM[1:]],
+              beside([[str(k), "1", "7"] for k in STEP], numbers(1e3 * XYZ, mark=",")), ";")),
     "a remark with brackets": Kind({"points.csv": "# SMR offset = [0.0, 0.0, 19.05]\n" + PLAIN, "joints.csv": JOINTS}),
     "a remark with brackets above angles": Kind(
         {"points.csv": PLAIN, "joints.csv": "# home = [0, -90, 90, 0, 45, 0]\n" + JOINTS}),
@@ -310,7 +350,7 @@ def judged(kind: Kind, folder: Path, **form: str) -> None:
     found = imported(kind, folder, **form)
     readings = found.readings
     first = readings.point == 0
-    np.testing.assert_allclose(readings.position[first], XYZ, atol=1e-6)
+    np.testing.assert_allclose(readings.position[first], XYZ, atol=5e-4 if kind.rounded else 1e-6)
     np.testing.assert_allclose(np.degrees(readings.q[first]), DEGREES, atol=1e-5)
     assert set(kind.listed) <= listed(found.sources)
     if kind.time:

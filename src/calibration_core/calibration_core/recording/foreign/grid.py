@@ -12,7 +12,7 @@ from pathlib import Path
 
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.recording.foreign.meaning import AXES, IGNORED, dimension_of, meanings
-from calibration_core.recording.foreign.text import Text
+from calibration_core.recording.foreign.text import EXPORT, Text
 from calibration_core.recording.foreign.units import split_unit, unit_of
 
 SEPARATORS = ("\t", ";", "|", ",")  # blanks are tried last, because names contain them
@@ -25,11 +25,13 @@ _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"),
     ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?"),
 }
-_GROUPED = {".": re.compile(r"[+-]?\d{1,3}(?:,\d{3})+\.\d+"), ",": re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d+")}
+_GROUPED = {
+    ".": re.compile(r"[+-]?\d{1,3}(?:,\d{3})+(?:\.\d*)?"),
+    ",": re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+(?:,\d*)?"),
+}
 MINUS = {0x2212: "-", 0x2013: "-"}
 _GROUPING = re.compile(r"(?<=\d)[ '’\u00a0\u2009\u202f](?=\d{3}(?!\d))")
 _SPACED = re.compile(r"[+-]?\d{1,3}(?:[ '’\u00a0\u2009\u202f]\d{3})+(?:[.,]\d*)?$")
-_COULD_BE_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:,\d{3})+")
 
 _WORD = re.compile(r'"([^"]*)"(?!\S)|(\S+)')
 _OF_POINT = re.compile(r"(.+?)[ _.:/-]+([xyz])|([xyz])[ _.:/-]*(.+)", re.IGNORECASE)
@@ -127,14 +129,19 @@ def read_grid(
         RecordingError: No table is found, its decimal mark is ambiguous, or a row has more fields than columns.
     """
     for candidate in (separator,) if separator else (*SEPARATORS, BLANKS):
-        for mark in (decimal,) if decimal else ((".",) if candidate == "," else (".", ",")):
-            found = _data(text.lines, candidate, mark)
-            if found is not None:
-                if decimal is None and candidate != ",":
-                    _refuse_ambiguous(text, found)
-                return _framed(text, candidate, mark, found, header_line)
+        read = {mark: _data(text.lines, candidate, mark) for mark in ([decimal] if decimal else [".", ","])}
+        mark = max(read, key=lambda mark: _numbers(read[mark], mark))
+        found = read[mark]
+        if found is not None:
+            if decimal is None:
+                _refuse_ambiguous(text, candidate, mark, found[0][0])
+            return _framed(text, candidate, mark, found, header_line)
     expected = f"rows of at least {LEAST_NUMBERS} numbers, separated by tab, semicolon, bar, comma or blanks"
-    raise RecordingError(text.path, "", "no table", expected)
+    raise RecordingError(text.path, "", "no table", f"{expected}; {EXPORT}")
+
+
+def _numbers(rows: Sequence[_Line] | None, decimal: str) -> int:
+    return sum(number_of(field, decimal) is not None for _, fields in rows or () for field in fields)
 
 
 def _data(lines: Sequence[str], separator: str, decimal: str) -> list[_Line] | None:
@@ -154,15 +161,17 @@ def _data(lines: Sequence[str], separator: str, decimal: str) -> list[_Line] | N
     return plain if len(plain) >= READABLE * after else None
 
 
-def _refuse_ambiguous(text: Text, rows: Sequence[_Line]) -> None:
-    """Refuse a table in which every number with a comma could have thousands marked by it."""
-    commas = [(index, field) for index, fields in rows for field in fields if "," in field]
-    if any(_SPACED.match(field) for _, field in commas):  # whose thousands are marked by blanks or apostrophes
+def _refuse_ambiguous(text: Text, separator: str, decimal: str, first: int) -> None:
+    """Refuse a table whose commas could mark thousands or decimals, unless a number with both marks settles it."""
+    lines = [(index, split_line(line, separator)) for index, line in enumerate(text.lines[first:], first)]
+    commas = [(index, field.translate(MINUS)) for index, fields in lines for field in fields if "," in field]
+    if any(_SPACED.match(field) or (decimal in field and _GROUPED[decimal].fullmatch(field)) for _, field in commas):
         return
     numbers = [(index, field) for index, field in commas if _NUMBER[","].fullmatch(field)]
-    if numbers and all(_COULD_BE_THOUSANDS.fullmatch(field) for _, field in numbers):
-        index, field = numbers[0]
-        expected = "a number that can be read in one way only: give `decimal`"
+    doubtful = [(index, field) for index, field in numbers if _GROUPED["."].fullmatch(field)]
+    if doubtful and (decimal == "." or len(doubtful) == len(numbers)):
+        index, field = doubtful[0]
+        expected = 'a number that can be read in one way only: state `decimal: "."` or `decimal: ","` in a map'
         raise RecordingError(text.path, f"line {index + 1}", quoted(field), expected)
 
 
@@ -262,8 +271,8 @@ def _rows(
             continue
         if len(fields) > width or (len(fields) < width and (separator == BLANKS or not headers[0])):
             found = f"{len(fields)} fields ({quoted(line.strip())})"
-            raise RecordingError(text.path, f"line {index + 1}, column {min(len(fields), width) + 1}", found,
-                                 f"{width} fields, one for each column")  # fmt: skip
+            place, cure = f"line {index + 1}, column {min(len(fields), width) + 1}", "" if headers[0] else f"; {EXPORT}"
+            raise RecordingError(text.path, place, found, f"{width} fields, one for each column{cure}")
         yield index, (*fields, *[""] * (width - len(fields)))
 
 

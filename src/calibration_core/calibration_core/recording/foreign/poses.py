@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from calibration_core.errors import RecordingError, quoted
-from calibration_core.recording.foreign.text import Text
+from calibration_core.recording.foreign.inference import LARGEST_TURN
+from calibration_core.recording.foreign.text import EXPORT, Text
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _UNUSED = 8e9  # what RAPID writes for an external axis that is not there: 9E9
@@ -104,7 +105,8 @@ def read_poses(text: Text) -> Poses | None:
         try:
             found = list(language.positions(bare))
         except _UnreadableError as fault:
-            raise RecordingError(text.path, _line(bare, fault.at), fault.found, "a joint angle") from None
+            expected = f"a joint angle; {EXPORT}"
+            raise RecordingError(text.path, _line(bare, fault.at), fault.found, expected) from None
         if not found:
             place = language.place.search(bare)
             if place is not None:
@@ -180,6 +182,8 @@ def _script(whole: str) -> Iterator[_Position]:
             angle = _SCRIPT_ANGLE.fullmatch(field.strip())
             if angle is None:
                 raise _UnreadableError(at, quoted(field.strip()))
+            if angle.group(1) and abs(float(angle.group(1))) > LARGEST_TURN:
+                raise _UnreadableError(at, f"{angle.group(1)} rad, more than a turn")
             angles.append(float(angle.group(1)) if angle.group(1) else math.radians(float(angle.group(2))))
         yield _Position(at, match.group(1) or "", {f"J{i + 1}": (value, "rad") for i, value in enumerate(angles)})
 

@@ -31,7 +31,7 @@ from calibration_core.recording.foreign.meaning import (
     of_one_family,
 )
 from calibration_core.recording.foreign.poses import Poses, read_poses
-from calibration_core.recording.foreign.text import Text, read_text
+from calibration_core.recording.foreign.text import EXPORT, Text, read_text
 from calibration_core.recording.foreign.units import (
     SI,
     UNITS,
@@ -287,7 +287,7 @@ def _headerless(grid: Grid, how: FileMap) -> list[str | None]:
     numeric = [all(number_of(row[i], grid.decimal) is not None for row in grid.rows) for i in range(len(grid.rows[0]))]
     texts = numeric.index(True) if True in numeric else len(numeric)
     if not 1 <= texts <= len(NAMES) or sum(numeric[texts : texts + 3]) != 3 or any(numeric[texts + 3 :]):
-        expected = "a header, or names and three coordinates in each row; else state `columns` in a map"
+        expected = f"a header, or names and three coordinates in each row; else state `columns` in a map; {EXPORT}"
         raise RecordingError(grid.path, f"line {grid.lines[0]}", f"{len(numeric)} columns without names", expected)
     names = {1: ["point"], 2: ["group", "point"], 3: [IGNORED, "group", "point"]}[texts]
     return [*names, *AXES, *[None] * (len(numeric) - texts - 3)]

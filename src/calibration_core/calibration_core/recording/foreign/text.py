@@ -16,6 +16,10 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+EXPORT = (
+    "of a program other than KUKA KRL, ABB RAPID, FANUC TP (listing) or Universal Robots script, "
+    "export the joint angles as a table with the columns J1 [deg] ... Jn [deg]"
+)
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "cp1252", "latin-1")
 
 
@@ -50,9 +54,9 @@ def read_text(path: Path, encoding: str | None = None) -> Text:
         text, used = _decoded(raw, used)
     except UnicodeError:
         found = f"bytes that are not {used}" if used else "bytes that are no text"
-        raise RecordingError(path, "", found, "text in one of " + ", ".join(ENCODINGS)) from None
+        raise RecordingError(path, "", found, f"text in one of {', '.join(ENCODINGS)}; {EXPORT}") from None
     if "\x00" in text:
-        raise RecordingError(path, "", "zero bytes", "a table as text")
+        raise RecordingError(path, "", "zero bytes", f"text; {EXPORT}")
     lines = tuple(text.splitlines())
     for number, line in enumerate(lines, 1):
         if len(line) > MAX_LINE:
