@@ -23,6 +23,7 @@ FLEET := test/test_fleet_proof.py test/test_fleet_speed.py
 USE := test/test_use.py test/test_real_use.py test/test_ageing.py
 PAIRS := test/test_pairs.py
 NODES := src/calibration/test
+ALONE = $(shell grep -l mark.alone $(NODES)/*.py)
 WHOLE := test/ros/test_ros_end_to_end.py test/ros/test_ros_kills.py test/ros/test_ros_namespaces.py test/ros/test_ros_readings.py
 # Published; for development other seeds were used.
 PROVE_SEED ?= 20261
@@ -73,7 +74,7 @@ test: packages
 	@$(PYTEST) -n $(SHARING) $(BY_FILE) -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
 	@$(PYTEST) $(CONCEALED)
 	@$(PYTEST) -n $(SHARING) $(BY_FILE) -m "not slow and not alone" $(NODES)
-	@$(PYTEST) -m "alone and not slow" $(NODES)
+	@$(PYTEST) -m "alone and not slow" $(ALONE)
 	@$(PYTEST) -m "not slow" $(WHOLE)
 
 prove: setup setup-fleet

@@ -72,12 +72,12 @@ def module_name(path: Path, package: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(code: str, module: str, is_package: bool) -> Iterator[tuple[int, str]]:
+def imports(tree: ast.Module, module: str, is_package: bool) -> Iterator[tuple[int, str]]:
     """Yields (line, dotted name) for everything that a file imports, wherever in the file it does so.
 
     `from a.b import c` yields a.b.c, because c may be a module; names are compared by prefix.
     """
-    for node in ast.walk(parse(code)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -153,7 +153,7 @@ def test_imports_follow_the_arrows() -> None:
     wrong = []
     for name, path in python_files():
         module = module_name(path, SOURCES[name])
-        for line, target in imports(path.read_text(encoding="utf-8"), module, path.name == "__init__.py"):
+        for line, target in imports(parse(path.read_text(encoding="utf-8")), module, path.name == "__init__.py"):
             if not may_import(module, target):
                 wrong.append(f"{path.relative_to(ROOT)}:{line}: {module} may not import {target}")
     assert len(python_files()) > 20
@@ -167,22 +167,18 @@ def test_families_are_those_that_exist(layer: str) -> None:
     assert names - {"__init__"} == set(FAMILIES[layer])
 
 
-def without_types(code: str) -> str:
+def without_types(tree: ast.Module) -> ast.Module:
     """Code without what only a type checker reads."""
-    body = [
-        node
-        for node in parse(code).body
-        if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))
-    ]
-    return ast.unparse(ast.Module(body, []))
+    body = [node for node in tree.body if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))]
+    return ast.Module(body, [])
 
 
 def test_no_module_needs_itself() -> None:
     paths = {module_name(path, SOURCES[name]): path for name, path in python_files()}
     needs: dict[str, set[str]] = {}
     for module, path in paths.items():
-        code = without_types(path.read_text(encoding="utf-8"))
-        targets = {target for _, target in imports(code, module, path.name == "__init__.py")}
+        tree = without_types(parse(path.read_text(encoding="utf-8")))
+        targets = {target for _, target in imports(tree, module, path.name == "__init__.py")}
         homes = {target if target in paths else target.rpartition(".")[0] for target in targets}
         needs[module] = {home for home in homes if home in paths and home != module}
     assert sum(map(len, needs.values())) > 2000
@@ -296,7 +292,7 @@ def test_no_module_needs_itself() -> None:
     ],
 )
 def test_the_arrows_themselves(module: str, line: str, allowed: bool) -> None:
-    targets = [target for _, target in imports(line, module, is_package=False)]
+    targets = [target for _, target in imports(parse(line), module, is_package=False)]
     assert all(may_import(module, target) for target in targets) is allowed
 
 

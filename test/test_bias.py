@@ -27,7 +27,7 @@ from calibration_core.timeseries import Readings
 from calibration_sim.scenarios.generate import generate
 from calibration_sim.scenarios.grid import Scenario, grid, second_grid
 
-FEW = ("off_axis_compliance", "link_bending", "base_compliance", "hysteresis")
+FEW = ("off_axis_compliance", "hysteresis")
 SEED, MANY = 20262, int(os.environ.get("PROVE_COVERAGE", "200"))
 
 
@@ -67,8 +67,8 @@ def test_table_2_holds_the_truth_where_an_effect_is_left_out(tmp_path: Path) -> 
     chosen = [next(one for one in scenarios(SEED) if one.planned[0].name == name) for name in FEW]
     results = [covered(one, tmp_path) for one in chosen]
     wide, narrow = (np.concatenate([one[k] for one in results]) for k in (0, 1))
-    assert sum(one[2] for one in results) >= 3
-    assert np.mean(wide) >= 0.85  # four recordings; the share itself is measured on 200
+    assert all(one[2] for one in results)
+    assert np.mean(wide) >= 0.85  # two recordings; the share itself is measured on 200
     assert np.mean(narrow) < 0.7  # what the interval of the noise alone would hold
 
 

@@ -148,6 +148,7 @@ def test_the_whole_measurement(suite: Any, plan: Path) -> None:
     assert factor >= SPEED
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_is_refused_before_anything_moves(suite: Any, plan: Path) -> None:
     from calibration_interfaces.msg import Outcome
 

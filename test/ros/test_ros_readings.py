@@ -203,6 +203,7 @@ def force_in_base(row: ConfirmedReading) -> Float1D:
     return np.asarray(flange @ pose_matrix(np.array(sensor.xyz), np.array(sensor.rpy))[:3, :3] @ row.wrench[:3])
 
 
+@pytest.mark.slow
 def test_a_jogged_robot_is_not_read_and_a_load_device_not_believed(suite: Any, plan: Path) -> None:
     """Joint 2 is jogged between the unloaded and the loaded step: rejected with the figure, and read anew in place.
 
@@ -369,6 +370,7 @@ class Left:
         self.stop(run)
 
 
+@pytest.mark.slow
 def test_nothing_moves_with_a_load_that_was_left_on(suite: Any, plan: Path) -> None:
     """New runs and continued ones, after a stop and after crashes; once it is off, a named hand lets the robot go."""
     from calibration_interfaces.msg import MeasurementStep, Outcome

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -176,7 +175,8 @@ def test_a_stream_on_the_contracts_topic_cannot_be_tared(spinning: Any) -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_self_test(spinning: Any, feeds: list[Feed], until: Callable[..., None], sign: float) -> None:
     cell = load_cell(CELL)
-    node = spinning.add(ForceTorqueNode(context=spinning.context, parameter_overrides=overrides()))
+    given = overrides(gap=IRREGULAR, min_samples=3)
+    node = spinning.add(ForceTorqueNode(context=spinning.context, parameter_overrides=given))
     client = spinning.plain()
     service = client.create_client(SelfTest, "/force_torque/self_test")
     bias = np.array([5.0, -3.0, 10.0, 0.5, 0.2, -0.1])
@@ -188,6 +188,8 @@ def test_self_test(spinning: Any, feeds: list[Feed], until: Callable[..., None],
         return noisy(node, np.concatenate([force, np.cross([0.0, 0.0, 0.1], force)]) + bias, rng)
 
     joints = client.create_publisher(JointState, "joint_states", 10)
+    heard: list[WrenchStamped] = []
+    client.create_subscription(WrenchStamped, "/force_torque/wrench", heard.append, 100)
     feeds.append(Feed(client.create_publisher(WrenchStamped, "input/wrench", 100), wrench))
     assert call(service, SelfTest.Request(command=SelfTest.Request.ADD)).outcome.code == Outcome.NO_DATA
 
@@ -199,7 +201,9 @@ def test_self_test(spinning: Any, feeds: list[Feed], until: Callable[..., None],
     feeds.append(Feed(joints, state, 0.01))
     for k, q in enumerate(np.random.default_rng(6).uniform(-1.5, 1.5, (4, 6))):
         now["q"] = q
-        time.sleep(0.2)
+        turned = node.now_ns()
+        until(lambda q=q: np.array_equal(node._joints.latest, q))
+        until(lambda turned=turned: sum(stamp_ns(one.header.stamp) > turned for one in heard[-9:]) > 1)
         answer = call(service, SelfTest.Request(command=SelfTest.Request.ADD))
         assert (answer.outcome.code, answer.orientations) == (Outcome.OK, k + 1), answer.outcome.text
     answer = call(service, SelfTest.Request(command=SelfTest.Request.EVALUATE, mass=20.0))

@@ -173,8 +173,7 @@ def test_everything_goes_into_the_bag(spinning: Any, until: Callable[..., None],
 
 def test_close_and_open(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
     node, client, publisher = matched(spinning, until, tmp_path)
-    close = client.create_client(Trigger, "recorder/close")
-    opening = client.create_client(Trigger, "recorder/open")
+    close, opening, hears = (client.create_client(Trigger, f"recorder/{what}") for what in ("close", "open", "hears"))
     assert close.wait_for_service(15.0)
     publisher.publish(joint_state(0))
     until(lambda: node._bag.messages)
@@ -182,7 +181,10 @@ def test_close_and_open(spinning: Any, until: Callable[..., None], tmp_path: Pat
     assert close.call(Trigger.Request()).message == f"1 messages in {tmp_path / 'bag' / 'bag_0.mcap'}"
     assert not close.call(Trigger.Request()).success
     publisher.publish(joint_state(1))
-    time.sleep(0.2)
+    assert publisher.wait_for_all_acked(Duration(seconds=20))
+    assert hears.call(Trigger.Request()) is not None  # what came before it is taken by then ...
+    taken = time.monotonic()
+    until(lambda: node._written > taken)  # ... and left out
     assert opening.call(Trigger.Request()).success
     publisher.publish(joint_state(2))
     until(lambda: node._bag.messages)

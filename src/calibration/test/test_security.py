@@ -9,7 +9,6 @@ import copy
 import os
 import subprocess
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -22,8 +21,6 @@ from rclpy.action import get_action_client_names_and_types_by_node, get_action_s
 from tree_runner import INSTALL, TreeRunner
 
 from calibration.process_tree import SIMULATED_CELL
-
-pytestmark = pytest.mark.alone
 
 ROOT = Path(__file__).resolve().parents[3]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
@@ -142,6 +139,29 @@ def beyond(given: Access, limit: Access, node: str) -> str:
     return lines(node, {kind: names - limit[kind] for kind, names in given.items()})
 
 
+def agrees(client: Any, namespace: str = "") -> None:
+    """See that the policy allows what the nodes do, once the graph does not change any more, and no more."""
+    may = allowed(namespace)
+    end, since, seen = time.monotonic() + PATIENCE, time.monotonic(), {}
+    while time.monotonic() < end:
+        there = set(client.get_node_names())
+        before, seen = seen, {node: done(client, node, namespace) for node in may if node in there}
+        since = since if seen == before else time.monotonic()
+        if set(seen) == set(may) and time.monotonic() - since > STABLE:
+            break
+        time.sleep(0.2)
+    assert set(seen) == set(may)
+    missing = "".join(beyond(seen[node], may[node], node) for node in may)
+    assert missing == "", f"add to security/policies.xml (or, if every node does it, to common.xml): {missing}"
+    idle = "".join(
+        beyond({kind: names - real(node, kind, namespace) for kind, names in may[node].items()}, seen[node], node)
+        for node in may
+    )
+    assert idle == "", f"take out of security/policies.xml, for no node does it: {idle}"
+    enclaves = {name: enclave for name, _, enclave in client.get_node_names_and_namespaces_with_enclaves()}
+    assert {node: enclaves[node] for node in may} == {node: f"/calibration/{node}" for node in may}
+
+
 def test_it_has_the_form_of_the_schema() -> None:
     root = policy()
     assert (root.tag, root.get("version")) == ("policy", "0.2.0")
@@ -166,44 +186,19 @@ def test_nobody_but_the_sequencer_may_move_the_robot() -> None:
     assert movers == {"sequencer"}
 
 
-@pytest.fixture(params=["", pytest.param("left", marks=pytest.mark.slow)])
-def namespace(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
-@pytest.fixture
-def running(spinning: Any, source_environment: dict[str, str], tmp_path: Path, namespace: str) -> Iterator[Any]:
-    """A client that sees the shipped tree."""
-    client = spinning.plain("outside")
-    said = {"cell": CELL, "session": tmp_path / "session", "namespace": namespace}
+@pytest.mark.slow
+@pytest.mark.alone
+def test_in_a_namespace_it_allows_what_the_nodes_do(
+    spinning: Any, source_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """In none it is seen where the shipped tree is."""
+    said = {"cell": CELL, "session": tmp_path / "session", "namespace": "left"}
     runner = TreeRunner(SIMULATED_CELL, source_environment, tmp_path, **said)
     try:
         runner.start()
-        yield client
+        agrees(spinning.plain("outside"), "left")
     finally:
         runner.shutdown()
-
-
-def test_it_allows_what_the_nodes_do_and_no_more(running: Any, namespace: str) -> None:
-    may = allowed(namespace)
-    end, since, seen = time.monotonic() + PATIENCE, time.monotonic(), {}
-    while time.monotonic() < end:
-        there = set(running.get_node_names())
-        before, seen = seen, {node: done(running, node, namespace) for node in may if node in there}
-        since = since if seen == before else time.monotonic()
-        if set(seen) == set(may) and time.monotonic() - since > STABLE:
-            break
-        time.sleep(0.2)
-    assert set(seen) == set(may)
-    missing = "".join(beyond(seen[node], may[node], node) for node in may)
-    assert missing == "", f"add to security/policies.xml (or, if every node does it, to common.xml): {missing}"
-    idle = "".join(
-        beyond({kind: names - real(node, kind, namespace) for kind, names in may[node].items()}, seen[node], node)
-        for node in may
-    )
-    assert idle == "", f"take out of security/policies.xml, for no node does it: {idle}"
-    enclaves = {name: enclave for name, _, enclave in running.get_node_names_and_namespaces_with_enclaves()}
-    assert {node: enclaves[node] for node in may} == {node: f"/calibration/{node}" for node in may}
 
 
 def test_without_its_enclave_no_node_runs(source_environment: dict[str, str], tmp_path: Path) -> None:

@@ -153,7 +153,7 @@ def test_a_client_that_is_gone_pauses_the_run(
 def test_a_wrench_that_two_publish_pauses_the_run(
     spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
 ) -> None:
-    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
     checks = world.node.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
     heard: list[Any] = []
     world.node.create_subscription(PROCEDURE.message, PROCEDURE.relative, heard.append, PROCEDURE.qos)
@@ -166,7 +166,7 @@ def test_a_wrench_that_two_publish_pauses_the_run(
     time.sleep(0.5)
     assert heard[-1].paused
     checks.publish(SampleCheck(name="wrench", problem=SampleCheck.FINE))
-    time.sleep(0.2)
+    until(lambda: not node._equipment.fault(time.monotonic()))
     assert operator.says("resume").success
     until(lambda: not heard[-1].paused)
     assert operator.says("stop").success

@@ -24,7 +24,7 @@ from calibration_interfaces.msg import SampleCheck
 from calibration_core.cell import load_cell
 from calibration_core.recording.bags.bag import read_bag
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 ROOT = Path(__file__).resolve().parents[3]
 BIN = ROOT / "install" / "calibration" / "lib" / "calibration"
@@ -137,11 +137,8 @@ def soak(
     return {"late": late, "recorder": grown[0], "force_torque": grown[1]}
 
 
-@pytest.mark.parametrize("seconds", [30.0, pytest.param(600.0, marks=pytest.mark.slow)])
-def test_soak(
-    spinning: Any, until: Callable[..., None], tmp_path: Path, source_environment: dict[str, str], seconds: float
-) -> None:
-    found = soak(seconds, spinning, until, tmp_path, source_environment)
+def test_soak(spinning: Any, until: Callable[..., None], tmp_path: Path, source_environment: dict[str, str]) -> None:
+    found = soak(600.0, spinning, until, tmp_path, source_environment)
     print(found)
     assert found["recorder"] < 0.05
     assert found["force_torque"] < 0.05

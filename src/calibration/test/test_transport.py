@@ -58,10 +58,15 @@ def test_what_a_user_has_set_stays(given: dict[str, str], changed: dict[str, str
     assert environment == given | changed
 
 
-LIMITS = {"anywhere": ANYWHERE, "here": HERE, "here, old": {"ROS_LOCALHOST_ONLY": "1"}, "here, again": HERE | AGAIN}
-
-
-@pytest.mark.parametrize("limits", LIMITS.values(), ids=LIMITS)
+@pytest.mark.parametrize(
+    "limits",
+    [
+        pytest.param(ANYWHERE, id="anywhere"),
+        pytest.param(HERE, id="here"),
+        pytest.param({"ROS_LOCALHOST_ONLY": "1"}, id="here, old", marks=pytest.mark.slow),
+        pytest.param(HERE | AGAIN, id="here, again", marks=pytest.mark.slow),
+    ],
+)
 def test_a_node_shares_no_memory_and_is_heard_by_those_who_do(
     source_environment: dict[str, str], tmp_path: Path, limits: dict[str, str]
 ) -> None:
