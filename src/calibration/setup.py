@@ -32,6 +32,7 @@ setup(
         ("share/calibration/security", sorted(glob("security/*.xml"))),  # noqa: PTH207
         ("share/calibration/config", CONFIG),
         ("share/calibration/config/drivers", sorted(glob("../../config/drivers/*.yaml"))),  # noqa: PTH207
+        ("share/calibration/config/trackers", sorted(glob("../../config/trackers/*.yaml"))),  # noqa: PTH207
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

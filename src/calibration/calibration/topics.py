@@ -92,6 +92,7 @@ MARKERS = Topic("/calibration/markers", "visualization_msgs/msg/MarkerArray", Qu
 PLAN_MARKERS = Topic("/calibration/plan_markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
 PROCEDURE = Topic("/calibration/procedure", "calibration_interfaces/msg/ProcedureState", Quality.STATE)
 STATE = Topic("/calibration/state", "calibration_interfaces/msg/State", Quality.STATE)
+TYPED = Topic("/tracker/typed", TEXT_TYPE, Quality.SAMPLES)  # what an operator has measured
 RAW_WRENCH = Topic("/force_torque/raw", StreamKind.WRENCH.value, Quality.SAMPLES)
 
 PROGRESS = Topic("/calibration/progress", "calibration_interfaces/msg/MeasurementProgress", Quality.STATE)

@@ -95,8 +95,11 @@ def test_a_documented_line_means_something(line: str) -> None:
             fields_exist(kind.Goal if action else kind.Request, given)
     elif command == "topic":
         names = [word for word in said[1:] if word.startswith("/")]
-        assert said[0] in ("echo", "hz", "info", "list")
+        assert said[0] in ("echo", "hz", "info", "list", "pub")
         assert set(names) <= set(every_topic())
+        if said[0] == "pub":
+            assert said[2] == every_topic()[said[1]]
+            fields_exist(interface(said[2]), yaml.safe_load(said[3]))
     else:
         assert command in OF_OTHERS, f"what {line} does is not looked at"
 

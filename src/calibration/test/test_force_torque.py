@@ -142,7 +142,7 @@ def test_a_tare_under_load_is_refused(
     joints = client.create_publisher(JointState, "joint_states", 10)
     names = list(load_cell(CELL).robot.joints)
     feeds.append(Feed(joints, lambda _k: JointState(name=names, position=[0.1] * 6), 0.01))
-    until(lambda: node._joints.latest is not None)
+    until(lambda: node.joints.latest is not None)
     answer = call(service, Tare.Request(requested_by="A. Smith"))
     assert answer.outcome.code == Outcome.NOT_REACHED
     assert re.match(r"15\d\d N pull at the tool in all, .*; no tare is taken under load", answer.outcome.text)

@@ -58,7 +58,7 @@ REAL: dict[tuple[str, str], set[str]] = {
     ("guard", "publish"): {"joint_trajectory_controller/joint_trajectory"},
     ("sequencer", "call"): {"joint_trajectory_controller/follow_joint_trajectory"},
     ("sequencer", "publish"): {"joint_trajectory_controller/joint_trajectory"},
-    ("tracker", "subscribe"): {"/tf"},  # input_type: tf
+    ("tracker", "subscribe"): {"/tf", "joint_states", "tracker/typed"},  # input_type: tf; a driver that aims
     ("panel", "call"): {"sequencer/run", "identification/identify"},  # while what was asked for there is under way
     ("identification", "subscribe"): {"clock"},  # use_sim_time, which its launch files leave alone
     ("compensation", "subscribe"): {"clock"},  # likewise

@@ -14,14 +14,16 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 
 from calibration.background import Background
-from calibration.conversions import Mean, Sample, stamp_ns, to_average, to_header, to_outcome
+from calibration.conversions import Mean, Sample, joint_positions, stamp_ns, to_average, to_header, to_outcome
 from calibration.instruments.stream import Source, Stream
 from calibration.lifecycle.managed import TransitionError
+from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.node import CalibrationNode, Declared
-from calibration.topics import SAMPLE_CHECK
+from calibration.topics import SAMPLE_CHECK, Quality, Topic, subscribe_to_samples, subscription_profile
 from calibration_core.cell import Cell, load_cell
 from calibration_core.observations.samples import Limits, Problem
 from calibration_core.observations.window import SettledWindow, Waiting
+from calibration_core.recording.messages.kinds import StreamKind
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
 LISTENERS_WAIT = 2.0  # s of wall time from the start, in which nothing is averaged that nobody hears
@@ -76,6 +78,7 @@ class AcquisitionNode(CalibrationNode):
     Attributes:
         cell: The cell.
         streams: Name -> stream.
+        joints: The joint states, where the instrument needs them.
     """
 
     def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
@@ -86,6 +89,7 @@ class AcquisitionNode(CalibrationNode):
         """Read the cell, and offer what the node measures."""
         self.cell: Cell = load_cell(self.value("cell"))
         self.streams: dict[str, Stream] = {}
+        self.joints = Joints(ArrivalRules())
         self._sources: dict[str, Source] = {}
         self._looks = 0
         self._reported: dict[str, Problem] = {}
@@ -127,6 +131,17 @@ class AcquisitionNode(CalibrationNode):
         """Subscribe to a topic as soon as it is offered."""
         self._sources[topic] = Source(self, topic, kind, callback)
         return self._sources[topic]
+
+    def listen_to_joints(self) -> None:
+        """Subscribe to the joint states."""
+        topic = Topic(self.cell.topics.joint_states, StreamKind.JOINTS.value, Quality.SAMPLES)
+        quality = subscription_profile(self, topic.relative)
+        subscribe_to_samples(self, topic.message, topic.relative, self._on_joints, quality)
+
+    def _on_joints(self, message: Any) -> None:
+        q = joint_positions(message, self.cell.robot.joints)
+        if q is not None:
+            self.joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
 
     def stamped(self, sample: Sample) -> Sample:
         """Return a sample with the time and frame that it is published with."""
@@ -212,6 +227,17 @@ class AcquisitionNode(CalibrationNode):
             MeasuringError: Cancelled, timed out, nothing arrived, or two publish what one alone may.
         """
         self._wait_for_listeners()
+        token = object()
+        self._averages.add(token)
+        try:
+            return self.measured(request, cancelled, report)
+        finally:
+            self._averages.discard(token)
+
+    def measured(
+        self, request: Request, cancelled: Callable[[], bool], report: Callable[[float, str], None]
+    ) -> list[Mean]:
+        """Do what `measure` says, once it is known that somebody listens."""
         running = [
             (stream, stream.start(request.window, self.tolerance(stream), request.min_samples, request.since))
             for stream in request.streams
@@ -219,23 +245,17 @@ class AcquisitionNode(CalibrationNode):
         before = {stream.name: stream.check.counts.received for stream in request.streams}
         tare = self.tare_number()
         deadline = _Deadline(self.now_ns, request.timeout)
-        self._averages.add(deadline)
         try:
             while True:
-                _refuse_two_sources(request.streams)
+                self._refuse(request, cancelled)
                 states = [(stream, stream.state(averaging)) for stream, averaging in running]
                 if all(isinstance(state, SettledWindow) for _, state in states):
                     break
-                if cancelled():
-                    raise MeasuringError(Outcome.CANCELLED, "cancelled")
-                if not self.active:
-                    raise MeasuringError(Outcome.NOT_AVAILABLE, f"{self.get_name()} is being deactivated")
                 if deadline.passed():
                     raise _why_not(states, before)
                 report(min(_share(state) for _, state in states), _waiting_for(states))
                 time.sleep(POLL)
         finally:
-            self._averages.discard(deadline)
             for stream, averaging in running:
                 stream.end(averaging)
         if self.tare_number() != tare:
@@ -245,6 +265,33 @@ class AcquisitionNode(CalibrationNode):
             for stream, state in states
             if isinstance(state, SettledWindow)
         ]
+
+    def turn(self, request: Request, cancelled: Callable[[], bool], awaited: Callable[[], str]) -> Callable[[], int]:
+        """Return what waits a moment, within the request's timeout from now on, and returns the node's time, ns.
+
+        It raises MeasuringError; `awaited` tells what is missing.
+        """
+        deadline = _Deadline(self.now_ns, request.timeout)
+
+        def wait() -> int:
+            self._refuse(request, cancelled)
+            if deadline.passed():
+                raise MeasuringError(Outcome.TIMED_OUT, f"{awaited()} (waited {request.timeout:g} s)")
+            time.sleep(POLL)
+            return self.now_ns()
+
+        return wait
+
+    def _refuse(self, request: Request, cancelled: Callable[[], bool]) -> None:
+        """Raise MeasuringError where nobody wants the average any more, or nobody knows whose it would be."""
+        if cancelled():
+            raise MeasuringError(Outcome.CANCELLED, "cancelled")
+        if not self.active:
+            raise MeasuringError(Outcome.NOT_AVAILABLE, f"{self.get_name()} is being deactivated")
+        for stream in request.streams:
+            problem, text = stream.outside
+            if problem is Problem.TWO_SOURCES:
+                raise MeasuringError(Outcome.NOT_AVAILABLE, f"{stream.name}: {text}")
 
     async def _on_measure(self, goal: Any) -> Any:
         last = [-math.inf]
@@ -281,13 +328,6 @@ class _Deadline:
         if now != self._seen:
             self._seen, self._seen_at = now, time.monotonic()
         return now >= self._end or time.monotonic() - self._seen_at > CLOCK_STANDS
-
-
-def _refuse_two_sources(streams: Sequence[Stream]) -> None:
-    for stream in streams:
-        problem, text = stream.outside
-        if problem is Problem.TWO_SOURCES:
-            raise MeasuringError(Outcome.NOT_AVAILABLE, f"{stream.name}: {text}")
 
 
 def _share(state: SettledWindow | Waiting) -> float:

@@ -22,8 +22,6 @@ from calibration.conversions import (
     TORQUE_UNITS,
     WRENCH_INPUTS,
     Mean,
-    joint_positions,
-    stamp_ns,
     to_header,
     to_outcome,
     to_tare,
@@ -32,9 +30,8 @@ from calibration.conversions import (
 )
 from calibration.instruments.acquisition import POLL, AcquisitionNode, MeasuringError
 from calibration.instruments.stream import Stream
-from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.node import Declared, run
-from calibration.topics import RAW_WRENCH, TARE, Quality, Topic, subscribe_to_samples, subscription_profile
+from calibration.topics import RAW_WRENCH, TARE, Quality, Topic
 from calibration_core.errors import InputError
 from calibration_core.identification.checks.sensor_test import evaluate_sensor_test, gravity_in_sensor
 from calibration_core.measurement.load_check import LoadCheck
@@ -86,7 +83,6 @@ class ForceTorqueNode(AcquisitionNode):
         self._number, self._tares = 0, 0
         self._busy = False
         self._orientations: list[tuple[Float1D, Float1D]] = []
-        self._joints = Joints(ArrivalRules())
         limits = self.limits(
             (self.value("largest_force"), self.value("largest_torque")),
             (self.value("fastest_force"), self.value("fastest_torque")),
@@ -107,9 +103,7 @@ class ForceTorqueNode(AcquisitionNode):
     def on_activate(self) -> None:
         """Listen to the joint states, too."""
         super().on_activate()
-        joints = Topic(self.cell.topics.joint_states, StreamKind.JOINTS.value, Quality.SAMPLES)
-        profile = subscription_profile(self, joints.relative)
-        subscribe_to_samples(self, joints.message, joints.relative, self._on_joints, profile)
+        self.listen_to_joints()
         if self._forwards:  # a node that was started again has forgotten the tare of before
             self._publish_tare(0, self._bias, None, self.get_name(), "the node begins without a tare")
 
@@ -133,11 +127,6 @@ class ForceTorqueNode(AcquisitionNode):
             self._publisher.publish(to_wrench_stamped(self.labelled(tared)))
             if self.value("publish_raw"):
                 self._raw.publish(to_wrench_stamped(self.labelled(raw)))
-
-    def _on_joints(self, message: Any) -> None:
-        q = joint_positions(message, self.cell.robot.joints)
-        if q is not None:
-            self._joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
 
     # --- tare -------------------------------------------------------------------------------------------------
 
@@ -206,9 +195,9 @@ class ForceTorqueNode(AcquisitionNode):
     def _stood(self, mean: Mean) -> Stood:
         """Return where the robot stood while a mean was taken; joint states of its last moment may still come."""
         end = time.monotonic() + JOINTS_WAIT
-        while self._joints.until < mean.end and time.monotonic() < end:
+        while self.joints.until < mean.end and time.monotonic() < end:
             time.sleep(POLL)
-        return Stood(mean.begin, mean.end, *self._joints.between(mean.begin, mean.end))
+        return Stood(mean.begin, mean.end, *self.joints.between(mean.begin, mean.end))
 
     # --- test with a known mass -------------------------------------------------------------------------------
 

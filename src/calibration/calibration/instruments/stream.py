@@ -109,7 +109,7 @@ class Stream:
             name: Measurement point, or `wrench`.
             topic: Where the samples come from.
             limits: What is expected of them.
-            silent_after: s without a sample after which the stream counts as silent.
+            silent_after: s without a sample after which the stream counts as silent; infinite: never.
             alone: Topics that only one node may publish.
         """
         self.name, self.topic, self.alone = name, topic, alone
@@ -177,7 +177,7 @@ class Stream:
         """Return the worst that can be said of the stream now."""
         if self.outside[0] is not Problem.FINE:
             return self.outside[0]
-        if not self.age() <= self._silent_after:
+        if math.isfinite(self._silent_after) and not self.age() <= self._silent_after:
             return Problem.SILENT
         return self._problem if time.monotonic() - self._problem_at < PROBLEM_STAYS else Problem.FINE
 

@@ -1,24 +1,40 @@
-"""Node `tracker`: points of a laser tracker or a camera system, checked, in metres, on the topics of recordings."""
+"""Node `tracker`: points of a laser tracker or a camera system, checked, in metres, on the topics of recordings.
+
+With the driver `stream`, all points come by themselves, all the time; the others aim at one point after the other.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from calibration_interfaces.msg import Outcome
 
-from calibration.conversions import LENGTH_UNITS, POINT_INPUTS, TF_TYPE, Sample, to_point_stamped, transforms
-from calibration.instruments.acquisition import AcquisitionNode
+from calibration.conversions import LENGTH_UNITS, POINT_INPUTS, TF_TYPE, Mean, Sample, to_point_stamped, transforms
+from calibration.instruments.acquisition import AcquisitionNode, MeasuringError, Request
+from calibration.instruments.drivers import Driver
+from calibration.instruments.drivers.line import Line, load_template
+from calibration.instruments.drivers.written import Table, Typed
+from calibration.instruments.one_beam import OneBeam
 from calibration.instruments.stream import Stream
 from calibration.node import Declared, ParameterError, run
-from calibration.topics import Topic, contract_topics
+from calibration.topics import TYPED, Topic, contract_topics
+from calibration_core.measurement.aim import Aim
 from calibration_core.timeseries import Float1D
 
-TF = "tf"
+TF, STREAM, LINE, FILE, MANUAL = "tf", "stream", "line", "file", "manual"
 
 PARAMETERS = (
+    Declared("driver", STREAM, "How the tracker is asked.", choices=(STREAM, LINE, FILE, MANUAL)),
+    Declared("address", "127.0.0.1:7000", "Host and port of the tracker's program, for line."),
+    Declared("template", "plain", "How it speaks, for line: one of config/trackers, or a file."),
+    Declared("table", "tracker.csv", "File to which the tracker's program appends, for file."),
     Declared("points", [], "Measurement points; empty: all of the cell."),
     Declared("topics", [], "Topic of each point, for tf the child frame; empty: input/POINT."),
     Declared("input_type", "PointStamped", "What the tracker sends.", choices=(*POINT_INPUTS, TF)),
@@ -50,6 +66,10 @@ class TrackerNode(AcquisitionNode):
         contract = {topic.name: topic for topic in contract_topics(self.cell)}
         outputs = {name: contract[self.cell.topics.point(name)] for name in names}
         self._alone: dict[str, tuple[str, ...]] = {name: (output.relative,) for name, output in outputs.items()}
+        self.beam: OneBeam | None = None
+        if self.value("driver") != STREAM:
+            self._aim_at(outputs)
+            return
         if self.value("input_type") == TF:
             self._listen_to_transforms(names, topics)
         else:
@@ -95,6 +115,71 @@ class TrackerNode(AcquisitionNode):
         sample = self.stamped(sample)
         if stream.take(sample, sample.stamp) and stream.name in self._outputs:
             self._outputs[stream.name].publish(to_point_stamped(self.labelled(sample)))
+
+    # --- one beam ---------------------------------------------------------------------------------------------
+
+    def _aim_at(self, outputs: dict[str, Topic]) -> None:
+        """Make the driver, and a stream per point that has no rate: it is measured when somebody asks for it."""
+        self._driver = self._made_driver()
+        limits = dataclasses.replace(self.limits((self.value("largest"),), (self.value("fastest"),)), frame="", gap=1e9)
+        for name, output in outputs.items():
+            self.add_stream(Stream(name, self._driver.name, limits, math.inf, self._alone[name]))
+            self._outputs[name] = self.create_publisher(output.message, output.relative, output.qos)
+        frame = self.value("output_frame") or self.value("frame") or self.get_name()
+        self.diagnostics.report("beam", 0, "")
+        self.beam = OneBeam(Aim(self.cell), self._driver, self.joints, self.value("tolerance"), frame)
+
+    def _made_driver(self) -> Driver:
+        kind, unit = self.value("driver"), LENGTH_UNITS[self.value("units")]
+        if kind == FILE:
+            return Table(Path(self.value("table")), unit)
+        if kind == MANUAL:
+            return Typed(self.resolve_topic_name(TYPED.relative), unit)
+        host, _, port = self.value("address").rpartition(":")
+        if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+            raise ParameterError(self.get_name(), "address", repr(self.value("address")), "host:port")
+        return Line((host, int(port)), load_template(self.value("template")))
+
+    def on_activate(self) -> None:
+        """Listen to the joint states, and to an operator, where the beam has to be aimed."""
+        super().on_activate()
+        if self.beam is not None:
+            self.listen_to_joints()
+            if isinstance(self._driver, Typed):
+                take = partial(self._on_typed, self._driver)
+                self.create_subscription(TYPED.message, TYPED.relative, take, TYPED.qos)
+
+    def on_cleanup(self) -> None:
+        """Close the driver."""
+        if self.beam is not None:
+            self.beam.close()
+
+    def _on_typed(self, driver: Typed, message: Any) -> None:
+        fault = driver.type(message.data)
+        self.diagnostics.report("typed", 2 if fault else 0, fault)
+
+    def measured(
+        self, request: Request, cancelled: Callable[[], bool], report: Callable[[float, str], None]
+    ) -> list[Mean]:
+        """Measure one point after the other where the beam has to be aimed."""
+        beam = self.beam
+        if beam is None:
+            return super().measured(request, cancelled, report)
+
+        def report_progress(share: float, text: str) -> None:
+            report(share, text)
+            self.diagnostics.report("beam", 1 if self._driver.by_hand else 0, text)
+
+        turn = partial(self.turn, request, cancelled, lambda: beam.awaited)
+        try:
+            means, samples = beam.measure(request.streams, request.window, request.since, turn, report_progress)
+        except MeasuringError as error:
+            self.diagnostics.report("beam", 0 if error.code == Outcome.CANCELLED else 2, str(error))
+            raise
+        self.diagnostics.report("beam", 0, "")
+        for stream, sample in samples:
+            self._outputs[stream.name].publish(to_point_stamped(sample))
+        return means
 
     def outputs(self) -> Sequence[Any]:
         """Return the publishers of the points."""

@@ -147,7 +147,7 @@ class SequencerNode(CalibrationNode):
 
     def on_activate(self) -> None:
         """Listen to the cell; no plan is being measured, and nothing moves before somebody asks for one."""
-        self._joints = Joints(arrival_rules(self))
+        self._joints = Joints(arrival_rules(self), keep=60.0 + self.value("reading_limit"))
         self.watch = PermissionWatch(self.value("permission_age"))
         self._wrench = WrenchWatch(self) if self.value("force_torque") else None
         self.conditions.listen()
