@@ -34,7 +34,7 @@ LOOK = 0.1  # s of wall time between two looks
 SILENT = "The manager is silent: nothing is known of the cell."
 
 
-def told(state: State) -> str:
+def described(state: State) -> str:
     """Return what is shown of a state: what is done and waited for, the load, the faults with the way out."""
     one = state.procedure
     lines = [state.text, f"waits for: {state.waiting}" if state.waiting else ""]
@@ -105,7 +105,7 @@ class Terminal(App[None]):
             self._fill("state", "")
         else:
             self._fill("permission", "The robot may move" if permitted else state.not_permitted)
-            self._fill("state", told(state))
+            self._fill("state", described(state))
 
     def _fill(self, place: str, text: str) -> None:
         self.query_one(f"#{place}", Static).update(text, layout=True)
