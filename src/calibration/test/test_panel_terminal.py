@@ -41,13 +41,13 @@ def loading() -> State:
 
 def test_a_load_is_told_with_what_is_felt() -> None:
     state = loading()
-    assert "load: pull with 1000 N, felt: 900 N. force: wanted, found: pull harder" in terminal.told(state)
+    assert "load: pull with 1000 N, felt: 900 N. force: wanted, found: pull harder" in terminal.described(state)
     state.procedure_known = False
-    assert "felt: not known" in terminal.told(state)
+    assert "felt: not known" in terminal.described(state)
     state.procedure.load_awaited = False
-    assert "load" not in terminal.told(state).partition("\n")[2]
+    assert "load" not in terminal.described(state).partition("\n")[2]
     state.procedure.load_left = "It was left on by a1."
-    assert "It was left on by a1." in terminal.told(state)
+    assert "It was left on by a1." in terminal.described(state)
 
 
 def test_the_keys_ask_what_they_say(spinning: Any, until: Any) -> None:
