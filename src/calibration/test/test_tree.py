@@ -33,7 +33,7 @@ def test_the_shipped_tree(spinning: Any, until: Any, source_environment: dict[st
     runner = TreeRunner(SIMULATED_CELL, source_environment, tmp_path, **said)
     try:
         runner.start()
-        until(lambda: heard and list(heard[-1].reasons) == [Permission.STOP_UNPROVEN], timeout=60.0)
+        until(lambda: heard and list(heard[-1].reasons) == [Permission.STOP_UNPROVEN], timeout=120.0)
         agrees(client)  # for seconds in which nothing changes
         latched = {one.text for one in heard if one.latched}
         runner.strike("force_torque", signal.SIGKILL)
