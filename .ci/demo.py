@@ -43,7 +43,7 @@ from calibration_sim.scenarios.grid import grid
 
 ROOT = Path(__file__).resolve().parents[1]
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
-PARAMETERS = [ROOT / "config" / name for name in ("ros.yaml", "simulation.yaml")]
+PARAMETERS = ROOT / "config" / "simulation.yaml"
 NODES = ("guard", "tracker", "force_torque", "sequencer", "recorder", "identification")
 SPEED = 25.0  # times real time, if the machine can
 # Concealed: a bearing that tilts, rad/(N*m), of a joint that the plan distinguishes from its neighbours.
@@ -137,8 +137,7 @@ class Cell:
 
     def _start(self, package: str, name: str, own: dict[str, object]) -> None:
         command = [str(ROOT / "install" / package / "lib" / package / name), "--ros-args"]
-        for file in PARAMETERS:
-            command += ["--params-file", str(file)]
+        command += ["--params-file", str(PARAMETERS)]
         for key, value in ({"cell": CELL} | own).items():
             command += ["-p", f"{key}:={value}"]
         with (self._out / f"{name}.log").open("w", encoding="utf-8") as log:

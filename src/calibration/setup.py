@@ -13,7 +13,7 @@ NODES = (
     "sequencer",
     "tracker",
 )
-CONFIG = [f"../../config/{name}" for name in ("ros.yaml", "simulation.yaml", "cell.rviz", "foxglove.json")]
+CONFIG = [f"../../config/{name}" for name in ("simulation.yaml", "cell.rviz", "foxglove.json")]
 
 setup(
     name="calibration",

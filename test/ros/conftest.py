@@ -87,7 +87,7 @@ class Suite:
         """Start an executable of install/ with parameter files and parameters (`__` for dots)."""
         package = PACKAGES.get(name, "calibration")
         command = [str(ROOT / "install" / package / "lib" / package / name), "--ros-args"]
-        for file in (ROOT / "config" / "ros.yaml", *files):
+        for file in files:
             command += ["--params-file", str(file)]
         if self.namespace:
             command += ["-r", f"__ns:={self.namespace}", "-r", "/clock:=clock"]
@@ -183,6 +183,16 @@ class Suite:
             self.client.destroy_client(client)
         said = self.log(place.partition("/")[0])[-2000:]
         raise AssertionError(f"{place}: asked {len(asked)} times without an answer, not seen {missed} times\n{said}")
+
+    def fault(self, text: str) -> None:
+        """Have the simulated cell misbehave: `KIND [VALUE [POINT]]`, or `NONE` to end all."""
+        from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+        from rcl_interfaces.srv import SetParameters
+
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
+        asked = [Parameter(name="fault", value=value)]
+        (answer,) = self.call(SetParameters, "simulated_cell/set_parameters", parameters=asked).results
+        assert answer.successful, answer.reason
 
     def run(
         self,

@@ -25,7 +25,7 @@ from calibration.process_tree import SIMULATED_CELL
 from calibration_core.measurement.session import Session
 
 BAR = 0.150  # s, from a fault, or from when it can be known, to the command to stop
-STATE_AGE, JOINTS_AGE, PULSE_AGE = 0.5, 0.1, 0.1  # s, as in config/ros.yaml
+STATE_AGE, JOINTS_AGE, PULSE_AGE = 0.5, 0.1, 0.1  # s, the defaults
 PROCESSES = ("guard", "sequencer", "simulated_cell")
 KILLED = ("guard", "sequencer")
 FASTEST = 0.25 * 0.98  # m/s as measured: up to it, twice a slow motion is no fault
@@ -37,7 +37,7 @@ class Fault:
     """One way to lose the permission.
 
     Attributes:
-        name: Of the constant in `SetFault`, or the process that is killed.
+        name: Of the cell's fault, or the process that is killed.
         reasons: Names of constants in `Permission`, any of which tells of it; of a process that is silent: the words.
         known_after: s, configured age after which it can be known.
         value: Of the fault.
@@ -150,8 +150,6 @@ class Cell:
 
     def strike(self, fault: Fault) -> float:
         """Make a fault happen; return when it was known at the earliest, ns."""
-        from calibration_interfaces.srv import SetFault
-
         if fault.name in PROCESSES:
             process = self.suite.processes.pop(fault.name)
             began = time.monotonic_ns()
@@ -159,8 +157,7 @@ class Cell:
             process.wait()
         else:
             before = time.monotonic_ns()
-            kind = getattr(SetFault.Request, fault.name)
-            self.suite.call(SetFault, "simulated_cell/set_fault", kind=kind, value=fault.value)
+            self.suite.fault(f"{fault.name} {fault.value}")
             began = self.since("cell", before, "fault")[0]
         return began + 1e9 * fault.known_after
 
@@ -209,12 +206,10 @@ class Cell:
 
     def recover(self, fault: Fault) -> int:
         """End the fault, reset, resume; return from when on motions are meant, ns."""
-        from calibration_interfaces.srv import SetFault
-
         if fault.name in PROCESSES:
             self.suite.again(fault.name)
         else:
-            self.suite.call(SetFault, "simulated_cell/set_fault", kind=SetFault.Request.NONE)
+            self.suite.fault("NONE")
         resumed = time.monotonic_ns()
         if fault.name == "sequencer":
             self.run = self.suite.run(self.plan, resume=True)

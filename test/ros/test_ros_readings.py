@@ -211,7 +211,6 @@ def test_a_jogged_robot_is_not_read_and_a_load_device_not_believed(suite: Any, p
     moves on that.
     """
     from calibration_interfaces.msg import MeasurementStep, Outcome, SessionEvent
-    from calibration_interfaces.srv import SetFault
 
     path = two_steps(plan, "jogged", 3)
     first, second, third = (one.number for one in read_plan(path, load_cell(CELL)).configurations)
@@ -234,7 +233,7 @@ def test_a_jogged_robot_is_not_read_and_a_load_device_not_believed(suite: Any, p
         somebody.resume()
     assert somebody.texts(SessionEvent.PAUSED)
     somebody.await_phase(third, 1, MeasurementStep.LOADING)
-    suite.call(SetFault, "simulated_cell/set_fault", kind=SetFault.Request.WRENCH_OFFSET, value=500.0)
+    suite.fault("WRENCH_OFFSET 500")
     result = run.result(LONG)
     assert (result.outcome.code, result.configurations_done) == (Outcome.FAULT, 2)
     words = "the load cannot be released: the load device says that the load is released; "
@@ -424,20 +423,18 @@ class Faulty:
     def __init__(self, suite: Any, plan: Path, configurations: int) -> None:
         self.suite, self.path = suite, up_and_down(plan, "faulty", configurations)
         self.numbers = [one.number for one in read_plan(self.path, load_cell(CELL)).configurations]
-        self.log = suite.directory / "truth"
+        self.log, self.events = suite.directory / "truth", suite.directory / "events.csv"
         unloaded(suite.directory / "ros")
-        suite.start_fast(simulated_cell={"truth_log": self.log})
+        suite.start_fast(simulated_cell={"truth_log": self.log, "event_log": self.events})
         self.somebody = Bystander(suite)
         self.times: list[tuple[int, int]] = []  # ns, from and to when the robot had a fault
         self.words: list[str] = []
 
-    def set(self, kind: str, value: float = 0.0, name: str = "") -> int:
-        """Begin a fault, or end all with `NONE`; return the cell's time, ns."""
-        from calibration_interfaces.srv import SetFault
-
-        number = getattr(SetFault.Request, kind)
-        answer = self.suite.call(SetFault, "simulated_cell/set_fault", kind=number, value=value, name=name)
-        return int(answer.stamp.sec) * 10**9 + int(answer.stamp.nanosec)
+    def set(self, fault: str) -> int:
+        """Begin a fault, or end all with `NONE`; return the cell's time, ns, as it was written down."""
+        self.suite.fault(fault)
+        begun = [line for line in self.events.read_text(encoding="utf-8").splitlines() if ",fault " in line]
+        return int(begun[-1].split()[-1])
 
     def mend(self) -> None:
         """Do what the page asks for: reset the guard, resume."""
@@ -465,7 +462,7 @@ class Faulty:
                 time.sleep(0.02)
             time.sleep(float(rng.uniform(0.0, 0.4)))
             before = len(self.somebody.texts(SessionEvent.READING_REJECTED))
-            began = self.set(kind, value, name)
+            began = self.set(f"{kind} {value} {name}")
             if kind == "MODE_STALE":  # a state that is silent for less than its age is no fault
                 began += round(STALE * SPEED * 1e9)
             last = time.monotonic() + (1.0 if kind in ROBOT_FAULTS and kind != "MODE_STALE" else STALE + 3.0)

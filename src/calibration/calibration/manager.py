@@ -33,7 +33,6 @@ from calibration.status.faults import MISSED
 from calibration.status.whole import Whole
 from calibration.topics import (
     CONDITIONS_QUALITY,
-    LOAD_STATE,
     PERMISSION,
     PROCEDURE,
     PROGRESS,
@@ -119,7 +118,6 @@ class ManagerNode(CalibrationNode):
             (PERMISSION, "permission"),
             (ROBOT_STATE, "robot"),
             (PROGRESS, "progress"),
-            (LOAD_STATE, "load"),
         ):
             self.create_subscription(topic.message, topic.relative, partial(self._on_part, field), topic.qos)
         conditions = self.cell.topics.conditions.lstrip("/")

@@ -108,11 +108,10 @@ class Tree:
 
 
 STARTED_BY = "CALIBRATION_STARTED_BY"  # in the environment of a node: the process that started it with others
-DEFAULTS = "config/ros.yaml"  # every parameter of every node, in the share folder of the package `calibration`
-FASTER = "config/simulation.yaml"  # what differs where the cell lives faster than life, likewise
+FASTER = "config/simulation.yaml"  # where the cell lives faster than life; in the share folder of `calibration`
 CELL = Argument("cell", "The cell file.", path="file")
 SESSION = Argument("session", "Directory of the session; one that is there is continued.")
-PARAMETERS_FILE = Argument("params_file", "Parameters that differ from config/ros.yaml; empty: none.", "", path="file")
+PARAMETERS_FILE = Argument("params_file", "Parameters that differ from their defaults; empty: none.", "", path="file")
 NAMESPACE = Argument("namespace", "Namespace of the cell.", "")
 BACKENDS = ("follow_joint_trajectory", "joint_trajectory_topic", "external", "simulated")
 BACKEND = Argument("backend", "How the robot is moved, and stopped.", "follow_joint_trajectory", choices=BACKENDS)
@@ -291,7 +290,7 @@ def files_of(values: Mapping[str, str], share: str) -> tuple[str, ...]:
     """
     fast = SPEED.name in values and float(values[SPEED.name]) > 1.0
     own = values[PARAMETERS_FILE.name]
-    return (f"{share}/{DEFAULTS}", *([f"{share}/{FASTER}"] if fast else []), *([own] if own else []))
+    return (*([f"{share}/{FASTER}"] if fast else []), *([own] if own else []))
 
 
 def parameters_of(tree: Tree, process: Process, values: Mapping[str, str]) -> dict[str, Scalar]:

@@ -85,7 +85,6 @@ EVENT = Topic("/calibration/event", "calibration_interfaces/msg/SessionEvent", Q
 READING = Topic("/calibration/reading", "calibration_interfaces/msg/Reading", Quality.EVENTS)
 TARE = Topic("/calibration/tare", "calibration_interfaces/msg/TareEvent", Quality.EVENTS)
 SAMPLE_CHECK = Topic("/calibration/sample_check", "calibration_interfaces/msg/SampleCheck", Quality.SAMPLES)
-LOAD_STATE = Topic("/calibration/load_state", "calibration_interfaces/msg/LoadState", Quality.STATE)
 MOTION_PULSE = Topic("/calibration/motion_pulse", "calibration_interfaces/msg/MotionPulse", Quality.PULSE)
 RECORDING = Topic("/calibration/recording", "calibration_interfaces/msg/RecordingState", Quality.PULSE)
 MARKERS = Topic("/calibration/markers", "visualization_msgs/msg/MarkerArray", Quality.STATE)
@@ -93,12 +92,11 @@ PLAN_MARKERS = Topic("/calibration/plan_markers", "visualization_msgs/msg/Marker
 PROCEDURE = Topic("/calibration/procedure", "calibration_interfaces/msg/ProcedureState", Quality.STATE)
 STATE = Topic("/calibration/state", "calibration_interfaces/msg/State", Quality.STATE)
 TYPED = Topic("/tracker/typed", TEXT_TYPE, Quality.SAMPLES)  # what an operator has measured
-RAW_WRENCH = Topic("/force_torque/raw", StreamKind.WRENCH.value, Quality.SAMPLES)
 
 PROGRESS = Topic("/calibration/progress", "calibration_interfaces/msg/MeasurementProgress", Quality.STATE)
 CONDITIONS_QUALITY = Quality.EVENTS
 
-OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, PROGRESS, TARE, SAMPLE_CHECK, LOAD_STATE, RAW_WRENCH)
+OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, PROGRESS, TARE, SAMPLE_CHECK)
 
 
 def contract_topics(cell: Cell) -> tuple[Topic, ...]:

@@ -43,11 +43,6 @@ def wrist() -> np.ndarray:
     return q
 
 
-def everywhere() -> np.ndarray:
-    """(m, 6) rad: all joints move."""
-    return HOME + np.random.default_rng(7).uniform(-0.7, 0.7, (40, 6))
-
-
 def record(path: Path, cell_file: Path, q: np.ndarray) -> Path:
     """Write a table of one unloaded step per pose."""
     cell = load_cell(cell_file)

@@ -18,19 +18,12 @@ pytest.importorskip("calibration_interfaces.msg", reason="the messages are not b
 
 ROOT = Path(__file__).resolve().parents[3]
 BIN = ROOT / "install" / "calibration" / "lib" / "calibration"
-PARAMETERS = ROOT / "config" / "ros.yaml"
 CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 
 
 def command(name: str, *more: str) -> list[str]:
     package = "calibration_sim" if name == "simulated_cell" else "calibration"
-    return [
-        str(ROOT / "install" / package / "lib" / package / name),
-        "--ros-args",
-        "--params-file",
-        str(PARAMETERS),
-        *more,
-    ]
+    return [str(ROOT / "install" / package / "lib" / package / name), "--ros-args", *more]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The node `identification`: every branch of every service, the same files as the command line, cancel and progress."""
+"""The node `identification`: every branch of service and action, the command line's files, cancel and progress."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 from granted import Granted
+from protocols import record, sweeps, wrist
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from calibration_interfaces import srv
 from calibration_interfaces.action import Identify
 from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import IdentifyStiffness
 from goals import GoalClient
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
-from scipy.spatial.transform import Rotation
 
-from calibration.evaluation import results
 from calibration.evaluation.identification import IdentificationNode
+from calibration_core.cli import main
 
 ROOT = Path(__file__).resolve().parents[3]
 BAG = ROOT / "bags" / "small_loaded"
@@ -54,6 +54,13 @@ def ask(client: Any, kind: Any, name: str, **fields: Any) -> Any:
     return finish(service.call_async(kind.Request(**fields)))
 
 
+def act(node: Any, what: int, **fields: Any) -> Any:
+    """Ask for something by the action; return its result."""
+    client = GoalClient(node, Identify, "/identification/identify")
+    assert client.wait_for_server(20.0)
+    return finish(finish(client.send_goal_async(Identify.Goal(what=what, **fields))).get_result_async()).result
+
+
 @pytest.fixture(scope="module")
 def offline(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command line makes of the recording."""
@@ -66,7 +73,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_stiffness_is_that_of_the_command_line(
     spinning: Any, node: Any, offline: Path, until: Callable[..., None], tmp_path: Path
 ) -> None:
-    answer = ask(spinning.plain(), srv.IdentifyStiffness, "identify_stiffness", recording=str(BAG), out=str(tmp_path))
+    answer = ask(spinning.plain(), IdentifyStiffness, "identify_stiffness", recording=str(BAG), out=str(tmp_path))
     assert answer.outcome.code == Outcome.OK, answer.outcome.text
     assert (tmp_path / "result.json").read_bytes() == (offline / "result.json").read_bytes()
     for name in ("table2.csv", "model.yaml"):
@@ -84,12 +91,12 @@ def test_stiffness_is_that_of_the_command_line(
 
 def test_the_current_session_and_its_default_place(spinning: Any, node: Any, tmp_path: Path) -> None:
     client = spinning.plain()
-    answer = ask(client, srv.IdentifyStiffness, "identify_stiffness")
+    answer = ask(client, IdentifyStiffness, "identify_stiffness")
     assert answer.outcome.code == Outcome.INPUT_UNUSABLE
     assert answer.outcome.text.startswith("recording: found nothing")
     shutil.copytree(BAG, tmp_path / "recording")
     node.set_parameters([Parameter("recording", value=str(tmp_path / "recording"))])
-    answer = ask(client, srv.IdentifyStiffness, "identify_stiffness")
+    answer = ask(client, IdentifyStiffness, "identify_stiffness")
     assert answer.outcome.code == Outcome.OK, answer.outcome.text
     assert Path(answer.report_path) == tmp_path / "identify" / "report.html"
 
@@ -106,7 +113,7 @@ def test_input_that_cannot_be_used(
     spinning: Any, node: Any, tmp_path: Path, fields: dict[str, str], words: str
 ) -> None:
     out = tmp_path / "out"
-    answer = ask(spinning.plain(), srv.IdentifyStiffness, "identify_stiffness", out=str(out), **fields)
+    answer = ask(spinning.plain(), IdentifyStiffness, "identify_stiffness", out=str(out), **fields)
     assert answer.outcome.code == Outcome.INPUT_UNUSABLE
     assert words in answer.outcome.text
     assert "\n" not in answer.outcome.text
@@ -117,21 +124,21 @@ def test_a_command_that_this_version_has_not(
     spinning: Any, node: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(node._worker, "commands_when_ready", lambda _cancelled: ("identify",))
-    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", recording=str(BAG), out=str(tmp_path / "out"))
-    assert answer.outcome.code == Outcome.NOT_AVAILABLE
-    assert answer.outcome.text == "this version has no command diagnose"
+    result = act(spinning.plain(), Identify.Goal.DIAGNOSIS, recording=str(BAG), out=str(tmp_path / "out"))
+    assert result.outcome.code == Outcome.NOT_AVAILABLE
+    assert result.outcome.text == "this version has no command diagnose"
     assert not (tmp_path / "out").exists()
 
 
 def test_busy_and_responsive_meanwhile(spinning: Any, node: Any, tmp_path: Path) -> None:
     client = spinning.plain()
-    service = client.create_client(srv.IdentifyStiffness, "/identification/identify_stiffness")
+    service = client.create_client(IdentifyStiffness, "/identification/identify_stiffness")
     parameters = client.create_client(GetParameters, "/identification/get_parameters")
     assert service.wait_for_service(20.0)
     assert parameters.wait_for_service(20.0)
-    long = service.call_async(srv.IdentifyStiffness.Request(recording=str(BAG), out=str(tmp_path / "a")))
+    long = service.call_async(IdentifyStiffness.Request(recording=str(BAG), out=str(tmp_path / "a")))
     time.sleep(0.05)
-    answer = finish(service.call_async(srv.IdentifyStiffness.Request(recording=str(BAG), out=str(tmp_path / "b"))))
+    answer = finish(service.call_async(IdentifyStiffness.Request(recording=str(BAG), out=str(tmp_path / "b"))))
     assert answer.outcome.code == Outcome.BUSY
     watch = Granted()
     finish(parameters.call_async(GetParameters.Request(names=["cell"])))
@@ -173,56 +180,58 @@ def test_cancel_leaves_nothing_half_and_the_next_works(
 
 
 def test_unknown_goal_and_lost_process(spinning: Any, node: Any, tmp_path: Path) -> None:
-    client = GoalClient(spinning.plain(), Identify, "/identification/identify")
-    assert client.wait_for_server(20.0)
-    result = finish(finish(client.send_goal_async(Identify.Goal(what=99))).get_result_async()).result
-    assert result.outcome.code == Outcome.INPUT_UNUSABLE
+    client = spinning.plain()
+    assert act(client, 99).outcome.code == Outcome.INPUT_UNUSABLE
     node._worker._process.kill()
-    goal = Identify.Goal(recording=str(BAG), out=str(tmp_path))
-    result = finish(finish(client.send_goal_async(goal)).get_result_async()).result
+    asked = {"what": Identify.Goal.STIFFNESS, "recording": str(BAG), "out": str(tmp_path)}
+    result = act(client, **asked)
     assert (result.outcome.code, result.outcome.text) == (Outcome.INTERNAL, "the process that computes has died")
-    result = finish(finish(client.send_goal_async(goal)).get_result_async()).result
+    result = act(client, **asked)
     assert result.outcome.code == Outcome.OK, result.outcome.text
 
 
-# --- result.json to fields --------------------------------------------------------------------------------------
+# --- what is asked for, and what a recording determines -------------------------------------------------------------
 
 
-def row(name: str, group: str, value: float | None, fitted: bool = True) -> dict[str, Any]:
-    return {"name": name, "group": group, "value": value, "std": 0.5, "unit": "m", "nominal": 0.0, "fitted": fitted}
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("tables")
+    motions = {"axes": sweeps(*range(6)), "base": sweeps(0, 1), "wrist": wrist()}
+    return {name: record(folder / f"{name}.csv", CELL, q) for name, q in motions.items()}
 
 
-def test_base_frame_is_filled() -> None:
-    pose = [1.0, 2.0, 3.0, 0.1, -0.2, 0.3]
-    rows = [row(f"tracker {name}", "tracker", value) for name, value in zip(results.POSE, pose, strict=True)]
-    response = srv.IdentifyBaseFrame.Response()
-    assert results.fill_base_frame(response, json.dumps({"parameters": rows})) == ""
-    turned = response.tracker.orientation
-    expected = Rotation.from_euler("xyz", pose[3:]).as_quat()
-    np.testing.assert_allclose([turned.x, turned.y, turned.z, turned.w], expected, atol=1e-12)
-    assert response.tracker.position.y == 2.0
-    assert "no tracker frame" in results.fill_base_frame(response, json.dumps({"parameters": rows[:5]}))
+def test_frames_and_geometry_are_those_of_the_command_line(
+    spinning: Any, node: Any, tables: dict[str, Path], tmp_path: Path
+) -> None:
+    own = tmp_path / "own"
+    assert main(["identify", str(tables["axes"]), "--cell", str(CELL), "--out", str(own), "--no-report"]) == 0
+    client = spinning.plain()
+    for what in (Identify.Goal.BASE_FRAME, Identify.Goal.GEOMETRY, Identify.Goal.POINTS):
+        result = act(client, what, recording=str(tables["axes"]), out=str(tmp_path / "live"))
+        assert result.outcome.code == Outcome.OK, result.outcome.text
+        assert result.result_json.encode() == (own / "result.json").read_bytes()
+        assert (tmp_path / "live" / "model.yaml").read_bytes() == (own / "model.yaml").read_bytes()
 
 
-def test_geometry_and_points_are_filled() -> None:
-    rows = [
-        row("a_2", "geometry", 1e-3),
-        row("d_3", "geometry", 0.0, fitted=False),
-        *(row(f"mp1 {axis}", "point", value) for axis, value in zip("xyz", (0.1, 0.2, 0.3), strict=True)),
-    ]
-    text = json.dumps({"parameters": rows, "recording": {"points": ["mp1", "mp2"]}})
-    geometry, points = srv.IdentifyGeometry.Response(), srv.IdentifyPoints.Response()
-    assert results.fill_geometry(geometry, text) == ""
-    assert (list(geometry.parameters), list(geometry.values), list(geometry.units)) == (["a_2"], [1e-3], ["m"])
-    assert results.fill_points(points, text) == ""
-    assert (list(points.points), points.positions[0].z, list(points.std)) == (["mp1"], 0.3, [0.5] * 3)
-    empty = json.dumps({"parameters": [], "recording": {"points": ["mp1"]}})
-    assert results.fill_geometry(srv.IdentifyGeometry.Response(), empty)
-    assert results.fill_points(srv.IdentifyPoints.Response(), empty)
-
-
-def test_stiffness_that_is_not_identifiable() -> None:
-    rows = [{"joint": "joint_1", "value": None, "std": None, "identifiable": False}]
-    response = srv.IdentifyStiffness.Response()
-    assert "no joint stiffness" in results.fill_stiffness(response, json.dumps({"stiffness": rows}))
-    assert np.isnan(response.stiffness).all()
+def test_what_a_recording_does_not_determine(spinning: Any, node: Any, tables: dict[str, Path], tmp_path: Path) -> None:
+    client = spinning.plain()
+    differences, sigma = tmp_path / "cell.yaml", "sigma_range: 8.0e-6, sigma_range_per_m: 4.0e-7, sigma_angle: 3.0e-6"
+    text = CELL.read_text("utf-8").replace(sigma, "sigma: 1.0e-5")
+    differences.write_text(f"{text}measurements: {{points: displacement}}\n", "utf-8")
+    for what, recording, words in (
+        (Identify.Goal.STIFFNESS, tables["wrist"], "determines no joint stiffness"),
+        (Identify.Goal.WRIST_CENTRE, tables["base"], "found 0 with a wrist motion"),
+        (Identify.Goal.WRIST_CENTRE, BAG, "has loads"),
+        (Identify.Goal.BASE_FRAME, BAG, "determines no tracker frame"),
+        (Identify.Goal.GEOMETRY, BAG, "determines no geometry"),
+        (Identify.Goal.POINTS, BAG, "determines no measurement point"),
+    ):
+        cell = differences if recording == BAG else CELL
+        result = act(client, what, recording=str(recording), cell=str(cell), out=str(tmp_path / "out"))
+        assert result.outcome.code == Outcome.NOT_IDENTIFIABLE, words
+        assert words in result.outcome.text
+        assert json.loads(result.result_json)["command"] == "identify"
+        assert Path(result.report_path).is_file()
+    answer = ask(client, IdentifyStiffness, "identify_stiffness", recording=str(tables["wrist"]), out=str(tmp_path))
+    assert answer.outcome.code == Outcome.NOT_IDENTIFIABLE
+    assert np.isnan(answer.stiffness).all()

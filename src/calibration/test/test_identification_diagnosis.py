@@ -15,12 +15,11 @@ import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from calibration_interfaces import srv
 from calibration_interfaces.action import Identify
 from calibration_interfaces.msg import Outcome
 from goals import GoalClient
 from rclpy.parameter import Parameter
-from test_identification import BAG, CELL, ask, finish
+from test_identification import BAG, CELL, act, finish
 
 from calibration.evaluation.identification import IdentificationNode
 from calibration_core.cell import load_cell
@@ -57,24 +56,6 @@ def offline(other: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_service_answers_as_the_command_line(
-    spinning: Any, node: Any, other: Path, offline: Path, until: Callable[..., None], tmp_path: Path
-) -> None:
-    answer = ask(spinning.plain(), srv.Diagnose, "diagnose", test=str(other), simulation=str(BAG), out=str(tmp_path))
-    assert answer.outcome.code == Outcome.OK, answer.outcome.text
-    assert answer.result_json.encode() == (offline / "result.json").read_bytes()
-    for name in SAME:
-        assert (tmp_path / name).read_bytes() == (offline / name).read_bytes()
-    told = json.loads(answer.result_json)
-    assert told["test"] is not None
-    assert answer.verdict == told["verdict"]
-    assert list(answer.findings) == [finding["effect"] for finding in told["findings"]]
-    until(Path(answer.report_path).is_file, timeout=180.0)
-    until(lambda: {path.name for path in tmp_path.iterdir()} == {path.name for path in offline.iterdir()})
-    for name in SAME:
-        assert (tmp_path / name).read_bytes() == (offline / name).read_bytes()
-
-
 def test_the_action_tells_its_progress_and_can_be_cancelled(
     spinning: Any, node: Any, other: Path, offline: Path, until: Callable[..., None], tmp_path: Path
 ) -> None:
@@ -92,6 +73,10 @@ def test_the_action_tells_its_progress_and_can_be_cancelled(
     result = finish(handle.get_result_async(), timeout=300.0).result
     assert result.outcome.code == Outcome.OK, result.outcome.text
     assert result.result_json.encode() == (offline / "result.json").read_bytes()
+    assert json.loads(result.result_json)["test"] is not None
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {path.name for path in offline.iterdir()}
+    for name in SAME:
+        assert (tmp_path / "out" / name).read_bytes() == (offline / name).read_bytes()
     assert Path(result.report_path).is_file()
     shares = [one.feedback.share_done for one in told]
     assert shares == sorted(shares)
@@ -99,20 +84,14 @@ def test_the_action_tells_its_progress_and_can_be_cancelled(
     assert any("drawing the report" in one.feedback.text for one in told)
 
 
-def test_what_cannot_be_diagnosed(spinning: Any, node: Any, tmp_path: Path) -> None:
-    client = spinning.plain()
+def test_what_cannot_be_diagnosed_or_compared(spinning: Any, node: Any, tmp_path: Path) -> None:
+    """Only a diagnosis compares with a simulation."""
     out = tmp_path / "out"
-    answer = ask(client, srv.Diagnose, "diagnose", recording="/no/such/bag", out=str(out))
-    assert (answer.outcome.code, answer.verdict) == (Outcome.INPUT_UNUSABLE, "")
-    assert "/no/such/bag" in answer.outcome.text
-    assert not out.exists()
-
-
-def test_only_a_diagnosis_compares_with_a_simulation(spinning: Any, node: Any, tmp_path: Path) -> None:
-    client = GoalClient(spinning.plain(), Identify, "/identification/identify")
-    assert client.wait_for_server(20.0)
-    goal = Identify.Goal(what=Identify.Goal.STIFFNESS, simulation=str(BAG), out=str(tmp_path / "out"))
-    result = finish(finish(client.send_goal_async(goal)).get_result_async()).result
-    assert result.outcome.code == Outcome.INPUT_UNUSABLE
-    assert "simulation" in result.outcome.text
-    assert not (tmp_path / "out").exists()
+    for what, fields, words in (
+        (Identify.Goal.DIAGNOSIS, {"recording": "/no/such/bag"}, "/no/such/bag"),
+        (Identify.Goal.STIFFNESS, {"simulation": str(BAG)}, "simulation"),
+    ):
+        result = act(spinning.plain(), what, out=str(out), **fields)
+        assert result.outcome.code == Outcome.INPUT_UNUSABLE
+        assert words in result.outcome.text
+        assert not out.exists()

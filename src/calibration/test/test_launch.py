@@ -249,12 +249,10 @@ def test_later_parameter_files_overrule_and_all_are_installed(tmp_path: Path) ->
     said = {"cell": str(CELL), "session": "s", "params_file": str(own)}
     slow = process_tree.values_of(process_tree.SIMULATED_CELL, said)
     fast = process_tree.values_of(process_tree.SIMULATED_CELL, {**said, "speed": "20.0"})
-    default, faster = f"{SHARE}/config/ros.yaml", f"{SHARE}/config/simulation.yaml"
-    assert process_tree.files_of(slow, str(SHARE)) == (default, str(own))
-    assert process_tree.files_of(fast, str(SHARE)) == (default, faster, str(own))
-    assert (Path(default).resolve(), Path(faster).resolve()) == (
-        ROOT / "config" / "ros.yaml", ROOT / "config" / "simulation.yaml",
-    )  # fmt: skip
+    faster = f"{SHARE}/config/simulation.yaml"
+    assert process_tree.files_of(slow, str(SHARE)) == (str(own),)
+    assert process_tree.files_of(fast, str(SHARE)) == (faster, str(own))
+    assert Path(faster).resolve() == ROOT / "config" / "simulation.yaml"
 
 
 def test_the_file_of_a_fast_simulation_knows_what_it_names_and_is_wide_throughout() -> None:
@@ -276,22 +274,6 @@ def test_launch_files_compute_nothing() -> None:
         tree = ast.parse(path.read_text("utf-8"))
         doing = (ast.If, ast.For, ast.While, ast.Try, ast.Lambda, ast.BinOp, ast.ListComp)
         assert not [node for node in ast.walk(tree) if isinstance(node, doing)]
-
-
-def test_the_parameter_file_holds_every_parameter_with_its_default() -> None:
-    text = (ROOT / "config" / "ros.yaml").read_text("utf-8")
-    file = {key.removeprefix("/**/"): section for key, section in yaml.safe_load(text).items()}
-    assert set(file) == set(NODE_NAMES)
-    for node, table in TABLES.items():
-        given = file[node]["ros__parameters"]
-        section = text.partition(f"\n/**/{node}:\n")[2]
-        for one in table:
-            if one.default == []:
-                assert f"# {one.name}: []" in section
-            else:
-                assert given.pop(one.name) == one.default, f"{node}: {one.name}"
-        assert given == {}, node
-    assert set(file["simulated_cell"]["ros__parameters"]) == simulated_cell()
 
 
 def test_nodes_are_all_known() -> None:

@@ -100,7 +100,7 @@ def soak(
     recorder = subprocess.Popen([str(BIN / "recorder"), *common, "-p", f"out:={tmp_path / 'bag'}"], env=environment)
     sensor = subprocess.Popen(
         [str(BIN / "force_torque"), *common, "-r", "force_torque/wrench:=unused/wrench",
-         "-p", "publish_raw:=false", "-p", "largest_force:=1.0e9"], env=environment,
+         "-p", "largest_force:=1.0e9"], env=environment,
     )  # fmt: skip
     names = ",".join(cell.robot.joints)
     receivers = [str(one.pid) for one in (recorder, sensor)]

@@ -1,7 +1,7 @@
-"""Node `identification`: the evaluation of a recording as services and as an action.
+"""Node `identification`: the evaluation of a recording as an action, and as a service for the joint stiffness.
 
 The work is done by the same code as the command line's, in a process beside the callbacks: the same files, the same
-numbers.  One evaluation at a time; whoever comes meanwhile is told so.  A service answers as soon as the numbers are
+numbers.  One evaluation at a time; whoever comes meanwhile is told so.  The service answers as soon as the numbers are
 there; the report is drawn by a second process and follows within seconds.  The action draws it before it answers.
 """
 
@@ -18,15 +18,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from calibration_interfaces import srv
 from calibration_interfaces.action import Identify
 from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import IdentifyStiffness
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.qos import QoSProfile
 
 from calibration.background import Background
 from calibration.conversions import to_outcome
-from calibration.evaluation import results
 from calibration.evaluation.markers import Look, to_markers
 from calibration.evaluation.worker import CancelledError, Worker
 from calibration.node import CalibrationNode, Declared, run
@@ -53,33 +52,15 @@ ERRORS = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class Offer:
-    """One thing that can be asked for.
-
-    Attributes:
-        name: Of the service.
-        kind: Its type.
-        command: The command of the command line that does it.
-        fill: Fills the service's answer from result.json, and says what is lacking in it.
-    """
-
-    name: str
-    kind: Any
-    command: str
-    fill: Callable[[Any, str], str]
-
-
-OFFERS = {
-    Identify.Goal.STIFFNESS: Offer("identify_stiffness", srv.IdentifyStiffness, "identify", results.fill_stiffness),
-    Identify.Goal.BASE_FRAME: Offer("identify_base_frame", srv.IdentifyBaseFrame, "identify", results.fill_base_frame),
-    Identify.Goal.GEOMETRY: Offer("identify_geometry", srv.IdentifyGeometry, "identify", results.fill_geometry),
-    Identify.Goal.WRIST_CENTRE: Offer(
-        "identify_wrist_centre", srv.IdentifyWristCentre, "identify", results.fill_wrist_centre
-    ),
-    Identify.Goal.POINTS: Offer("identify_points", srv.IdentifyPoints, "identify", results.fill_points),
-    Identify.Goal.DIAGNOSIS: Offer("diagnose", srv.Diagnose, "diagnose", results.fill_diagnosis),
+COMMANDS = {
+    Identify.Goal.STIFFNESS: "identify",
+    Identify.Goal.BASE_FRAME: "identify",
+    Identify.Goal.GEOMETRY: "identify",
+    Identify.Goal.WRIST_CENTRE: "identify",
+    Identify.Goal.POINTS: "identify",
+    Identify.Goal.DIAGNOSIS: "diagnose",
 }
+"""Command of the command line that does what can be asked for."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,24 +83,22 @@ class Job:
 
 
 class IdentificationNode(CalibrationNode):
-    """Offers `~/identify_*`, `~/diagnose` and the action `~/identify`."""
+    """Offers the action `~/identify` and the service `~/identify_stiffness`."""
 
     def __init__(self, **kwargs: Any) -> None:
         """Make the node."""
         super().__init__("identification", PARAMETERS, **kwargs)
 
     def on_configure(self) -> None:
-        """Start the process that computes, and the services."""
+        """Start the process that computes, service and action."""
         self._worker = Worker()
         self._drawer: Worker | None = None  # started when it is needed
         self._drawing = threading.Lock()
         self._drawings: dict[Path, threading.Event] = {}
         self._busy = threading.Lock()
         self._stopping = threading.Event()
-        group = ReentrantCallbackGroup()
-        for offer in OFFERS.values():
-            name, answer = f"~/{offer.name}", self._service(offer)
-            self.create_service(offer.kind, name, answer, qos_profile=MANY, callback_group=group)
+        group, answer = ReentrantCallbackGroup(), self._on_stiffness
+        self.create_service(IdentifyStiffness, "~/identify_stiffness", answer, qos_profile=MANY, callback_group=group)
         self._action = self.create_action_server(Identify, "~/identify", self._on_goal)
         self._session = ""  # bag of the last session that was recorded
         self._markers = self.create_publisher(MARKERS.message, MARKERS.relative, MARKERS.qos)
@@ -154,22 +133,28 @@ class IdentificationNode(CalibrationNode):
             scene = scene_of(json.loads(result_json)["operating_space"], self.value("markers.scale"))
         self._markers.publish(to_markers(cell, scene, look))
 
-    def _service(self, offer: Offer) -> Callable[[Any, Any], Any]:
-        async def answer(request: Any, response: Any) -> Any:
-            job = self._job(offer, request)
-            done = await self._evaluated(job, self._stopping.is_set, report=False)
-            if isinstance(job, Job) and done.code == Outcome.OK:
-                self._aside("markers", lambda: self._show(job.cell, done.result_json))
-                self._aside("report", lambda: self._draw(job, self._stopping.is_set))
-            return _filled(offer, response, done)
-
-        return answer
+    async def _on_stiffness(self, request: Any, response: Any) -> Any:
+        what = Identify.Goal.STIFFNESS
+        job = self._job(what, request)
+        done = _judged(what, await self._evaluated(job, self._stopping.is_set, report=False))
+        if isinstance(job, Job) and done.result_json:
+            self._aside("markers", lambda: self._show(job.cell, done.result_json))
+            self._aside("report", lambda: self._draw(job, self._stopping.is_set))
+            rows = json.loads(done.result_json)["stiffness"]
+            response.joints = [row["joint"] for row in rows]
+            response.stiffness, response.std = (
+                [math.nan if row[name] is None else float(row[name]) for row in rows] for name in ("value", "std")
+            )
+            response.identifiable = [bool(row["identifiable"]) for row in rows]
+        response.result_json, response.report_path = done.result_json, done.report
+        response.outcome = to_outcome(done.code, done.text)
+        return response
 
     async def _on_goal(self, goal: Any) -> Any:
-        offer = OFFERS.get(goal.request.what)
-        if offer is None:
+        what = goal.request.what
+        if what not in COMMANDS:
             goal.abort()
-            text = f"found what = {goal.request.what}, expected one of the constants"
+            text = f"found what = {what}, expected one of the constants"
             return Identify.Result(outcome=to_outcome(Outcome.INPUT_UNUSABLE, text))
         began, reported = time.monotonic(), [-math.inf]
 
@@ -181,34 +166,35 @@ class IdentificationNode(CalibrationNode):
                 goal.publish_feedback(Identify.Feedback(share_done=now.share, text=f"{now.text}: {elapsed:.1f} s"))
             return bool(goal.is_cancel_requested) or self._stopping.is_set()
 
-        job = self._job(offer, goal.request)
-        done = await self._evaluated(job, cancelled, report=True)
-        if isinstance(job, Job) and done.code == Outcome.OK:
+        job = self._job(what, goal.request)
+        done = _judged(what, await self._evaluated(job, cancelled, report=True))
+        if isinstance(job, Job) and done.result_json:
             self._aside("markers", lambda: self._show(job.cell, done.result_json))
-        answer = _filled(offer, offer.kind.Response(), done)
-        if answer.outcome.code == Outcome.OK:
+        if done.code == Outcome.OK:
             goal.publish_feedback(Identify.Feedback(share_done=1.0, text="done"))
             goal.succeed()
-        elif answer.outcome.code == Outcome.CANCELLED and goal.is_cancel_requested:
+        elif done.code == Outcome.CANCELLED and goal.is_cancel_requested:
             goal.canceled()
         else:
             goal.abort()
-        return Identify.Result(outcome=answer.outcome, result_json=answer.result_json, report_path=answer.report_path)
+        outcome = to_outcome(done.code, done.text)
+        return Identify.Result(outcome=outcome, result_json=done.result_json, report_path=done.report)
 
-    def _job(self, offer: Offer, request: Any) -> Job | Evaluated:
+    def _job(self, what: int, request: Any) -> Job | Evaluated:
+        command = COMMANDS[what]
         cell = request.cell or self.value("cell")
         recording = request.recording or self._session or self.value("recording")
         for name, value in (("cell", cell), ("recording", recording)):
             if not value:
                 text = f"{name}: found nothing, expected one in the request or as parameter of the node"
                 return Evaluated(Outcome.INPUT_UNUSABLE, text)
-        out = request.out or self.value("out") or str(Path(recording).absolute().parent / offer.command)
+        out = request.out or self.value("out") or str(Path(recording).absolute().parent / command)
         test = ("--test", request.test) if request.test else ()
         other = getattr(request, "simulation", "")
-        if other and offer.command != "diagnose":
+        if other and command != "diagnose":
             return Evaluated(Outcome.INPUT_UNUSABLE, "simulation: found one, expected none: only a diagnosis compares")
         simulation = ("--simulation", other) if other else ()
-        arguments = (offer.command, recording, "--cell", cell, "--out", out, *test, *simulation)
+        arguments = (command, recording, "--cell", cell, "--out", out, *test, *simulation)
         return Job(arguments, Path(out).absolute(), cell)
 
     async def _evaluated(self, job: Job | Evaluated, cancelled: Callable[[], bool], *, report: bool) -> Evaluated:
@@ -284,13 +270,34 @@ class IdentificationNode(CalibrationNode):
             self._drawer.close()
 
 
-def _filled(offer: Offer, response: Any, done: Evaluated) -> Any:
-    """Return a service's answer: what was found, and how it ended."""
-    response.result_json, response.report_path = done.result_json, done.report
-    lacking = offer.fill(response, done.result_json) if done.code == Outcome.OK else ""
-    code, text = (Outcome.NOT_IDENTIFIABLE, lacking) if lacking else (done.code, done.text)
-    response.outcome = to_outcome(code, text)
-    return response
+def _judged(what: int, done: Evaluated) -> Evaluated:
+    """Return how an evaluation ended, by whether its result holds what was asked for."""
+    missing = _lacking(what, json.loads(done.result_json)) if done.code == Outcome.OK else ""
+    return dataclasses.replace(done, code=Outcome.NOT_IDENTIFIABLE, text=missing) if missing else done
+
+
+def _lacking(what: int, result: dict[str, Any]) -> str:
+    """Return what the recording does not determine of what was asked for, as one sentence; empty: nothing.
+
+    Frames and geometry are those by circle points and spheres (CWA 17384, 7.1 to 7.3), else those fitted to all
+    readings.
+    """
+    standard = result.get("standard_geometry") or {}
+    given = {row["group"] for row in result.get("parameters", [])}
+    fitted = {row["group"] for row in result.get("parameters", []) if row["fitted"]}
+    match what:
+        case Identify.Goal.STIFFNESS if not any(row["identifiable"] for row in result["stiffness"]):
+            return "the recording determines no joint stiffness"
+        case Identify.Goal.BASE_FRAME if not (standard.get("base_frame") or "tracker" in given):
+            return "the recording determines no tracker frame: absolute points of unloaded configurations are needed"
+        case Identify.Goal.GEOMETRY if not (standard.get("joint_axes") or "geometry" in fitted):
+            return "the recording determines no geometry: absolute points of many configurations are needed"
+        case Identify.Goal.POINTS if "point" not in fitted:
+            return "the recording determines no measurement point"
+        case Identify.Goal.WRIST_CENTRE if not standard.get("wrist_centre"):
+            reasons = standard.get("reasons", {})
+            return str(reasons.get("wrist_centre", "the recording determines no wrist centre: it has loads"))
+    return ""
 
 
 def main(arguments: list[str] | None = None) -> int:

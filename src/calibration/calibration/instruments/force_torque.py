@@ -31,7 +31,7 @@ from calibration.conversions import (
 from calibration.instruments.acquisition import POLL, AcquisitionNode, MeasuringError
 from calibration.instruments.stream import Stream
 from calibration.node import Declared, run
-from calibration.topics import RAW_WRENCH, TARE, Quality, Topic
+from calibration.topics import TARE, Quality, Topic
 from calibration_core.errors import InputError
 from calibration_core.identification.checks.sensor_test import evaluate_sensor_test, gravity_in_sensor
 from calibration_core.measurement.load_check import LoadCheck
@@ -58,7 +58,6 @@ PARAMETERS = (
     Declared("tolerance_force", 5.0, "Change over a window that does not matter, N.", low=0.0, read_only=False),
     Declared("tolerance_torque", 2.5, "Change over a window that does not matter, N*m.", low=0.0, read_only=False),
     Declared("load_memory", "", "File in which the sequencer keeps what is known of the load; empty: in $ROS_HOME."),
-    Declared("publish_raw", True, "Whether the untared wrench is published as well."),
     Declared("test_mass_share", 0.05, "Share by which the tested mass may be off.", low=0.0, high=1.0),
     Declared("test_angle", 0.05, "Angle by which the tested axes may be off, rad.", low=0.0, high=3.2),
     Declared("test_force", 5.0, "Force that the test may leave unexplained, N.", low=0.0),
@@ -94,7 +93,6 @@ class ForceTorqueNode(AcquisitionNode):
         self._forwards = self.resolve_topic_name(topic) != self.resolve_topic_name(output.relative)
         if self._forwards:
             self._publisher = self.create_publisher(output.message, output.relative, output.qos)
-            self._raw = self.create_publisher(RAW_WRENCH.message, RAW_WRENCH.relative, RAW_WRENCH.qos)
         self._tare_events = self.create_publisher(TARE.message, TARE.relative, TARE.qos)
         self.add_source(topic, WRENCH_INPUTS[self.value("input_type")], self._on_wrench)
         self.create_service(Tare, "~/tare", self._on_tare, callback_group=self.group)
@@ -125,8 +123,6 @@ class ForceTorqueNode(AcquisitionNode):
         tared = dataclasses.replace(raw, values=raw.values - self._bias)
         if self._stream.take(tared, raw.stamp) and self._forwards:
             self._publisher.publish(to_wrench_stamped(self.labelled(tared)))
-            if self.value("publish_raw"):
-                self._raw.publish(to_wrench_stamped(self.labelled(raw)))
 
     # --- tare -------------------------------------------------------------------------------------------------
 

@@ -41,8 +41,6 @@ class Whole:
             self._permission_heard = now
         elif field == "procedure":
             self._procedure_heard = True
-        elif field == "load":
-            self._state.load_known = True
 
     def hear_reading(self, message: Any, now: float) -> None:
         """Take notice of a reading that is not of the session under way."""
@@ -89,13 +87,13 @@ class Whole:
 
     def news(self, state: State) -> dict[str, object]:
         """Return what of a state is worth a message at once; the rest of it changes all the time."""
-        procedure, permission, load = state.procedure, state.permission, state.load
+        procedure, permission = state.procedure, state.permission
         felt = (procedure.load_felt_known, repr(procedure.load_felt), procedure.load_fault)
         return {
             "words": (state.text, state.waiting, state.not_permitted),
             "procedure": (procedure.state, procedure.moving, procedure.paused, procedure.configuration, procedure.step),
             "reading": (procedure.reading_verdict, procedure.reading_configuration, procedure.reading_step),
-            "known": (state.procedure_known, state.permission_known, state.load_known),
+            "known": (state.procedure_known, state.permission_known),
             "permission": (permission.permitted, permission.latched, tuple(permission.reasons)),
             "fresh": [one.age <= FRESH for one in state.nodes],
             "nodes": [(one.process, one.lifecycle.id, one.level, one.text) for one in state.nodes],
@@ -105,5 +103,4 @@ class Whole:
             "conditions": [(one.name, one.verdict, one.override.operator_name) for one in state.conditions.conditions],
             "averaged": repr(procedure.averaged),
             "felt": felt if procedure.load_awaited else None,
-            "load": (load.state, load.target.force.x, load.target.force.y, load.target.force.z),
         }

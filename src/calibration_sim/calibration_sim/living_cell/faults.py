@@ -1,41 +1,37 @@
-"""Faults of the living cell on command: which are on, since when, and what they do to what is sent.
-
-Numbers are those of `calibration_interfaces/srv/SetFault`.
-"""
+"""Faults of the living cell on command: which are on, since when, and what they do to what is sent."""
 
 from __future__ import annotations
 
 import dataclasses
 import enum
-import math
 
 
-class Kind(enum.IntEnum):
+class Kind(enum.Enum):
     """What can go wrong."""
 
-    NONE = 0
-    MODE_FLIP = 1
-    OVER_SPEED = 2
-    SERVO_OFF = 3
-    MODE_STALE = 4
-    JOINTS_STALE = 5
-    JOINTS_FROZEN = 6
-    JOINTS_NOT_FINITE = 7
-    DRIVER_KILLED = 8
-    CLOCK_JUMP = 9
-    EMERGENCY_STOP = 10
-    BEAM_BROKEN = 11
-    TRACKER_JUMP = 12
-    TRACKER_NOT_FINITE = 13
-    TRACKER_SILENT = 14
-    WRENCH_NOT_FINITE = 15
-    WRENCH_SILENT = 16
-    WRENCH_OFFSET = 17
-    LOAD_STUCK = 18
-    BLOCKED = 19
-    TARGETS_EXCHANGED = 20
-    TRACKER_DRIFT = 21
-    TRACKER_HELD = 22
+    NONE = "ends all faults"
+    MODE_FLIP = "automatic mode"
+    OVER_SPEED = "moves faster than commanded; value: factor"
+    SERVO_OFF = "drives off"
+    MODE_STALE = "robot state stops"
+    JOINTS_STALE = "joint states stop"
+    JOINTS_FROZEN = "joint states repeat the last values"
+    JOINTS_NOT_FINITE = "joint states are NaN"
+    DRIVER_KILLED = "the process ends without a word"
+    CLOCK_JUMP = "/clock leaps; value: s"
+    EMERGENCY_STOP = "emergency stop"
+    BEAM_BROKEN = "the tracker repeats the last place; of one point"
+    TRACKER_JUMP = "value: m; of one point"
+    TRACKER_NOT_FINITE = "NaN; of one point"
+    TRACKER_SILENT = "nothing is sent; of one point"
+    WRENCH_NOT_FINITE = "NaN"
+    WRENCH_SILENT = "nothing is sent"
+    WRENCH_OFFSET = "value: N on every force component"
+    LOAD_STUCK = "the load device does not answer"
+    BLOCKED = "moves do not arrive"
+    TARGETS_EXCHANGED = "the tracker takes the first two points for each other"
+    TRACKER_DRIFT = "value: m/s, along every axis"
+    TRACKER_HELD = "the places of when it began, with fresh noise"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,17 +40,27 @@ class Fault:
 
     Attributes:
         kind: Which.
-        value: Factor, m, m/s, N or s, as `SetFault` says.
+        value: As the kind says.
         since: s of the cell's time, when it began.
-        until: s of the cell's time, when it ends; infinite: when told.
         point: Which measurement point; empty: all.
     """
 
     kind: Kind
     value: float = 0.0
     since: float = 0.0
-    until: float = math.inf
     point: str = ""
+
+    @classmethod
+    def read(cls, text: str, since: float) -> Fault:
+        """Return the fault that `KIND [VALUE [POINT]]` names.
+
+        Raises:
+            ValueError: There is no such kind, or the value is no number.
+        """
+        name, value, point = (*text.split(), *("", "0", "")[len(text.split()) :])
+        if name not in Kind.__members__:
+            raise ValueError(f"found {name!r}, expected one of {', '.join(Kind.__members__)}")
+        return cls(Kind[name], float(value), since, point)
 
 
 class Faults:
@@ -69,10 +75,6 @@ class Faults:
             self._on.clear()
         else:
             self._on[fault.kind] = fault
-
-    def at(self, time: float) -> None:
-        """Forget what has ended by `time` (s)."""
-        self._on = {kind: fault for kind, fault in self._on.items() if time < fault.until}
 
     def on(self, kind: Kind, point: str = "") -> bool:
         """Tell whether a fault is on, and concerns a point."""

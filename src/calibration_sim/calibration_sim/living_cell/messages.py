@@ -36,6 +36,7 @@ PARAMETERS: dict[str, tuple[Any, str]] = {
     "operating_mode": (RobotState.MODE_MANUAL_REDUCED, "RobotState.MODE_* that is reported."),
     "motion_log": ("", "File for the true angles at every millisecond of motion; empty: none."),
     "truth_log": ("", "File for angles, load and true points at every reading of the tracker; empty: none."),
+    "fault": ("", "Fault that begins when this is set: KIND [VALUE [POINT]]; NONE ends all (see `Kind`)."),
     "event_log": ("", "File for faults and commands with the monotonic clock's ns; empty: none."),
 }
 

@@ -1,8 +1,8 @@
 """`simulated_cell`: the living cell as a ROS node, with the interfaces that drivers in a real cell have.
 
-Publishes joint states, tracker points, wrench, temperature, robot state, load state, and `/clock` at a chosen multiple
-of real time; follows trajectories (action `driver/move_to`, topic `driver/joint_trajectory`); puts loads on (action
-`driver/apply_load`); misbehaves on request (`~/set_fault`).  This is the only module of the package that knows ROS.
+Publishes joint states, tracker points, wrench, temperature, robot state, and `/clock` at a chosen multiple of real
+time; follows trajectories (action `driver/move_to`, topic `driver/joint_trajectory`); puts loads on (action
+`driver/apply_load`); misbehaves on request (parameter `fault`).  This is the only module of the package that knows ROS.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from calibration_interfaces.action import ApplyLoad, MoveTo
-from calibration_interfaces.msg import LoadState, Outcome, RobotState
-from calibration_interfaces.srv import SetFault
+from calibration_interfaces.msg import Outcome, RobotState
 from geometry_msgs.msg import Point, PointStamped, WrenchStamped
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -64,7 +63,7 @@ class SimulatedCell(Node):
             if name not in PARAMETERS and not name.startswith(("use_sim_time", "qos_overrides.", "start_type_desc")):
                 raise InputError("simulated_cell", name, "an unknown parameter", f"one of {', '.join(PARAMETERS)}")
         for name, (default, text) in PARAMETERS.items():
-            self.declare_parameter(name, default, ParameterDescriptor(description=text, read_only=True))
+            self.declare_parameter(name, default, ParameterDescriptor(description=text, read_only=name != "fault"))
         if not self._value("cell"):
             own = self.get_fully_qualified_name()
             raise InputError(own, "cell", "nothing", "the cell file: --ros-args -p cell:=FILE")
@@ -104,7 +103,6 @@ class SimulatedCell(Node):
         self._wrench = node.create_publisher(WrenchStamped, "input/wrench", STREAM)
         self._temperature = node.create_publisher(Temperature, topics.temperature.lstrip("/"), STREAM)
         self._state = node.create_publisher(RobotState, "driver/robot_state", STATE)
-        self._load_state = node.create_publisher(LoadState, "calibration/load_state", STATE)
         self._clock_out = node.create_publisher(Clock, "/clock", QoSProfile(depth=10)) if self._with_clock else None
         self._description = node.create_publisher(String, topics.robot_description.lstrip("/"), STATE)
         urdf = self.cell.urdf_path
@@ -115,7 +113,7 @@ class SimulatedCell(Node):
         self._move = ActionServer(node, MoveTo, "driver/move_to", self._on_move, **common)
         self._apply = ActionServer(node, ApplyLoad, "driver/apply_load", self._on_load, **common)
         node.create_subscription(JointTrajectory, "driver/joint_trajectory", self._on_trajectory, 10)
-        node.create_service(SetFault, "~/set_fault", self._on_fault)
+        node.add_on_set_parameters_callback(self._on_parameters)
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
@@ -161,7 +159,6 @@ class SimulatedCell(Node):
         """Let the cell live until `until` (s of its time), and send what is due then."""
         with self.lock:
             live, on = self.live, self.faults.on
-            self.faults.at(until)
             live.haste = 0.0 if on(Kind.EMERGENCY_STOP) else self.faults.value(Kind.OVER_SPEED, 1.0)
             live.blocked_after = 0.5 if on(Kind.BLOCKED) else 1.0
             before = live.moving, live.loading
@@ -331,7 +328,6 @@ class SimulatedCell(Node):
             with self.lock:
                 if not stuck:
                     self.live.pull(target, float(self._value("load_ramp")))
-                self._send_load(LoadState.CHANGING, target)
         except Refused as error:
             goal.abort()
             result.outcome = Outcome(code=Outcome.INPUT_UNUSABLE, text=str(error))
@@ -340,7 +336,6 @@ class SimulatedCell(Node):
         while (stuck or self.live.loading) and not goal.is_cancel_requested and self.live.time - began < late:
             await _NextTick(self)
         result.applied = wrench_message(self.live.load)
-        self._send_load(LoadState.FAULT if stuck else LoadState.IDLE, target)
         if goal.is_cancel_requested:
             goal.canceled()
             result.outcome = Outcome(code=Outcome.CANCELLED, text="on request")
@@ -352,27 +347,20 @@ class SimulatedCell(Node):
             result.outcome = Outcome(code=Outcome.OK, text="the load is on")
         return result
 
-    def _send_load(self, state: int, target: Float1D) -> None:
-        applied = wrench_message(self.live.load)
-        self._load_state.publish(
-            LoadState(header=self._header(), state=state, target=wrench_message(target), applied=applied)
-        )
-
-    def _on_fault(self, request: Any, response: Any) -> Any:
-        try:
-            kind = Kind(request.kind)
-        except ValueError:
-            response.outcome = Outcome(code=Outcome.INPUT_UNUSABLE, text=f"no fault has the number {request.kind}")
-            return response
+    def _on_parameters(self, parameters: list[Any]) -> SetParametersResult:
+        """Begin the fault that is asked for, and write down the cell's time, ns."""
         with self.lock:
-            until = self.live.time + request.duration if request.duration > 0.0 else float("inf")
-            self.faults.begin(Fault(kind, request.value, self.live.time, until, request.name))
-            self.log(f"fault {kind.name}")
-            response.stamp = self.stamp()
-        if kind is Kind.DRIVER_KILLED:
-            os.kill(os.getpid(), signal.SIGKILL)
-        response.outcome = Outcome(code=Outcome.OK, text=kind.name)
-        return response
+            try:
+                faults = [Fault.read(str(one.value), self.live.time) for one in parameters if one.name == "fault"]
+            except ValueError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            now = self.stamp()
+            for one in faults:
+                self.faults.begin(one)
+                self.log(f"fault {one.kind.name} {now.sec * NANOSECONDS + now.nanosec}")
+                if one.kind is Kind.DRIVER_KILLED:
+                    os.kill(os.getpid(), signal.SIGKILL)
+        return SetParametersResult(successful=True)
 
     def close(self) -> None:
         """Close the files."""

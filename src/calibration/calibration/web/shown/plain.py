@@ -9,7 +9,6 @@ from typing import Any
 from calibration_interfaces.msg import (
     Condition,
     Fault,
-    LoadState,
     NodeHealth,
     Permission,
     ProcedureState,
@@ -51,7 +50,6 @@ CONSTANTS: Mapping[str, Mapping[str, Mapping[int, str]]] = {
     "Fault": {"level": _words(Fault)},
     "NodeHealth": {"level": _words(NodeHealth)},
     "SampleCheck": {"problem": _words(SampleCheck)},
-    "LoadState": {"state": _words(LoadState)},
 }
 """Name of the message, its field, number of the constant: the word."""
 
