@@ -208,7 +208,12 @@ def subscribe_to_samples(
         else:
             callback(message)
 
+    made: list[Any] = []  # the executor may be quicker than the thread that subscribes
+
     def take_waiting(most: int = IN_A_TURN) -> None:
+        if not made:
+            return
+        (subscription,) = made
         try:
             with subscription.handle:
                 for _ in range(most):
@@ -226,8 +231,8 @@ def subscribe_to_samples(
     if every:
         more["callback_group"] = Polled()
         node.create_timer(every, take_waiting, clock=Clock(clock_type=ClockType.STEADY_TIME))
-    subscription = node.create_subscription(kind, name, take, quality, **more)
-    return subscription
+    made.append(node.create_subscription(kind, name, take, quality, **more))
+    return made[0]
 
 
 def publishers(node: Node, name: str) -> list[str]:

@@ -199,7 +199,7 @@ def test_self_test(spinning: Any, feeds: list[Feed], until: Callable[..., None],
     for k, q in enumerate(np.random.default_rng(6).uniform(-1.5, 1.5, (4, 6))):
         now["q"] = q
         turned = node.now_ns()
-        until(lambda q=q: np.array_equal(node._joints.latest, q))
+        until(lambda q=q: np.array_equal(node.joints.latest, q))
         until(lambda turned=turned: sum(stamp_ns(one.header.stamp) > turned for one in heard[-9:]) > 1)
         answer = call(service, SelfTest.Request(command=SelfTest.Request.ADD))
         assert (answer.outcome.code, answer.orientations) == (Outcome.OK, k + 1), answer.outcome.text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -82,3 +83,21 @@ def test_a_subscription_that_its_callback_destroys(context: Any, waiting: Any) -
     spun(context, node, turns=3)
     assert taken == [0.0]
     assert list(node.subscriptions) == []
+
+
+@pytest.mark.parametrize("every", [0.0, 0.1])
+def test_a_sample_may_come_before_the_subscription_is_there(every: float) -> None:
+    """The executor is another thread: it may take a sample, or look for some, while the node still subscribes."""
+    taken: list[str] = []
+
+    class Quick:
+        def create_timer(self, _period: float, look: Callable[[], None], **_more: Any) -> None:
+            look()
+
+        def create_subscription(self, _kind: Any, _name: str, take: Any, _quality: Any, **_more: Any) -> str:
+            take("first", {})
+            return "made"
+
+    quality = QoSProfile(depth=1)
+    assert subscribe_to_samples(Quick(), JointState, "joint_states", taken.append, quality, every=every) == "made"  # type: ignore[arg-type]
+    assert taken == ["first"]
