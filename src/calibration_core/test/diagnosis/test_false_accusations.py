@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 from loaded_cases import dahl, friction, shifted, true_state
 from robots import loaded_readings, write_cell
 
-from calibration_core.cell import Cell
+from calibration_core.cell import Cell, load_cell
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.model.effects.state import State
-from calibration_core.timeseries import Float1D, Float2D, Readings
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.simulation.streams import as_recording
+from calibration_core.observations.observe import observe_recording
+from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Readings, TimeSeries
 
+CELL = Path(__file__).resolve().parents[4] / "config" / "cells" / "small.cell.yaml"
 JOINT, WIDTH = 1, 1.5e-4  # rad, from one side of the friction to the other
 
 
@@ -77,3 +82,36 @@ def test_a_loose_target_alone_leaves_nothing_unexplained(cell: Cell, size: float
     found = diagnose(moved(readings, shake * (readings.point == 1)[:, None]), cell)
     assert [(one.kind, dict(one.location)) for one in found.anomalies] == [("loose_target", {"point": "mp2"})]
     assert (found.verdict, found.findings) == ("consistent", ())
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Pull:
+    """A configuration that is pulled, and let go step by step.
+
+    Attributes:
+        number: Of the configuration.
+        q: (6,) rad.
+        steps: (s, 6) N and N*m, base axes.
+    """
+
+    number: int
+    q: Float1D
+    steps: Float2D
+
+
+@pytest.mark.parametrize("ahead", [-0.4, 0.4])
+def test_a_clock_that_differs_is_no_law_of_a_joint(ahead: float) -> None:
+    """The tracker's stamps are off by up to what a computer without a time server is."""
+    cell, rng = load_cell(CELL), np.random.default_rng(8)
+    levels = np.outer([0.0, 0.5, 1.0, 0.5, 0.0], 9.0 * cell.robot.rated_load * np.eye(6)[2])
+    middle = np.array([0.0, 0.3, -0.8, 0.2, 0.9, 0.1])
+    pulls = [Pull(k, middle + rng.uniform(-0.6, 0.6, 6), -levels) for k in range(12)]
+    streams = as_recording(pulls, cell, nominal_parameters(cell), 8)
+    late = {
+        name: TimeSeries(one.time + int(ahead * NANOSECONDS), one.values, one.received, one.frame)
+        for name, one in streams.points.items()
+    }
+    readings = observe_recording(dataclasses.replace(streams, points=late), cell)
+    assert ["the tracker's stamps are corrected" in one.text for one in readings.notes] == [True]
+    found = diagnose(readings, cell)
+    assert (found.verdict, found.findings, found.anomalies) == ("consistent", (), ())
