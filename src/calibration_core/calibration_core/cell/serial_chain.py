@@ -118,7 +118,8 @@ def serial_chain(path: Path, base_link: str | None = None, flange: str | None = 
         text = f"The z axis of {chosen.end} does not lie along the last joint: state sensor, wrench point and targets"
         remarks.append(f"{text} in the axes of {chosen.end}, or give another link with --flange.")
     if flange is None:
-        remarks += _further_arms(sorted(chains, key=lambda one: (-len(one.moving), fitness(one))), chosen)
+        arms = [one for one in chains if len(one.moving) == _without_fingers(above, one.moving)]
+        remarks += _further_arms(sorted(arms, key=lambda one: (-len(one.moving), fitness(one))), chosen)
     joints = tuple(chosen.moving)
     return SerialChain(root.get("name", ""), chosen.base, chosen.end, joints, masses, tuple(remarks))
 

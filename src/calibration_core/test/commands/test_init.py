@@ -297,9 +297,11 @@ def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path) -> None:
     assert run("check", tmp_path / "my" / "cell.yaml", "--out", tmp_path / "check", "--no-report") == 0
 
 
-def test_a_further_arm_is_mentioned(tmp_path: Path) -> None:
+@pytest.mark.parametrize("fingers", [(), ("thumb", "finger")])
+def test_a_further_arm_is_mentioned_without_its_gripper(tmp_path: Path, fingers: tuple[str, ...]) -> None:
     left, right = (described(tmp_path / f"{side}.urdf", prefix=f"{side}_").read_text() for side in ("left", "right"))
     stand = "".join(FIXED.format(f"{side}_stand", "torso", f"{side}_base_link", "0 0 0") for side in ("left", "right"))
+    stand += "".join(GRIPPER.replace("finger", f"right_{name}").replace('"tool0"', '"right_tool0"') for name in fingers)
     both = left.replace("</robot>", "") + right[right.index("<link") :].replace(
         "</robot>", f'<link name="torso"/>{stand}</robot>'
     )
