@@ -44,7 +44,7 @@ FAMILIES = {
         "model_estimate", "bias", "loaded", "positions", "simulated", "waterfall", "diagnose",
     ),
 }  # fmt: skip
-FOR_ALL = {"errors", "files", "cell", "loading"}
+FOR_ALL = {"errors", "files", "cell", "loading", "policy"}
 BESIDE_THE_CHAIN = {
     "motion": {"timeseries", "model", "motion"},
     "planning": {"timeseries", "recording", "model", "motion", "planning", "identification.result.observability"},

@@ -20,10 +20,10 @@ from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import load_torque
 from calibration_core.observations.kinds import levels_of
+from calibration_core.policy import CERTAIN
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 PERMUTATIONS = 400
-CERTAIN = 0.01  # chance that permuted configurations show any such pattern
 MOST = 1500  # configurations that are looked at, evenly taken
 FEWEST = 6  # configurations
 UNLOADED = 0.02

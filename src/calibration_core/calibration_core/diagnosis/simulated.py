@@ -40,7 +40,7 @@ NOT_COMPARED = {
     "target_moved": " The readings of this target are not compared.",
     "tracker_moved": " The configurations before or after it, whichever are fewer, are not compared.",
 }
-AS_RIGHT = "It is read as if this were put right."
+AS_RIGHT = "It is read as if this were put right"
 WILD, NEARLY_ALL = 6.0, 0.95  # times what nearly all readings have: no physics does that to single ones
 
 
@@ -60,7 +60,9 @@ def compare_checked(recorded: Readings, simulated: Readings, cell: Cell) -> Comp
     if wrong and all(one.side == "simulation" for one in wrong):
         right = put_right(recorded, simulated, cell, wrong)
         if right is not None:
-            described += tuple(dataclasses.replace(d, text=f"{d.sentence} {AS_RIGHT}", spoils=False) for d in wrong)
+            described += tuple(
+                dataclasses.replace(d, text=f"{d.sentence} {AS_RIGHT}: {d.remedy}.", spoils=False) for d in wrong
+            )
             again = compare(recorded, right, cell, described=described)
             if not any(one.spoils for one in again.differences):
                 simulated, found = right, again

@@ -19,9 +19,12 @@ from calibration_core.diagnosis.comparison.result import (
     Comparison,
     ImprovedSimulation,
     WaterfallStep,
+    Witness,
 )
+from calibration_core.diagnosis.comparison.witnesses import judged
 from calibration_core.diagnosis.location import locate
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
+from calibration_core.errors import EquilibriumError
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.effects.applied import applied_shift
 from calibration_core.model.effects.recorded_state import recorded_state
@@ -40,13 +43,12 @@ NAMED = 2  # numbers of a step that are named in words
 TWICE = 2  # refinements of a step's fit by its exact prediction: what is left of curvature is below 1 % of the noise
 ELSEWHERE = 1e4  # standard deviations that tracker and targets of a test may stand elsewhere
 PLAIN = 1.3  # times what is left at the end: a difference below shows no pattern
-LOOSE = 30.0  # standard deviations within which a step may move a number: what no step shows stays as it was found
 
 
 class ComparedRows:
     """What of a recording is compared: deflections, or positions where a configuration has one step."""
 
-    def __init__(self, readings: Readings, rows: Int1D, cell: Cell) -> None:
+    def __init__(self, readings: Readings, rows: Int1D, cell: Cell, *, positions: bool = False) -> None:
         self._readings, self._rows, self._cell = readings, rows, cell
         kept = readings.select(rows)
         keys = np.column_stack([kept.configuration, kept.point])
@@ -54,7 +56,7 @@ class ComparedRows:
         self._size = np.bincount(self._group)
         steps = np.unique(np.column_stack([readings.configuration, readings.step]), axis=0)[:, 0]
         numbers, count = np.unique(steps, return_counts=True)
-        self.still: Bool1D = np.isin(kept.configuration, numbers[count == 1])
+        self.still: Bool1D = np.isin(kept.configuration, numbers[(count == 1) | positions])
         shows = self.still | (self._size[self._group] > 1)
         self._weight = shows[:, None].astype(float)
         self._shown = 3 * int(shows.sum())
@@ -138,14 +140,13 @@ class _StagedModel:
     """The model with some of its parts, fitted to what is compared."""
 
     def __init__(self, rows: ComparedRows, found: Diagnosis, believed: ModelParameters) -> None:
-        (model, estimate), noise = found.handed_out, found.noise_known
-        self.rows, self._model, self._believed = rows, model, believed
+        self.rows, self._believed, self._noise = rows, believed, found.noise_known
+        self._model, estimate = found.handed_out
         # Deflections hardly show where tracker and targets stand: the positions that showed it are not compared.
         fixed = () if rows.still.any() else FRAMES.heads
         known = [k for k in _finite(estimate) if estimate.names[k].partition(".")[0] not in fixed]
-        self._names, self._value = [estimate.names[k] for k in known], estimate.value[known]
-        self._columns = rows.columns(model, self._names, estimate.std[known])
-        self._weight = (noise / (LOOSE * estimate.std[known])) ** 2
+        self._names, self._std = [estimate.names[k] for k in known], estimate.std[known]
+        self._columns = rows.columns(self._model, self._names, self._std) * self._std
 
     def with_parts(self, parts: Sequence[ModelPart]) -> tuple[ModelParameters, Float2D, Float2D]:
         """Return the model with these parts, fitted, what it leaves, and what it leaves of configurations left out.
@@ -154,17 +155,19 @@ class _StagedModel:
         Influence in Regression, 2.2).
         """
         mine = [k for k, name in enumerate(self._names) if any(part.holds(name) for part in parts)]
-        columns, weight = self._columns[:, :, mine], self._weight[mine]
-        flat = columns.reshape(3 * len(columns), len(mine))
-        normal = flat.T @ flat + np.diag(weight)
+        flat = self._columns[:, :, mine].reshape(3 * len(self._columns), len(mine))
         model, names = self._with(parts, [self._names[k] for k in mine])
+        # In standard deviations, what these readings show has directions of at least the noise over the root of their
+        # count.  What shows less, as the numbers of two causes that do the same, stays as it was found.
+        size, axes = np.linalg.eigh(flat.T @ flat)
+        shown = size * len(mine) > self._noise**2
+        spread = axes[:, shown] / size[shown] @ axes[:, shown].T @ flat.T
         for _ in range(TWICE if mine else 0):
-            value = np.array([value_of(model, name) for name in names])
-            pull = flat.T @ self.rows.left(model).ravel() + weight * (self._value[mine] - value)
-            found = value + np.linalg.solve(normal, pull)
-            model = with_values(model, dict(zip(names, map(float, found), strict=True)))
+            moved = self._std[mine] * (spread @ self.rows.left(model).ravel())
+            value = {name: value_of(model, name) + float(by) for name, by in zip(names, moved, strict=True)}
+            model = with_values(model, value)
         left = self.rows.left(model)
-        out, spread = left.copy(), np.linalg.solve(normal, flat.T) if mine else flat.T
+        out = left.copy()
         for rows in self.rows.configurations:
             own = (3 * rows[:, None] + np.arange(3)).ravel()
             share = flat[own] @ spread[:, own]
@@ -215,7 +218,7 @@ def with_waterfall(found: Diagnosis, recorded: Readings, cell: Cell, test: Readi
     (compared,) = found.comparisons
     if compared.steps is None or found.recording_spoiled:
         return found
-    rows, simulated = compared.rows, compared.positions
+    rows, simulated = compared.rows, compared.simulated.position
     excluded = found.identification.residuals.excluded
     # What the standard's model alone cannot explain may be physics: set aside are readings that the diagnosis names.
     if len(excluded) == len(recorded) and any(one.kind == "outlier_readings" for one in found.anomalies):
@@ -242,7 +245,11 @@ def _with_steps(
     steps = [WaterfallStep("simulation", "as it is", whole, unknown, at_first, 0.0)]
     parts: tuple[ModelPart, ...] = ()
     rigid = whole
-    loads = any(one.what == "wrench" for one in compared.witnesses)
+    heard = {one.text: _heard(one, found, recorded, cell, believed) for one in compared.witnesses}
+    said = {before: "" if one is None else one.text for before, one in heard.items()}
+    sentences = tuple(text for text in (said.get(one, one) for one in compared.sentences) if text)
+    witnesses = tuple(one for one in heard.values() if one is not None)
+    loads = any(one.what == "wrench" for one in witnesses)
     for part in (FRAMES, GEOMETRY, *_parts(found, model)):
         parts = (*parts, part)
         fitted, left, left_out = staged.with_parts(parts)
@@ -276,7 +283,50 @@ def _with_steps(
     difference = ours.compared(recorded[0].position[recorded[1]] - simulated) @ believed.tracker[:3, :3].T
     where = locate(recorded[0].select(recorded[1]), difference, cell, believed) if whole > PLAIN * before else None
     pattern = "" if where is None else where.strongest
-    return dataclasses.replace(compared, waterfall=tuple(steps), improved=improved, pattern=pattern)
+    return dataclasses.replace(
+        compared,
+        waterfall=tuple(steps),
+        improved=improved,
+        pattern=pattern,
+        witnesses=witnesses,
+        sentences=sentences,
+    )
+
+
+def _heard(
+    stated: Witness, found: Diagnosis, recorded: tuple[Readings, Int1D], cell: Cell, believed: ModelParameters
+) -> Witness | None:
+    """Let the positions judge what the two say differently; None where it stays open and moves the points within noise.
+
+    What was found wrong with the sensor itself stays out of the model: it would put right the one that is wrong.  Where
+    the simulation decides nothing, it decides.
+    """
+    (compared,), (readings, rows), model = found.comparisons, recorded, found.handed_out[0]
+    if stated.what == "wrench" and readings.wrench is not None and compared.simulated.wrench is not None:
+        said = readings.wrench.copy()
+        said[compared.rows] = compared.simulated.wrench
+        other = dataclasses.replace(readings, wrench=said)
+    elif stated.what == "joint angles":
+        said = readings.q.copy()
+        said[compared.rows] = compared.simulated.q
+        other = dataclasses.replace(readings, q=said)
+    else:
+        return stated
+    positions = stated.what == "joint angles" and cell.measurements.points == "absolute"
+    at_sensor = {k for k, effect in enumerate(model.effects) if "sensor" in effect.location}
+    sound = [part for part in _parts(found, model) if at_sensor.isdisjoint(part.effects)]
+    both = [ComparedRows(one, rows, cell, positions=positions) for one in (readings, other)]
+    try:
+        fits = [_StagedModel(one, found, believed).with_parts((FRAMES, GEOMETRY, *sound)) for one in both]
+        moved = both[0].rms(both[0].predicted(fits[0][0]) - both[1].predicted(fits[0][0]))
+    except EquilibriumError:  # such loads bend no robot: no positions can judge them
+        return stated
+    heard = judged(stated, fits[0][2], fits[1][2], readings.configuration[rows])
+    own = [effect_sentence(f.effect, f.location) for f in found.findings if "sensor" in f.location]
+    if heard.wrong == "either" and own and stated.what == "wrench":
+        text = f"{stated.text[:-1]}; by itself the recording shows {', '.join(own)}: that of the recording is wrong."
+        return dataclasses.replace(heard, wrong="recording", text=text)
+    return heard if heard.wrong != "either" or moved > found.noise_known else None
 
 
 def _parts(found: Diagnosis, model: ModelParameters) -> tuple[ModelPart, ...]:

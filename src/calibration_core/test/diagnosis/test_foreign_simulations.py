@@ -53,6 +53,18 @@ def in_degrees(readings: Readings, _: Cell) -> Readings:
     return dataclasses.replace(readings, q=np.degrees(readings.q))
 
 
+def in_another_order(readings: Readings, _: Cell) -> Readings:
+    return dataclasses.replace(readings, q=readings.q[:, [0, 1, 2, 4, 3, 5]])
+
+
+def other_sign(readings: Readings, _: Cell) -> Readings:
+    return dataclasses.replace(readings, q=readings.q * [1, 1, -1, 1, 1, 1])
+
+
+def other_zero(readings: Readings, _: Cell) -> Readings:
+    return dataclasses.replace(readings, q=readings.q + np.array([0, 0.3, 0, 0, 0, 0]))
+
+
 def in_millimetres(readings: Readings, cell: Cell) -> Readings:
     return dataclasses.replace(reaction(readings, cell), position=1e3 * readings.position)
 
@@ -77,6 +89,9 @@ def without_weight(readings: Readings, cell: Cell) -> Readings:
         (reaction, {"wrench_sign"}),
         (in_base_axes, {"wrench_frame"}),
         (in_degrees, {"angle_unit"}),
+        (in_another_order, {"joint_order"}),
+        (other_sign, {"wrong_robot_file"}),
+        (other_zero, {"wrong_robot_file"}),
         (in_millimetres, {"position_unit", "wrench_sign"}),
         (without_wrench, {"loads"}),
         (zero_wrench, {"loads"}),
@@ -93,6 +108,7 @@ def test_a_convention_is_named_and_put_right(
     found = compare_checked(recorded, foreign(simulated(recorded, cell), cell), cell)
     assert {one.kind for one in found.differences} == kinds
     assert {(one.side, one.spoils) for one in found.differences} == {("simulation", False)}
+    assert all(one.remedy in one.text for one in found.differences)
     assert found.witnesses == ()
     assert found.steps is not None
     assert plain.steps is not None

@@ -73,6 +73,11 @@ def by_posture(recorded: Float2D, simulated: Float2D) -> tuple[Int1D, Int1D]:
     return rows[near], columns[near]
 
 
+def as_recorded(links: Sequence[Link], simulated: Float2D) -> Float2D:
+    """Return simulated angles, (m, n), as the recording has them, rad."""
+    return np.column_stack([one.sign * UNITS[one.unit] * simulated[:, one.joint] + one.zero for one in links])
+
+
 def joint_differences(links: Sequence[Link], joints: Sequence[str], side: Side) -> tuple[Difference, ...]:
     """Say in which way the joints are not the same.
 
@@ -103,6 +108,8 @@ def joint_differences(links: Sequence[Link], joints: Sequence[str], side: Side) 
         if link.zero:
             text = f"{joints[i]} has another zero: recorded minus simulated is {link.zero:+z.4f} rad."
             remedy = f"master {{}} again, or subtract {link.zero:+z.4f} rad from its angles"
+            if side == "simulation":
+                remedy = f"add {link.zero:+z.4f} rad to the angles of {{}}"
             one = _difference("wrong_robot_file", [joints[i]], side, text, remedy)
             found.append(dataclasses.replace(one, magnitude=abs(link.zero), unit="rad"))
     return tuple(found)

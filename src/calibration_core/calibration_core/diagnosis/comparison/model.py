@@ -10,7 +10,7 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.points import rigid
 from calibration_core.diagnosis.comparison.result import Reproduction
 from calibration_core.diagnosis.comparison.steps import UNLOADED
-from calibration_core.errors import EquilibriumError, IdentificationError
+from calibration_core.errors import EquilibriumError
 from calibration_core.identification.statistics.offsets import normal_equations, without_offsets
 from calibration_core.identification.stiffness.fit import fit_compliance
 from calibration_core.identification.stiffness.predict import predict_readings
@@ -20,12 +20,12 @@ from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.covariance import coordinate_std, position_covariance
 from calibration_core.observations.kinds import is_loaded
+from calibration_core.policy import FEWEST_READINGS
 from calibration_core.timeseries import Float1D, Readings
 
 NOISE = 1.1  # times the claimed noise, that a model may leave and still be called the same
 OTHER = 0.02  # relative change of a stiffness that is worth a word
 FEWEST = 2  # configurations with several steps
-FEWEST_LIGHT = 4  # readings without load that show how far apart two shapes are
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -87,22 +87,9 @@ def rigid_misfit(readings: Readings, cell: Cell) -> float:
     if readings.wrench is not None:
         force = np.linalg.norm(readings.wrench[:, :3], axis=1)
         light = force <= UNLOADED * force.max()
-        readings = dataclasses.replace(readings.select(light) if light.sum() >= FEWEST_LIGHT else readings, wrench=None)
+        light |= light.sum() < FEWEST_READINGS
+        readings = dataclasses.replace(readings.select(light), wrench=None)
     return rigid(readings.position, predict_readings(readings, cell, nominal_parameters(cell)))[2]
-
-
-def refitted(readings: Readings, cell: Cell) -> float:
-    """Return what the cell file's model leaves of the deflections with fitted stiffnesses, m per coordinate.
-
-    NaN where the loads bend no robot.
-    """
-    model = nominal_parameters(cell)
-    try:
-        problem = build_problem(readings, cell, chain_of(cell), model)
-        ratio = _ratio(problem, fit_compliance(problem, model.compliance).compliance)
-    except (EquilibriumError, IdentificationError):
-        return float("nan")
-    return ratio * coordinate_std(position_covariance(readings, cell))
 
 
 def _reproduction(readings: Readings, cell: Cell, model: ModelParameters, seen: float | None) -> Reproduction:

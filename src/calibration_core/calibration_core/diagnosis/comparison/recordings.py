@@ -8,7 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.comparison.joints import by_posture, joint_differences, postures, relation
+from calibration_core.diagnosis.comparison.joints import (
+    Link,
+    as_recorded,
+    by_posture,
+    joint_differences,
+    postures,
+    relation,
+)
 from calibration_core.diagnosis.comparison.model import Misfit, misfit, reproduction, rigid_misfit
 from calibration_core.diagnosis.comparison.points import Placed, place, position_unit, rigid
 from calibration_core.diagnosis.comparison.result import (
@@ -30,12 +37,11 @@ from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import posture, turned
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
+from calibration_core.policy import FEWEST_READINGS
 from calibration_core.timeseries import Bool1D, Float3D, Int1D, Readings
 
-FEWEST = 4  # readings that a comparison needs
-NEARER = 0.3  # times the distance: without weight so much nearer, a simulation was made without
-IN_MM = 1e-3  # m
 WRENCHES = ("wrench_sign", "wrench_unit", "wrench_frame")
+ANGLES = ("joint_order", "angle_unit", "wrong_robot_file")
 WRONG_FILE = 0.0025  # of the reach, m per coordinate: farther apart, the two are not the same robot
 
 
@@ -64,7 +70,7 @@ def compare(
     found = [*described, *off, *pairing.differences]
     heard: tuple[Witness, ...] = ()
     steps = postures = None
-    if len(pairing.recorded) >= FEWEST:
+    if len(pairing.recorded) >= FEWEST_READINGS:
         ours, theirs = recorded.select(pairing.recorded), simulated.select(pairing.simulated)
         chain = chain_of(cell)
         if ours.wrench is not None and theirs.wrench is None:
@@ -103,7 +109,7 @@ def compare(
         sentences=_sentences(notes, found, steps, postures),
         witnesses=heard,
         rows=pairing.recorded,
-        positions=simulated.position[pairing.simulated],
+        simulated=simulated.select(pairing.simulated),
     )
 
 
@@ -115,7 +121,7 @@ def _without_weight(
         return None, ()
     robot = cell.robot.model_copy(update={"gravity": (0.0, 0.0, 0.0)})
     again = reproduction(simulated, cell.model_copy(update={"robot": robot}), seen)
-    if not again.absolute_rms < NEARER * same.absolute_rms:
+    if farther_off(again.absolute_rms, same.absolute_rms) != "simulation":
         return None, ()
     text = (
         f"The simulation leaves the robot's own weight out: without it its positions are "
@@ -135,7 +141,7 @@ def with_loads(recorded: Readings, simulated: Readings, cell: Cell) -> tuple[Rea
     if recorded.wrench is None or not np.abs(recorded.wrench).max(initial=0.0) > SMALL:
         return simulated, ()
     pairing = _paired(recorded, simulated, cell)
-    if len(pairing.recorded) < FEWEST:
+    if len(pairing.recorded) < FEWEST_READINGS:
         return simulated, ()
     ours, theirs = recorded.select(pairing.recorded), simulated.select(pairing.simulated)
     if not np.any(np.ptp(ours.step) > 0):
@@ -163,12 +169,9 @@ def put_right(recorded: Readings, simulated: Readings, cell: Cell, wrong: Sequen
     wrench = theirs.wrench
     for difference in wrong:
         if difference.kind == "position_unit":
-            theirs = dataclasses.replace(theirs, position=theirs.position * IN_MM)
-        elif difference.kind == "angle_unit":
-            columns = [cell.robot.joints.index(name) for name in difference.further["joints"]]
-            q = theirs.q.copy()
-            q[:, columns] /= difference.further["factor"]
-            theirs = dataclasses.replace(theirs, q=q)
+            theirs = dataclasses.replace(theirs, position=theirs.position * difference.further["factor"])
+        elif difference.kind in ANGLES and "joint" in difference.location:
+            theirs = dataclasses.replace(theirs, q=as_recorded(pairing.links, simulated.q[pairing.simulated]))
         elif difference.kind in WRENCHES and ours.wrench is not None and wrench is not None:
             axes = sensor_axes(ours, cell, chain_of(cell))
             theirs = dataclasses.replace(theirs, wrench=read_as(ours.wrench, wrench, axes))
@@ -179,11 +182,12 @@ def put_right(recorded: Readings, simulated: Readings, cell: Cell, wrong: Sequen
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Pairing:
-    """Rows that belong together, and what had to be seen through to find them."""
+    """Rows that belong together, what had to be seen through to find them, and how the joints' angles are related."""
 
     recorded: Int1D
     simulated: Int1D
     differences: tuple[Difference, ...]
+    links: tuple[Link, ...]
 
     def without(self, aside: Bool1D) -> _Pairing:
         """Return the pairs of which the simulated row, (m,), is not set aside."""
@@ -218,7 +222,8 @@ def _paired(recorded: Readings, simulated: Readings, cell: Cell) -> _Pairing:
     if links is not None and pairs and not all(link.plain and link.joint == i for i, link in enumerate(links)):
         side = _joint_side(recorded.select(left), simulated.select(right), cell)
         found = [*joint_differences(links, cell.robot.joints, side), *found]
-    return _Pairing(left, right, (*found, *_steps(recorded, simulated), *_points(recorded, simulated)))
+    found += [*_steps(recorded, simulated), *_points(recorded, simulated)]
+    return _Pairing(left, right, tuple(found), links or ())
 
 
 def _keys(readings: Readings, number: dict[int, int]) -> list[tuple[int, int, str] | None]:

@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
+from calibration_core.policy import CLEARLY
+from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D, Readings
 
 Side = Literal["simulation", "recording", "either"]
-CLEARLY = 3.0  # times worse than the other
 WHOSE: Mapping[Side, str] = {
     "simulation": "The recording agrees with the cell file, the simulation does not.",
     "recording": "The simulation agrees with the cell file, the recording does not.",
@@ -45,7 +45,7 @@ class Difference:
         unit: Of the size.
         text: One sentence.
         spoils: Whether deflections cannot be compared, and the side's physics not be trusted, because of it.
-        remedy: How to put the recording right where it is at fault, in words.
+        remedy: How to put right the one that is at fault, in words; the recording where it may be either.
         further: `factor`, `joints`, `points` or `axes` of the anomaly.
     """
 
@@ -240,8 +240,8 @@ class Witness:
         what: `wrench`, `joint angles`, `temperature` or `time`.
         wrong: Which of the two.
         channels: One by one.
-        left: m per coordinate that a fit leaves with what the recording says, and with what the simulation says; None
-            where positions cannot judge.
+        left: m per coordinate that the model leaves of configurations left out, with what the recording says and with
+            what the simulation says; None where positions cannot judge.
         text: One sentence.
     """
 
@@ -301,7 +301,7 @@ class Comparison:
         sentences: The whole in words.
         witnesses: What the two say differently of loads, angles and conditions.
         rows: Rows of the recording that correspond.
-        positions: (k, 3) m, what the simulation says at these, as it was read.
+        simulated: What the simulation says at these, as it was read.
         waterfall: From the simulation to the noise; empty where the two cannot be compared so.
         pattern: The strongest pattern of the difference in words; empty where there is none.
         improved: The simulation by the model that is handed out; None without a waterfall.
@@ -319,7 +319,7 @@ class Comparison:
     sentences: tuple[str, ...]
     witnesses: tuple[Witness, ...]
     rows: Int1D
-    positions: Float2D
+    simulated: Readings
     waterfall: tuple[WaterfallStep, ...] = ()
     pattern: str = ""
     improved: ImprovedSimulation | None = None

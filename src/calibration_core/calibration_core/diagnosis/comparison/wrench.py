@@ -8,13 +8,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calibration_core.diagnosis.comparison.result import Difference, Side
+from calibration_core.diagnosis.comparison.result import Difference, Side, farther_off
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 SAME = 0.08  # of the recorded force: below, two wrenches are the same
 CLOSE = 0.01  # the same: of two ways this close the simpler one is taken
 TORQUE = 0.2  # the same for the torque
-REST = 0.3  # of what the torques differ by, that another reference point may leave
 UNITS = {1.0: "", 1e3: "a factor of 1000 (kN for N)", 9.80665: "a factor of 9.81 (kilograms for N)"}
 SMALL = 1e-6  # N: no load
 ENOUGH = 3  # of the six axes that agree: the loads are the same, and the others are a witness's fault
@@ -76,10 +75,8 @@ def read_as(recorded: Float2D, simulated: Float2D, axes: Float3D) -> Float2D:
     if way is None:
         return simulated
     force, torque = _forward(way, simulated[:, :3]), _forward(way, simulated[:, 3:])
-    arm = _arm(force, recorded[:, 3:] - torque)
-    others = (torque, 1e3 * torque, 1e-3 * torque, torque + np.cross(arm, force))
-    misfit = [float(np.sum((recorded[:, 3:] - one) ** 2)) for one in others]
-    return np.hstack([force, others[int(np.argmin(misfit * np.array([REST, 1.0, 1.0, 1.0])))]])
+    factor, arm = _reduced(recorded, torque)
+    return np.hstack([force, factor * torque + np.cross(arm, force)])
 
 
 def likened(recorded: Float2D, simulated: Float2D) -> bool:
@@ -139,8 +136,9 @@ def _named(way: _Way, side: Side) -> Iterator[Difference]:
     if size != 1.0:
         words = next(text for factor, text in UNITS.items() if max(size, 1 / size) == factor)
         text = f"The forces differ by {words}; the {'simulation' if size > 1 else 'recording'} has the smaller numbers."
-        remedy = f"give forces in N and torques in N·m: multiply them by {1 / size:g}"
-        yield Difference("wrench_unit", where, side, size, "1", text, True, remedy, {"factor": 1 / size})
+        by = size if side == "simulation" else 1 / size
+        remedy = f"give forces in N and torques in N·m: multiply them by {by:g}"
+        yield Difference("wrench_unit", where, side, size, "1", text, True, remedy, {"factor": by})
     if way.name:
         text = (
             f"The wrench is recorded in other axes: the simulation's are {way.name[3:]}, the recording's are not."
@@ -148,37 +146,44 @@ def _named(way: _Way, side: Side) -> Iterator[Difference]:
             else f"The wrench is recorded in other axes: {way.name} of the simulation."
         )
         remedy = "correct measurements.wrench_axes or frames.force_torque in the cell file"
+        if side == "simulation":
+            remedy = "give the simulated wrench in the axes of the sensor"
         axes = way.name.removeprefix("x, y, z of the recording are ")
         yield Difference("wrench_frame", where, side, 1.0, "1", text, True, remedy, {"axes": axes})
 
 
 def _reference(recorded: Float2D, simulated: Float2D, way: _Way, side: Side) -> Iterator[Difference]:
     """Yield what makes the torques differ once the forces agree: the point to which they are reduced, or the unit."""
-    force, torque = recorded[:, :3], recorded[:, 3:]
-    rest = torque - _forward(way, simulated[:, 3:])
+    factor, arm = _reduced(recorded, _forward(way, simulated[:, 3:]))
+    where, length = {"sensor": "force_torque"}, float(np.linalg.norm(arm))
+    if factor != 1.0:
+        text = "The torques differ by a factor of 1000 (N·mm for N·m), the forces do not."
+        by = factor if side == "simulation" else 1 / factor
+        remedy = f"give torques in N·m: multiply them by {by:g}"
+        yield Difference("wrench_unit", where, side, factor, "1", text, True, remedy, {"factor": by})
+    elif length:
+        vector = ", ".join(f"{1e3 * x:z.0f}" for x in arm)
+        away = f"{1e3 * length:.0f} mm away ({vector} mm in the axes of the wrench)"
+        text = f"The wrench is reduced to another point, {away}."
+        remedy = "correct measurements.wrench_at or frames.force_torque in the cell file"
+        yield Difference("wrench_frame", where, side, length, "m", text, True, remedy)
+
+
+def _reduced(recorded: Float2D, torque: Float2D) -> tuple[float, Float1D]:
+    """Return factor and arm, (3,) m, that take torques to the recorded ones; 1 and zeros where these are the same."""
+    force, rest = recorded[:, :3], recorded[:, 3:] - torque
     size = float(np.sqrt(np.mean(force**2)))
-    scale = max(float(np.sqrt(np.mean(torque**2))), REMOTE * size)
+    near = TORQUE * max(float(np.sqrt(np.mean(recorded[:, 3:] ** 2))), REMOTE * size)
     before = float(np.sqrt(np.mean(rest**2)))
-    if before < TORQUE * scale:
-        return
-    where = {"sensor": "force_torque"}
+    if before < near:
+        return 1.0, np.zeros(3)
     for factor in (1e3, 1e-3):
-        if float(np.sqrt(np.mean((torque - factor * _forward(way, simulated[:, 3:])) ** 2))) < TORQUE * scale:
-            text = "The torques differ by a factor of 1000 (N·mm for N·m), the forces do not."
-            remedy = f"give torques in N·m: multiply them by {1 / factor:g}"
-            yield Difference("wrench_unit", where, side, factor, "1", text, True, remedy, {"factor": 1 / factor})
-            return
+        if float(np.sqrt(np.mean((recorded[:, 3:] - factor * torque) ** 2))) < near:
+            return factor, np.zeros(3)
     arm = _arm(force, rest)
     left = float(np.sqrt(np.mean((rest - np.cross(arm, force)) ** 2)))
-    if left < min(TORQUE * scale, REST * before) and np.linalg.norm(arm) > REMOTE:
-        vector = ", ".join(f"{1e3 * x:z.0f}" for x in arm)
-        text = (
-            f"The wrench is reduced to another point, {1e3 * np.linalg.norm(arm):.0f} mm away ({vector} mm in the axes "
-            "of the wrench)."
-        )
-        remedy = "correct measurements.wrench_at or frames.force_torque in the cell file"
-        yield Difference("wrench_frame", where, side, float(np.linalg.norm(arm)), "m", text, True, remedy)
-        return
+    shown = left < near and farther_off(before, left) == "recording" and np.linalg.norm(arm) > REMOTE
+    return 1.0, arm if shown else np.zeros(3)
 
 
 def _arm(force: Float2D, torque: Float2D) -> Float1D:
