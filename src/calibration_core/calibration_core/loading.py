@@ -21,10 +21,6 @@ def load(module: str, name: str) -> Callable[[], Any]:
     Nothing has begun yet, so that nothing is left half done, and the exit code is 0.  The function sets the handlers
     that hold from then on.
 
-    Args:
-        module: Dotted name of the module.
-        name: Name of the function in it.
-
     Raises:
         ImportError: There is no such module.
         AttributeError: The module has no such function.

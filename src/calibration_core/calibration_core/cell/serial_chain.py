@@ -65,11 +65,6 @@ def serial_chain(path: Path, base_link: str | None = None, flange: str | None = 
     Of several flanges at one joint the one is taken whose z axis lies along that joint's.  Fingers that hang at one
     link are a gripper, and no joints of the arm.  A joint that mimics one beside the chain stands at that one's zero.
 
-    Args:
-        path: The URDF.
-        base_link: Base, if it is not to be found by its name.
-        flange: Flange, likewise.
-
     Raises:
         CellError: The URDF cannot be used, a link is not in it, or it holds no chain of three joints or more.
     """

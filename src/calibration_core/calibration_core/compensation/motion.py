@@ -100,12 +100,7 @@ def _of_geometry(robot: CalibratedRobot, rest: Equilibrium, origin: Float2D, joi
 
 
 def covariance_of(columns: Float3D, estimate: GaussianEstimate) -> Float3D:
-    """Return the covariance (m, k, k) of what has the columns (m, k, p); infinite where an unknown parameter acts.
-
-    Args:
-        columns: Derivatives by the parameters of the estimate.
-        estimate: p of them.
-    """
+    """Return the covariance (m, k, k) of what has the columns (m, k, p); infinite where an unknown parameter acts."""
     spread = columns @ estimate.root()
     covariance = spread @ np.swapaxes(spread, 1, 2)
     unknown = np.isinf(estimate.std)

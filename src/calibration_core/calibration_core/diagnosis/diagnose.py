@@ -244,9 +244,6 @@ def with_location(found: Diagnosis, cell: Cell) -> Diagnosis:
 def mixed_up(compared: Sequence[Comparison]) -> Iterator[None]:
     """Say of loads beyond what the joints can carry that their recording is mixed up, where a simulation shows it.
 
-    Args:
-        compared: Recordings beside their simulations.
-
     Raises:
         IdentificationError: There were such loads.
     """

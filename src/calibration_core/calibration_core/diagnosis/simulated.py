@@ -48,11 +48,6 @@ def compare_checked(recorded: Readings, simulated: Readings, cell: Cell) -> Comp
     """Compare a recording with a simulation; what is wrong with the simulation by itself is named and set aside.
 
     Where units, signs, axes or orders differ, the simulation is not looked at further: nothing is compared then.
-
-    Args:
-        recorded: The recording.
-        simulated: What a simulation says of the same measurement.
-        cell: The cell file, by which both are read.
     """
     simulated, described = with_loads(recorded, simulated, cell)
     found = compare(recorded, simulated, cell, described=described)
@@ -77,10 +72,6 @@ def own_faults(simulated: Readings, cell: Cell) -> OwnFaults:
     """Look for moved targets and trackers, gross errors and understated noise in a simulation.
 
     They are found as those of a recording are, before any physics.
-
-    Args:
-        simulated: The simulation.
-        cell: The cell file.
     """
     look = _loaded if _stiffness_shows(simulated) else _at_rest
     try:

@@ -205,12 +205,6 @@ def _finite(estimate: GaussianEstimate) -> list[int]:
 def with_waterfall(found: Diagnosis, recorded: Readings, cell: Cell, test: Readings | None = None) -> Diagnosis:
     """Add to a diagnosis how the difference of its recording and a simulation becomes the noise.
 
-    Args:
-        found: The diagnosis, with the comparison of the two.
-        recorded: The recording.
-        cell: The cell file.
-        test: A recording that was not fitted.
-
     Raises:
         InputError: A recording cannot be predicted with the model.
         EquilibriumError: A load is beyond what the joints can carry.

@@ -43,9 +43,6 @@ class Cluster:
 def require(who: str) -> None:
     """Refuse where Dask is missing.
 
-    Args:
-        who: The command that needs it.
-
     Raises:
         InputError: It is.
     """

@@ -40,11 +40,6 @@ def run_all(client: Any, work: Callable[[Any], T], pieces: Mapping[str, Any]) ->
 
     Each value is fetched by itself: one that was lost with its worker is computed anew, and no other waits for it.
 
-    Args:
-        client: Of the cluster.
-        work: A function that workers can import.
-        pieces: Key -> argument of `work`.
-
     Raises:
         InputError: The scheduler has gone, or all workers have, and none came back.
     """

@@ -163,12 +163,7 @@ def _with_geometry(model: NullModel, found: Estimate, term: GeometryTerm) -> tup
 
 
 def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
-    """Search, and once more about the solution where it changes what everything else does.
-
-    Args:
-        model: What is fitted before any hypothesis.
-        known: What was found with other terms or readings, in which the robot sags: the search begins about it.
-    """
+    """Search, and once more about the solution where it changes what everything else does."""
     if known is None:
         known = _search(model)
     if _sags(known):

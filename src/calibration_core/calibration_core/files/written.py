@@ -47,12 +47,7 @@ def json_bytes(data: dict[str, Any]) -> bytes:
 
 
 def csv_bytes(head: Sequence[str], rows: Iterable[Iterable[object]]) -> bytes:
-    """Return a table: numbers as `number` writes them, empty where not known (NaN), texts that compute nothing.
-
-    Args:
-        head: Names of the columns.
-        rows: A cell per column.
-    """
+    """Return a table: numbers as `number` writes them, empty where not known (NaN), texts that compute nothing."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)

@@ -41,10 +41,6 @@ def found_in(rows: Sequence[Row], shares: Mapping[str, float]) -> list[tuple[str
     What sensors, targets and tracker do says nothing about a robot.  A damage does not mend itself: what an earlier
     recording showed clearly counts although the last one does not show it, unless the last one measures that backlash
     or hysteresis, and finds significantly less.
-
-    Args:
-        rows: The robot's usable recordings in the order of time.
-        shares: Effect and place -> share of the type's robots.
     """
     found: dict[str, tuple[str, float]] = {}
     damages = effects_with(Trait.DAMAGE)

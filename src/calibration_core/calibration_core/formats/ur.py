@@ -54,10 +54,6 @@ class Template:
 def ur_files(robot: ExportedRobot, template: Path | None) -> Exported:
     """Return `kinematics.yaml`.
 
-    Args:
-        robot: What is exported.
-        template: The robot's own extracted file.
-
     Raises:
         InputError: There is no template, it cannot be used, or it is another robot's.
     """

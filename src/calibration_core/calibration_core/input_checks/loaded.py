@@ -64,14 +64,7 @@ class Meant:
 
 
 def check_loaded(motion: Motion, given: Reading, readings: dict[str, Reading], facts: CellSizes) -> list[InputAnomaly]:
-    """Return what is wrong with wrenches or joints; at most one fault, the one that explains by far the most.
-
-    Args:
-        motion: The motion under load.
-        given: How the cell file says the wrench is to be read.
-        readings: The other ways, by what they are called.
-        facts: What the cell file tells about sizes.
-    """
+    """Return what is wrong with wrenches or joints; at most one fault, the one that explains by far the most."""
     if motion.freedom < MANY:
         return []
     if motion.total < motion.freedom * (VISIBLE * motion.sigma) ** 2:

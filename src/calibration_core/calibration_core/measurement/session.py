@@ -75,11 +75,6 @@ class Session:
     def create(cls, directory: Path, plan_text: str, cell: Cell) -> Self:
         """Begin a session in a directory that holds none yet.
 
-        Args:
-            directory: Made if it does not exist.
-            plan_text: Content of the plan file.
-            cell: The cell; its digest ties the session to it.
-
         Raises:
             SessionError: There is a session already, or the directory cannot be written to.
         """

@@ -47,12 +47,7 @@ class CheckedCell:
 
 
 def examine(path: Path, recording: Path | None = None) -> tuple[CheckedCell | None, list[InputError]]:
-    """Look at a cell file, and at a recording if there is one; return what was found out, and every error.
-
-    Args:
-        path: The cell file.
-        recording: A recording that is to be read with it.
-    """
+    """Look at a cell file, and at a recording if there is one; return what was found out, and every error."""
     try:
         cell = load_cell(path)
     except CellError as error:

@@ -101,12 +101,6 @@ class Prediction:
 def predict(cell: Cell, given: GivenModel, readings: Readings, noted: tuple[InputAnomaly, ...] = ()) -> Prediction:
     """Predict a recording with an identified model; nothing is fitted.
 
-    Args:
-        cell: The cell.
-        given: The model.
-        readings: The recording.
-        noted: What the look at the input found that does not forbid a prediction.
-
     Raises:
         InputError: The model does not know a point of the recording, or needs data that the recording has not; or the
             recording holds reference steps alone.

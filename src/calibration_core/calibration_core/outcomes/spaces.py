@@ -22,11 +22,6 @@ from calibration_core.timeseries import Float3D, Provenance, Readings
 def scheduled_space(schedule: Schedule, cell: Cell, parameters: ModelParameters) -> OperatingSpace:
     """Return the operating space of what is to be measured, one entry per configuration at its largest load.
 
-    Args:
-        schedule: All steps of all configurations.
-        cell: The cell.
-        parameters: The model that answers.
-
     Raises:
         EquilibriumError: A load is beyond what the joints can carry.
     """

@@ -46,10 +46,6 @@ VERDICTS = (None, True, False)
 def read_session(path: Path, cell: Cell) -> tuple[Readings, tuple[tuple[Condition, ...], ...]]:
     """Read what a session has confirmed, whether or not it is still being written to.
 
-    Args:
-        path: Directory of the session, or its database.
-        cell: Names of joints and points.
-
     Returns:
         The readings in the order of time, and how the standard's conditions stood: every change.
 

@@ -68,13 +68,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> str:
 
 
 def compared_summary(diagnosis: Diagnosis, compared: Comparison, light: Sequence[str]) -> list[str]:
-    """Return the answer of one recording beside its simulation: what differs, how it becomes the noise, what to use.
-
-    Args:
-        diagnosis: The diagnosis.
-        compared: Its comparison.
-        light: Whether the result can be used, and what next.
-    """
+    """Return the answer of one recording beside its simulation: what differs, how it becomes the noise, what to use."""
     lines = [*light, f"verdict: {diagnosis.verdict}: {headline(diagnosis)}"]
     lines += [one.sentence for one in compared.differences]
     lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in diagnosis.anomalies]

@@ -46,12 +46,7 @@ def run(arguments: argparse.Namespace) -> str:
 
 
 def files_of(found: Compared, *, report: bool) -> dict[str, Content]:
-    """Return everything that the command writes: file name -> content.
-
-    Args:
-        found: What was compared.
-        report: Whether the report is among it.
-    """
+    """Return everything that the command writes: file name -> content."""
     content = comparison_result(found)
     result = result_json(content)
     files: dict[str, Content] = {RESULT: result}

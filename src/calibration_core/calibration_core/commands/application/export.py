@@ -57,10 +57,6 @@ def run(arguments: argparse.Namespace) -> str:
 def refuse_idle(stated: Collection[str], form: str) -> None:
     """Refuse stated options that have no effect on a format.
 
-    Args:
-        stated: The options that are stated.
-        form: The format.
-
     Raises:
         InputError: There is one.
     """

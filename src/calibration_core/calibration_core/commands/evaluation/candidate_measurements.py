@@ -30,11 +30,6 @@ def offers_for(readings: Readings, cell: Cell, seed: int = 0) -> Offers | None:
     No joint goes beyond its limits, no force beyond the rated load or the largest of the recording (the sensor has
     proven that range), and the steps are those of the recording; a recording without loads is offered postures.
 
-    Args:
-        readings: The recording.
-        cell: The cell file.
-        seed: The same seed gives the same offers.
-
     Returns:
         The offers; none if no posture is fit; None where a recording is loaded and there is no wrench point to pull at.
     """

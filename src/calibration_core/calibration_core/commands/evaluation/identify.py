@@ -114,11 +114,6 @@ def run(arguments: argparse.Namespace) -> str:
 def refuse_idle(stated: Collection[str], recordings: Sequence[Readings], *, robust: bool) -> None:
     """Refuse stated options that have no effect on these recordings.
 
-    Args:
-        stated: The options that are stated.
-        recordings: What is evaluated.
-        robust: Whether gross errors are set aside.
-
     Raises:
         InputError: There is one.
     """
@@ -132,10 +127,6 @@ def refuse_idle(stated: Collection[str], recordings: Sequence[Readings], *, robu
 
 def refuse_unknown(keys: Collection[Key], readings: Readings) -> None:
     """Refuse to use a reading after all that the recordings do not hold.
-
-    Args:
-        keys: The readings: configuration, step, point.
-        readings: All recordings as one.
 
     Raises:
         InputError: There is one.
@@ -155,13 +146,6 @@ def evaluate_all(
     given: GivenModel | None = None,
 ) -> Identified | Refusal:
     """Do what `evaluate` does with one recording, or with several of one robot together.
-
-    Args:
-        recordings: One or more.
-        cells: One for each.
-        options: How to evaluate.
-        test: A recording of the first one's set-up that is predicted, not fitted.
-        given: A model to start from.
 
     Raises:
         InputError: The input cannot be used.

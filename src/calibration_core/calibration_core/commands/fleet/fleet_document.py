@@ -46,15 +46,7 @@ STATEMENT = (
 def fleet_report(
     plant: Plant, rows: Sequence[Row], source: str, proposed: Sequence[Proposal], result: bytes
 ) -> dict[str, Content]:
-    """Return `report.html` and `report.pdf`.
-
-    Args:
-        plant: What all rows say.
-        rows: Of the data set.
-        source: The manifest or folder.
-        proposed: What to measure next.
-        result: The bytes of result.json, for the report's number.
-    """
+    """Return `report.html` and `report.pdf`."""
     document = fleet_document(plant, rows, source, proposed, result)
     return {REPORT_HTML: render_fleet_html(document, page_data(plant)), REPORT_PDF: render_pdf(document)}
 

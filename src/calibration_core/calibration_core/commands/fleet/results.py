@@ -22,14 +22,7 @@ SHOWN = 5  # robots and failures named in the summary
 
 
 def fleet_files(plant: Plant, rows: Sequence[Row], source: str, *, report: bool) -> dict[str, Content]:
-    """Return all files but the data set: file name -> content.
-
-    Args:
-        plant: What all rows say.
-        rows: Of the data set.
-        source: The manifest or folder.
-        report: Whether `report.html` and `report.pdf` are among them.
-    """
+    """Return all files but the data set: file name -> content."""
     proposed = proposals(plant)
     result = result_json(fleet_result(plant, rows, source, proposed))
     digest = data_set_digest(rows)

@@ -64,15 +64,7 @@ def look_at_all(
     test: Readings | None,
     given: GivenModel | None,
 ) -> Refusal | tuple[Anomaly, ...]:
-    """Return the refusal of the first recording that cannot be used, or else what is wrong with any of them.
-
-    Args:
-        command: The one that asks.
-        recordings: Two or more.
-        cells: One for each.
-        test: What the first is tested on.
-        given: A model to start from.
-    """
+    """Return the refusal of the first recording that cannot be used, or else what is wrong with any of them."""
     noted: tuple[Anomaly, ...] = ()
     for k, (readings, cell) in enumerate(zip(recordings, cells, strict=True)):
         seen = look(readings, test if k == 0 else None, cell)

@@ -46,12 +46,7 @@ def run(arguments: argparse.Namespace) -> str:
 
 
 def completion(shell: str, parser: argparse.ArgumentParser) -> str:
-    """Return the script for a shell, made from the program's own arguments.
-
-    Args:
-        shell: One of `SHELLS`.
-        parser: The program's arguments.
-    """
+    """Return the script for a shell, made from the program's own arguments."""
     commands = _commands(parser)
     return {"bash": _bash, "zsh": _zsh, "fish": _fish}[shell](commands)
 

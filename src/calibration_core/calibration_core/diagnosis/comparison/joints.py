@@ -79,13 +79,7 @@ def as_recorded(links: Sequence[Link], simulated: Float2D) -> Float2D:
 
 
 def joint_differences(links: Sequence[Link], joints: Sequence[str], side: Side) -> tuple[Difference, ...]:
-    """Say in which way the joints are not the same.
-
-    Args:
-        links: One per recorded joint.
-        joints: Their names.
-        side: Which recording disagrees with the cell file.
-    """
+    """Say in which way the joints are not the same."""
     found: list[Difference] = []
     moved = [i for i, link in enumerate(links) if link.joint != i]
     if moved:

@@ -257,11 +257,6 @@ def _joint_side(ours: Readings, theirs: Readings, cell: Cell) -> Side:
     The positions of either are held against its own angles and against those of the other: those of a simulation fit
     their own angles nearly without error, unless these are wrong.  What turns the whole robot, as another zero of its
     first joint does, the stated tracker frame decides.
-
-    Args:
-        ours: Rows of the recording.
-        theirs: The corresponding rows of the simulation.
-        cell: The cell file.
     """
     if cell.measurements.points == "displacement":
         return farther_off(misfit(ours, cell).deflection, misfit(theirs, cell).deflection)
@@ -296,16 +291,7 @@ def _decided(found: Sequence[Difference], recorded: Readings, simulated: Reading
 def _frames(
     ours: Readings, theirs: Readings, cell: Cell, chain: Chain, far: tuple[Misfit, Misfit], *, known: bool
 ) -> tuple[list[Difference], Placed | None]:
-    """Compare positions; of displacements only their size says something.
-
-    Args:
-        ours: Rows of the recording.
-        theirs: The corresponding rows of the simulation.
-        cell: The cell file.
-        chain: The robot.
-        far: How far both are from the cell file's model.
-        known: Whether joints or protocol differ already, so that another robot is no explanation of its own.
-    """
+    """Compare positions; of displacements only their size says something."""
     if cell.measurements.points == "displacement":
         return _displacement_unit(ours, theirs), None
     differences = [bool(np.all(r.position[r.step == 0] == 0.0) and np.any(r.step == 0)) for r in (ours, theirs)]

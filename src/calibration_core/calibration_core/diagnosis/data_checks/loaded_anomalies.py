@@ -46,12 +46,7 @@ class Checked:
 
 
 def check_each(prepared: PreparedLoaded, state_of: Callable[[LoadedProblem], State]) -> Checked:
-    """Look at every recording by itself: each has points, a tracker and a quiet of its own.
-
-    Args:
-        prepared: The null model's fit, of one recording or of several.
-        state_of: Returns the null model's state of the readings of a problem.
-    """
+    """Look at every recording by itself: each has points, a tracker and a quiet of its own."""
     readings = prepared.problem.readings
     found: list[Anomaly] = []
     sound = np.ones(len(readings), dtype=bool)
@@ -64,12 +59,7 @@ def check_each(prepared: PreparedLoaded, state_of: Callable[[LoadedProblem], Sta
 
 
 def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
-    """Look for targets and a tracker that moved, loose targets and restless configurations.
-
-    Args:
-        prepared: The null model's fit.
-        state: Its state, all readings.
-    """
+    """Look for targets and a tracker that moved, loose targets and restless configurations."""
     readings = prepared.problem.readings
     sound = np.ones(len(readings), dtype=bool)
     if prepared.frames is None:

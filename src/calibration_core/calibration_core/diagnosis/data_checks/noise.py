@@ -191,11 +191,6 @@ def _group(
 def _steps(readings: Readings, inside: Int1D, points: Int1D) -> tuple[Int2D, Float2D] | None:
     """Return the whole steps of one configuration and what physics may do along them; None with fewer than three.
 
-    Args:
-        readings: All readings.
-        inside: Indices of those of the configuration.
-        points: The points of a whole step.
-
     Returns:
         index: (s, p) readings of the steps at which all points were read.
         smooth: (s, q) smooth functions of the load along these steps.

@@ -138,11 +138,7 @@ class _Rest:
 
 
 def empirical_law(extended: ExtendedLoadedModel) -> Law | None:
-    """Search the rest of an extended model for a sparse law; None where none passes.
-
-    Args:
-        extended: The extended model, whose rest is significant.
-    """
+    """Search the rest of an extended model for a sparse law; None where none passes."""
     rest = _rest(extended)
     if rest is None:
         return None
@@ -330,12 +326,7 @@ def _refined(rest: _Rest, accepted: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _held_out_gain(rest: _Rest, size: int) -> float | None:
-    """Return the share of the squared error saved where the law is searched without what it predicts; None: too little.
-
-    Args:
-        rest: The recording.
-        size: Number of terms.
-    """
+    """Return the share of squared error saved where the law is searched without what it predicts; None: too little."""
     folds = rest.place % min(FOLDS, rest.factors.shape[1])
     before, after = [], []
     for fold in np.unique(folds):

@@ -128,10 +128,6 @@ def _scaled(design: Design, accepted: tuple[int, ...]) -> tuple[Float2D, Float1D
 def solutions(design: Design, accepted: tuple[int, ...]) -> tuple[Float1D, dict[int, Float1D]]:
     """Fit the model to all configurations, and to all but one for every one; effects as physics allows them.
 
-    Args:
-        design: The whitened model.
-        accepted: Its effects, which keep their priors.
-
     Returns:
         Factors (n + p,) of the columns of null model and effects, and by configuration left out the same.
     """
@@ -219,11 +215,7 @@ TINY = 1e-12  # of columns of length one: directions below it stay as they are
 
 
 def scattered_covariance(extended: ExtendedLoadedModel) -> Float2D:
-    """Return the (n, n) covariance of the compliances, (rad/(N*m))^2, each variance at least that of the scatter.
-
-    Args:
-        extended: The extended model of a loaded recording.
-    """
+    """Return the (n, n) covariance of the compliances, (rad/(N*m))^2, each variance at least that of the scatter."""
     design = extended.design
     columns = design.known(extended.accepted)
     length = np.linalg.norm(columns, axis=0)

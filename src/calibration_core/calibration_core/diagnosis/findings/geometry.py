@@ -302,13 +302,7 @@ def _finding(
 
 
 def _preload(extended: Extended, one: GeometryFault, score: float) -> tuple[Alternative, ...]:
-    """Return the spring found beside a joint whose zero is off: at rest its mean torque moves the points alike.
-
-    Args:
-        extended: The fit with all findings but those of geometry.
-        one: What was found of the geometry.
-        score: Its log Bayes factor, nats, which the spring would have in its stead.
-    """
+    """Return the spring found beside a joint whose zero is off: at rest its mean torque moves the points alike."""
     springs = (part.candidate for part in extended.parts if part.candidate.effect == SPRING)
     if extended.model.state.loaded or one.candidate.effect != ZERO_OFFSET:
         return ()

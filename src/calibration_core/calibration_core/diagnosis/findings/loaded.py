@@ -158,10 +158,6 @@ def rejected_candidates(extended: ExtendedLoadedModel, selection: LoadedSelectio
 
     The effect's evidence is the larger of that by which it was accepted, with the prior of its physics, and that by
     the measure of the law, which knows no prior.
-
-    Args:
-        extended: The extended model with all choices.
-        selection: The choices.
     """
     found = []
     for choice in selection.choices:
@@ -175,13 +171,7 @@ def rejected_candidates(extended: ExtendedLoadedModel, selection: LoadedSelectio
 
 
 def rejection_sentence(one: RejectedCandidate, joints: tuple[str, ...], readings: Readings) -> str:
-    """Say what was not named, and why.
-
-    Args:
-        one: The effect.
-        joints: Names of the robot's joints.
-        readings: The recording.
-    """
+    """Say what was not named, and why."""
     return (
         f"Not named, although it comes near: {describe(one.candidate, readings)}. The recording says more that "
         f"{joints[one.rival.term.joint]} follows {one.rival.term.words}, which is no physics of the catalogue: "

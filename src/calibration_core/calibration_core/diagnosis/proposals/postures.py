@@ -61,13 +61,7 @@ class Known:
 
 
 def propose_postures(known: Known, cell: Cell, offers: Offers) -> Proposals:
-    """Choose among postures.
-
-    Args:
-        known: What the recording tells.
-        cell: The cell file.
-        offers: Postures that could be measured; their loads are not looked at.
-    """
+    """Choose among postures."""
     if not any(known.by_posture(index) for index in known.accepted):
         return Proposals((), NOTHING_FOUND)
     unloaded = tuple(dataclasses.replace(offer, steps=np.zeros((1, 6))) for offer in offers.each)

@@ -32,11 +32,6 @@ def are_confounded(first: Candidate, second: Candidate, joints: Sequence[str]) -
 
     Joint laws: the same joint, both with memory or both without.  Structure: the same or neighbouring parts.  Load
     chain and point chain: always.  What a law with memory leaves goes on in time, as a drift does.
-
-    Args:
-        first: A candidate.
-        second: Another.
-        joints: Names of the robot's joints, from the base on.
     """
     effects, memory = {first.effect, second.effect}, effects_with(Trait.MEMORY)
     if effects & memory and effects & effects_with(Trait.DRIFT):
@@ -95,14 +90,7 @@ def parts(location: Mapping[str, str | tuple[str, ...]], joints: Sequence[str]) 
 
 
 def lent(search: Search, accepted: Accepted, index: int, joints: Sequence[str]) -> Float1D:
-    """Return the signal-to-noise ratios, (c,), that an accepted hypothesis lends to what is confounded with it.
-
-    Args:
-        search: Rows, hypotheses and what was asked of them.
-        accepted: What was accepted.
-        index: The hypothesis, one of these.
-        joints: Names of the robot's joints, from the base on.
-    """
+    """Return the signal-to-noise ratios, (c,), that an accepted hypothesis lends to what is confounded with it."""
     others = tuple(i for i in accepted if i != index)
     without_small_effects = search.fitted(others)[:1]
     seen = visible(without_small_effects, search.field.blocks((index,))[0])[1]

@@ -36,14 +36,7 @@ SEEN = 1e-9  # of the squared length of a form's columns: what is left of less i
 def with_alternatives(
     extended: Extended, search: Search, selection: Selection, members: Mapping[int, Sequence[int]]
 ) -> Extended:
-    """Return the extended model with a covariance that says what place and form of structural effects leave open.
-
-    Args:
-        extended: The model.
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-        members: Hypothesis accepted -> indices of its parts in the model.
-    """
+    """Return the extended model with a covariance that says what place and form of structural effects leave open."""
     hypotheses = search.field.offered.hypotheses
     ways = [np.zeros((len(extended.length), 0))]
     for index in selection.accepted:

@@ -24,11 +24,6 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
 
     What is far more probable than the finding is none of them: the search tried it, and refused it.
 
-    Args:
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-        members: Accepted hypotheses of one finding.
-
     Returns:
         Hypothesis and its log Bayes factor, nats; at most five, nearest first.
     """
@@ -60,11 +55,6 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
 def other_places(search: Search, selection: Selection, index: int) -> tuple[tuple[int, float], ...]:
     """Return single other places that do as well as an accepted hypothesis, or would had its fit been the truth.
 
-    Args:
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-        index: An accepted hypothesis.
-
     Returns:
         Hypothesis and its log Bayes factor, nats: one for every place, nearest first.
     """
@@ -87,11 +77,6 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
     """Return single other places that would explain the data as well had the accepted hypothesis's fit been the truth.
 
     Between exact aliases the sizes that are usual decide alone, which the recording knows nothing of.
-
-    Args:
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-        index: An accepted hypothesis.
 
     Returns:
         Hypothesis and its log Bayes factor, nats: that of the accepted one less what would be lost.

@@ -39,13 +39,7 @@ SELDOM = 0.05  # probability below which a level is no part of a 95 % interval
 
 
 def with_unnamed(extended: Extended, search: Search, selection: Selection) -> Extended:
-    """Return the extended model with a covariance that says what small effects leave open.
-
-    Args:
-        extended: The model.
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-    """
+    """Return the extended model with a covariance that says what small effects leave open."""
     offered, small = search.field.offered, _small(search, selection)
     unit = shared_power(np.diag(search.field.gram.matrix), offered.candidates, offered.blocks)
     of_laws = _of_laws(search, selection, extended.parameters.joints)

@@ -146,12 +146,7 @@ class Grouped:
 
 
 def gains(seen: Seen, blocks: Grouped) -> Gains:
-    """Return what every block gains at its best size.
-
-    Args:
-        seen: The columns beside what is accepted.
-        blocks: The h blocks.
-    """
+    """Return what every block gains at its best size."""
     taken, vector = seen.of(blocks.asked)
     nats, best, left = np.zeros((blocks.count, 1)), np.zeros((blocks.count, 1)), np.ones((blocks.count, 1))
     for chosen, worth, paid in _worth(seen, blocks, taken, vector[:, None], seen.square):

@@ -144,12 +144,7 @@ def local_copies(entry: Entry) -> Iterator[tuple[Path, Path]]:
 
 
 def description_of(cell: str, document: object) -> str | None:
-    """Return where the robot description lies that a cell file names; None where it names none.
-
-    Args:
-        cell: Path or URL of the cell file.
-        document: Its content.
-    """
+    """Return where the robot description lies that a cell file names; None where it names none."""
     robot = document.get("robot") if isinstance(document, Mapping) else None
     urdf = robot.get("urdf") if isinstance(robot, Mapping) else None
     if not isinstance(urdf, str) or "\0" in urdf:

@@ -78,13 +78,7 @@ def keep(out: Path, entry: Entry, row: Row, result: bytes) -> None:
 
 
 def kept(out: Path, entry: Entry, version: str) -> Row | None:
-    """Return the row of a recording that is done and unchanged; None: it is to be done.
-
-    Args:
-        out: Output folder.
-        entry: The recording.
-        version: That evaluates now.
-    """
+    """Return the row of a recording that is done and unchanged; None: it is to be done."""
     from calibration_core.fleet.recordings.inputs import digest_of
 
     path = folder_of(out, entry) / ROW

@@ -56,11 +56,7 @@ class EvaluatedRecording:
 
 
 def measure(entry: Entry) -> EvaluatedRecording:
-    """Evaluate one recording; whatever is wrong with it becomes a row with one line of error.
-
-    Args:
-        entry: The recording; the worker sees the same paths as the one that asks.
-    """
+    """Evaluate one recording; whatever is wrong with it becomes a row with one line of error."""
     begun = time.process_time()
     files: list[InputFile] = []
     content: dict[str, Any] = {}

@@ -114,14 +114,7 @@ def identify_absolute(
 def identification_of(
     case: Evaluated, readings: Readings, cell: Cell, *, test: Readings | None = None
 ) -> Identification:
-    """Say in values and figures what was decided.
-
-    Args:
-        case: The evaluated recording.
-        readings: The recording.
-        cell: The cell file.
-        test: A second recording, predicted but not fitted.
-    """
+    """Say in values and figures what was decided."""
     chain = case.problem.chain
     covariance = position_covariance(readings, cell)
     result = case.staged.final.fit

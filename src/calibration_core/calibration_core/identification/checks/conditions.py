@@ -64,13 +64,7 @@ class CellState:
 
 
 def judge(state: CellState, cell: Cell, overrides: Iterable[Override] = ()) -> tuple[Condition, ...]:
-    """Judge every condition.
-
-    Args:
-        state: What is known now.
-        cell: For the rated load.
-        overrides: By whom which condition is overridden; the last of equals counts.
-    """
+    """Judge every condition."""
     found = (
         _temperature(state),
         _stable(state),
@@ -172,10 +166,6 @@ def _speed(state: CellState) -> Condition:
 
 def expected_ratio(planned: Sequence[Loading], cell: Cell) -> float:
     """Return the expected deflection over its expanded uncertainty (k = 2), rms over configurations and points.
-
-    Args:
-        planned: Configurations with their loads.
-        cell: The cell, with nominal stiffnesses.
 
     Returns:
         The test uncertainty ratio, NaN where stiffness, load or the tracker's uncertainty is not known.

@@ -241,12 +241,6 @@ def fit(
 ) -> GeometryFit:
     """Minimise the weighted sum of squares by Gauss-Newton under the terms' bounds, damped where a step fails.
 
-    Args:
-        problem: The readings.
-        start: First guess.
-        terms: What is fitted.
-        prior: What is known of the same terms already; its part of the sum counts like that of the readings.
-
     Raises:
         EquilibriumError: The start does not carry the robot's own weight.
     """

@@ -97,15 +97,7 @@ def rpy_by_rotation(rotation: Float2D) -> Float2D:
 def parameter_table(
     cell: Cell, parameters: ModelParameters, uncertainty: Uncertainty, choice: ParameterSelection, read: tuple[str, ...]
 ) -> tuple[ParameterEstimate, ...]:
-    """List tracker pose, points and geometry; what was not fitted is listed with its nominal value.
-
-    Args:
-        cell: For the nominal values.
-        parameters: The kept model.
-        uncertainty: Of what was fitted.
-        choice: Corrections of the geometry that can be identified, and those that stay nominal.
-        read: Names of the measurement points that were read.
-    """
+    """List tracker pose, points and geometry; what was not fitted is listed with its nominal value."""
     table = _frames(cell, parameters.tracker, {point: parameters.points[point] for point in read}, uncertainty)
     ordered = sorted((*choice.chosen, *choice.nominal), key=lambda c: (c.joint, c.kind))
     return (*table, *(_geometry(candidate, parameters, uncertainty) for candidate in ordered))

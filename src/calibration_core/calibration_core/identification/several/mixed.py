@@ -114,11 +114,6 @@ class Parts:
 def parts_of(readings: Readings, cell: Cell, options: Options) -> Parts:
     """Take a recording for two, its loaded configurations and its postures at rest.
 
-    Args:
-        readings: The recording; what is known was taken off.
-        cell: The cell file.
-        options: How to evaluate.
-
     Raises:
         InputError: A part cannot be evaluated by itself.
     """
@@ -174,12 +169,6 @@ def set_ups(readings: Readings, cell: Cell, options: Options) -> Parts | str:
 
 def identify_mixed(readings: Readings, cell: Cell, options: Options, test: Readings | None = None) -> Identification:
     """Identify stiffness and geometry from a recording that holds both kinds, any number of either.
-
-    Args:
-        readings: One recording, or several that were merged.
-        cell: The cell file.
-        options: How to evaluate.
-        test: A second recording, predicted but not fitted.
 
     Returns:
         The answer of a loaded recording; where fewer than two configurations were loaded, that of postures at rest.
@@ -282,13 +271,7 @@ SET_UP = ("tracker", "point")  # groups of parameters that belong to no robot
 
 
 def of_set_up(model: ModelParameters, member: Member, alone: Identification) -> ModelParameters:
-    """Return a model of several set-ups with tracker pose and points of one of them.
-
-    Args:
-        model: Of all together.
-        member: The one.
-        alone: What it shows by itself.
-    """
+    """Return a model of several set-ups with tracker pose and points of one of them."""
     tracker = alone.model.tracker
     if model.setups is not None:
         tracker = model.tracker @ model.setups[member.number - 1] @ tracker

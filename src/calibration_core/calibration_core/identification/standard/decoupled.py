@@ -40,12 +40,6 @@ DISTINGUISHED = 1e-4  # variance of a difference, in units of the joint estimate
 def identify_loaded(readings: Readings, cell: Cell, options: Options, test: Readings | None = None) -> Identification:
     """Identify from the differences between loaded and unloaded steps alone, with arm and wrist apart beside it.
 
-    Args:
-        readings: The recording; a posture at rest says nothing here.
-        cell: The cell file.
-        options: How to evaluate.
-        test: A second recording, predicted but not fitted.
-
     Raises:
         InputError: As `prepare_loaded`.
     """
@@ -56,13 +50,7 @@ def identify_loaded(readings: Readings, cell: Cell, options: Options, test: Read
 def with_decoupled(
     found: Identification, prepared: PreparedLoaded, wrist_centre: Float1D | None = None
 ) -> Identification:
-    """Return the answer with arm and wrist identified apart as well, or with the reason why they are not.
-
-    Args:
-        found: The answer of the joint identification.
-        prepared: As for `identify_decoupled`.
-        wrist_centre: Likewise.
-    """
+    """Return the answer with arm and wrist identified apart as well, or with the reason why they are not."""
     try:
         return dataclasses.replace(found, decoupled=identify_decoupled(prepared, found.noise.scale, wrist_centre))
     except IdentificationError as error:

@@ -118,12 +118,6 @@ def identify_kinematics(
 ) -> Kinematics:
     """Find frames, geometry and points with covariance.
 
-    Args:
-        readings: Kinematic readings alone.
-        cell: The cell file.
-        believed: The nominal model; its tracker pose is not used.
-        robust: Set gross errors aside.
-
     Raises:
         IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
         CellError: A load was recorded and a frame for it is missing.

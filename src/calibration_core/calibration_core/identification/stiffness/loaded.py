@@ -105,14 +105,7 @@ def identify_steps(readings: Readings, cell: Cell, options: Options) -> Identifi
 def identify_prepared(
     prepared: PreparedLoaded, cell: Cell, options: Options, test: Readings | None = None
 ) -> Identification:
-    """Make the answer from what was fitted.
-
-    Args:
-        prepared: What `prepare_loaded` fitted.
-        cell: The cell file.
-        options: How it was evaluated.
-        test: A second recording, predicted but not fitted.
-    """
+    """Make the answer from what was fitted."""
     readings = prepared.problem.readings
     problem, rejection, fit, nominal = prepared.problem, prepared.rejection, prepared.fit, prepared.nominal
     chain, parameters, frames = problem.chain, prepared.parameters, prepared.frames

@@ -22,11 +22,6 @@ def predict_readings(readings: Readings, cell: Cell, model: ModelParameters) -> 
     Nothing is fitted.  For displacement recordings the difference to step 0 of the configuration and point is returned,
     as recorded.
 
-    Args:
-        readings: Angles and, for a loaded recording, wrenches.
-        cell: The cell file.
-        model: An identified model.
-
     Returns:
         (m, 3) m, tracker frame.
 

@@ -34,12 +34,7 @@ def effects_with(trait: Trait) -> frozenset[str]:
 
 
 def sizes_are_relative(candidate: Candidate, state: State) -> bool:
-    """Say whether sizes are relative: what the weight alone drives, while masses are guesses or not known.
-
-    Args:
-        candidate: The hypothesis.
-        state: Of the recording.
-    """
+    """Say whether sizes are relative: what the weight alone drives, while masses are guesses or not known."""
     known = state.chain.mass is not None and state.chain.inertials_known
     return not known and not state.loaded and candidate.effect in effects_with(Trait.BY_WEIGHT)
 

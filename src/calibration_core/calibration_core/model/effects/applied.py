@@ -24,12 +24,7 @@ def acting(candidates: Sequence[Candidate], values: Sequence[Float1D]) -> Acting
 
 
 def with_side_torques(state: State, springs: Acting) -> State:
-    """Return a state in which joints carry the torques of springs beside them, too.
-
-    Args:
-        state: What load and weight do.
-        springs: The effects, and their parameters.
-    """
+    """Return a state in which joints carry the torques of springs beside them, too."""
     if not springs:
         return state if state.side_torque is None else dataclasses.replace(state, side_torque=None)
     side = np.zeros((state.chain.n, state.m))

@@ -21,12 +21,7 @@ RECORDING = "recording"  # in the location of such an effect: the number of its 
 
 
 def in_each_recording(candidates: Sequence[Candidate], state: State) -> tuple[Candidate, ...]:
-    """Return the hypotheses, those of a set-up once for every recording.
-
-    Args:
-        candidates: The hypotheses.
-        state: Of one recording, or of several.
-    """
+    """Return the hypotheses, those of a set-up once for every recording."""
     if state.setups is None:
         return tuple(candidates)
     found: list[Candidate] = []

@@ -11,12 +11,7 @@ UNNAMED = {"empirical_law": "{place} follows a law that fits, without a known ca
 
 
 def effect_sentence(effect: str, location: Mapping[str, str | Sequence[str]]) -> str:
-    """Return an effect and its place as a sentence without full stop, for example `link 2 bends`.
-
-    Args:
-        effect: Its name in result.json.
-        location: Its place there.
-    """
+    """Return an effect and its place as a sentence without full stop, for example `link 2 bends`."""
     within = location.get("recording")
     location = {key: value for key, value in location.items() if key != "recording"}
     places = [one for value in location.values() for one in ([value] if isinstance(value, str) else value)]

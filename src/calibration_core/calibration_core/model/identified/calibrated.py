@@ -100,11 +100,6 @@ class CalibratedModel:
 def range_of(readings: Readings, cell: Cell, parameters: ModelParameters) -> ValidRange:
     """Return what a recording covers.
 
-    Args:
-        readings: The recording.
-        cell: How its wrenches are recorded.
-        parameters: Where sensor and wrench point sit.
-
     Raises:
         CellError: The robot cannot be read, or a frame that the wrench needs is missing.
     """

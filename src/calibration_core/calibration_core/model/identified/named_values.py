@@ -95,10 +95,6 @@ def with_values(parameters: ModelParameters, values: Mapping[str, float]) -> Mod
 def unit_of(name: str, prismatic: Mapping[str, bool]) -> str:
     """Return the unit of a number that is no effect's; those of effects stand in the catalogue.
 
-    Args:
-        name: As above.
-        prismatic: Joint -> whether it slides.
-
     Raises:
         KeyError: It is an effect's, or there is no such name.
     """

@@ -33,10 +33,6 @@ def agreement(
     Compliances are compared joint by joint where two recordings know them; corrections of the geometry among
     recordings that fit the same ones and the same compliances, since each depends on which others are fitted.
 
-    Args:
-        files: The recordings.
-        estimates: What each shows by itself.
-
     Returns:
         compared: Names of the parameters that were compared.
         disagreements: What differs, the clearest first.

@@ -117,10 +117,6 @@ def continuous_optimum(candidates: Candidates, criterion: Criterion = D_OPTIMAL)
     over all candidates alternate with many over the promising ones.  For a criterion that is not concave the weights
     are those of the determinant.
 
-    Args:
-        candidates: Their sum must be regular.
-        criterion: What is wanted.
-
     Raises:
         ValueError: The sum of all candidates is singular.
     """

@@ -32,10 +32,6 @@ POSTURES = 6
 def description_fault(text: str, cell: Cell) -> str:
     """Say why a description is not the cell's robot, everything that differs; empty if it may be.
 
-    Args:
-        text: The URDF.
-        cell: The cell.
-
     Raises:
         CellError: The cell's own URDF cannot be used.
     """

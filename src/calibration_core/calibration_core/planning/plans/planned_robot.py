@@ -67,13 +67,7 @@ def planned_robot(cell: Cell) -> PlannedRobot:
 def read_planned_robot(
     content: object, joints: int, fault: Callable[[str, str, str], Exception]
 ) -> PlannedRobot | None:
-    """Return the robot that a plan file names in `made_for`; None where it names none.
-
-    Args:
-        content: What stands there.
-        joints: Number of joints.
-        fault: Makes the error from place, found and expected.
-    """
+    """Return the robot that a plan file names in `made_for`; None where it names none."""
     if content is None:
         return None
     keys = {"limits": (joints, 2), "flange": (len(POSTURES), 3)}

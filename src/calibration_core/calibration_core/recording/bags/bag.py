@@ -150,10 +150,6 @@ def read_bag(path: Path, cell: Cell) -> Streams:
     compression in zstd), split or not, with or without metadata and index, and whatever is whole of a bag that was
     cut off.  Message types come from the definitions in the bag.
 
-    Args:
-        path: The bag.
-        cell: Names of joints, points and topics.
-
     Returns:
         Everything this software knows of in the bag; `notes` tell what was lost or repaired.
 

@@ -13,13 +13,7 @@ VERDICTS = {0: None, 1: True, 2: False}  # constants of the message
 
 
 def read_conditions(file: str, batch: Batch, notes: list[Note]) -> list[tuple[Condition, ...]]:
-    """Return what the messages of a batch say, in their order; what cannot be read becomes a note.
-
-    Args:
-        file: Name for messages.
-        batch: Messages of type `calibration_interfaces/msg/Conditions`.
-        notes: Grows.
-    """
+    """Return what the messages of a batch say, in their order; what cannot be read becomes a note."""
     found: list[tuple[Condition, ...]] = []
     try:
         read = deserializer(file, batch.channel)

@@ -32,13 +32,7 @@ def plan_of_metadata(file: Path, custom: object) -> str:
 
 
 def plans_of_events(file: str, batch: Batch, notes: list[Note]) -> set[str]:
-    """Return the hashes that the events of a batch carry; what cannot be read becomes a note.
-
-    Args:
-        file: Name for messages.
-        batch: Messages of type `calibration_interfaces/msg/SessionEvent`.
-        notes: Grows.
-    """
+    """Return the hashes that the events of a batch carry; what cannot be read becomes a note."""
     found: set[str] = set()
     try:
         read = deserializer(file, batch.channel)

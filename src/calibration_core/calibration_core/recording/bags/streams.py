@@ -22,10 +22,6 @@ def to_series(samples: Samples, topic: str) -> tuple[TimeSeries, TimeSeries | No
     stamp, the sender's clock stands still and the receive times are used throughout.  Messages with a stamp and values
     that were there before are dropped, and so are messages with values that are not finite.
 
-    Args:
-        samples: Decoded messages, in the order of arrival.
-        topic: Name for the notes.
-
     Returns:
         The series, the series of efforts (None if there are none), and what was lost or repaired.
     """

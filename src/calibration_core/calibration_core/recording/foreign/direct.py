@@ -17,10 +17,6 @@ from calibration_core.timeseries import Note, Readings
 def read_foreign(path: Path, cell: Cell) -> Readings:
     """Read a table of another program.
 
-    Args:
-        path: The table, with everything in it.
-        cell: Number of joints, which of them slide, and names of points.
-
     Returns:
         Readings with the cell's points; a note says how the table was understood.
 

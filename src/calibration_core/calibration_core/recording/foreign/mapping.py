@@ -145,10 +145,6 @@ class ImportMap(BaseModel):
 def import_map(path: Path, content: object) -> ImportMap:
     """Return the checked map.
 
-    Args:
-        path: Its file, for messages.
-        content: What the YAML file holds.
-
     Raises:
         RecordingError: A key or a value is none of a map.
     """

@@ -95,11 +95,6 @@ class _Cursor:
 def layout_of(kind: StreamKind, payload: bytes, joints: tuple[str, ...] = ()) -> Layout | None:
     """Take the layout from one message.
 
-    Args:
-        kind: What the message is.
-        payload: The message with its encapsulation header.
-        joints: For joint states: names of the joints wanted.
-
     Returns:
         The layout; None if the message is not plain little-endian CDR of its kind (the typed reader has to decide).
     """

@@ -23,12 +23,6 @@ def joint_columns(cell: Cell) -> list[str]:
 def checked_columns(path: str | Path, header: Sequence[str], cell: Cell, place: str) -> list[str]:
     """Return the names of the columns, stripped, in their order.
 
-    Args:
-        path: The table, for messages.
-        header: The names as they stand.
-        cell: Number of joints.
-        place: Where they stand, for messages.
-
     Raises:
         RecordingError: A column is unknown, missing or there twice.
     """

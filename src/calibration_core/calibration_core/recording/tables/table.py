@@ -30,10 +30,6 @@ BLOCK = 4096
 def read_table(path: Path, cell: Cell) -> Readings:
     """Read a measurement table; one of another program is converted where it can be read in one way only.
 
-    Args:
-        path: The CSV file.
-        cell: Number of joints, names of points, and how the table is to be read.
-
     Returns:
         One row per line, in the order of the file; `wrench` is None where the table has no wrench columns, and `time`
         and `temperature` are NaN where unknown.
@@ -194,12 +190,7 @@ class _RowParser:
 
 
 def write_table(path: Path, readings: Readings) -> None:
-    """Write readings as a measurement table; what is read back is equal to the bit, but for the sign of a zero.
-
-    Args:
-        path: The CSV file; replaced if it exists.
-        readings: What to write; columns that are wholly unknown are left out.
-    """
+    """Write readings as a measurement table; what is read back is equal to the bit, but for the sign of a zero."""
     columns: list[tuple[str, list[str]]] = [
         ("configuration", [str(value) for value in readings.configuration.tolist()]),
         ("step", [str(value) for value in readings.step.tolist()]),

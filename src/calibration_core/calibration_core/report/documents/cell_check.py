@@ -30,13 +30,7 @@ STATES = {"read": "read", "optional": "not there, not needed", "missing": "missi
 
 
 def check_document(checked: CheckedCell, view: View, result: bytes) -> Document:
-    """Build the report.
-
-    Args:
-        checked: What was found out.
-        view: The cell in space.
-        result: The bytes of result.json, for the report's number.
-    """
+    """Build the report."""
     cell = checked.cell
     unusual = tuple(f"{one.place}: found {one.found}, expected {one.expected}." for one in checked.unusual)
     headline = "The cell file can be used" + (f"; {counted(len(unusual), 'value')} to look at" if unusual else "")

@@ -49,12 +49,7 @@ def space_dict(space: OperatingSpace) -> dict[str, Any]:
 
 
 def scene_of(space: Mapping[str, Any], scale: float) -> Scene:
-    """Return what an operating space shows.
-
-    Args:
-        space: As `space_dict` gives it, or as it stands in result.json.
-        scale: Deflections are drawn so many times as long.
-    """
+    """Return what an operating space shows."""
     points = {name: _rows(rows) for name, rows in space["points"].items()}
     everywhere = np.concatenate(list(points.values()))
     low, high = everywhere.min(axis=0), everywhere.max(axis=0)

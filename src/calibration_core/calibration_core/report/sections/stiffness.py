@@ -90,13 +90,7 @@ def table_2(result: Identification, cell: Cell) -> Table:
 
 
 def left_out(result: Identification, findings: Sequence[str], *, unexplained: bool = False) -> tuple[Block, ...]:
-    """Return the sentences that say why the intervals of Table 2 are wider than noise makes them.
-
-    Args:
-        result: The identification.
-        findings: What the standard's model leaves out, in words.
-        unexplained: Whether more than noise remains that nothing explains.
-    """
+    """Return the sentences that say why the intervals of Table 2 are wider than noise makes them."""
     texts = []
     if any(joint.extended is not None for joint in result.stiffness):
         texts.append(

@@ -24,10 +24,6 @@ def space_view(space: OperatingSpace, cell: Cell) -> View:
     Of more than `MOST_POSTURES` configurations evenly spaced ones can be chosen; all have their points shown, up to
     `MOST_PLACES`.
 
-    Args:
-        space: Where points, forces and deflections are.
-        cell: The cell.
-
     Raises:
         CellError: The robot cannot be read.
     """
