@@ -31,13 +31,6 @@ def random_protocol(
 ) -> Protocol:
     """Draw configurations and give each an oblique pull of its own direction.
 
-    Args:
-        cell: The cell; its nominal geometry decides what can be reached and seen.
-        count: Number of configurations.
-        seed: The same seed gives the same protocol.
-        levels: Fractions of the largest pull, one per step.
-        load: Largest pull, as a fraction of the rated load.
-
     Raises:
         CellError: The robot cannot be read.
         PlanError: Too few configurations satisfy the conditions.

@@ -126,13 +126,6 @@ def stream_noise(rng: np.random.Generator, samples: int, columns: int, *, rate: 
     """Return noise (samples, columns) of which the mean over one window has variance one.
 
     Half of that variance is white, half a first-order Gauss-Markov process of correlation time `SLOW_TIME`.
-
-    Args:
-        rng: Source of randomness.
-        samples: Length of the stream.
-        columns: Number of channels, independent.
-        rate: Hz.
-        window: s, length of the averaging window.
     """
     n = max(1, round(rate * window))
     memory = float(np.exp(-1.0 / (rate * SLOW_TIME)))

@@ -138,13 +138,7 @@ def solve(cell: Cell, truth: Truth, protocol: Protocol) -> Solved:
 
 
 def measure(solved: Solved, cell: Cell, seed: int) -> Readings:
-    """Look at a played protocol through the instruments; cheap, so that many seeds can share one solution.
-
-    Args:
-        solved: The played protocol.
-        cell: The cell; its instruments' claims scale the noise.
-        seed: Of the noise alone.
-    """
+    """Look at a played protocol through the instruments; cheap, so that many seeds can share one solution."""
     rng = generator(seed, NOISE_STREAM)
     sensors, states = solved.truth.sensors, solved.states
     steps, points = states.points.shape[:2]

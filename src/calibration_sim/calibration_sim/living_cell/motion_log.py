@@ -60,13 +60,7 @@ class TruthLog:
 
 
 def true_places(path: Path, joints: int, points: int) -> tuple[Float1D, Float2D, Float2D, Float3D]:
-    """Return what a `TruthLog` holds: times (m,) s, angles (m, n) rad, loads (m, 6), points (m, p, 3) m.
-
-    Args:
-        path: The log; a row that is not whole at its end is left out.
-        joints: n.
-        points: p.
-    """
+    """Return what a `TruthLog` holds: times (m,) s, angles (m, n) rad, loads (m, 6), points (m, p, 3) m."""
     width = 1 + joints + 6 + 3 * points
     values = np.fromfile(path)
     rows = values[: len(values) // width * width].reshape(-1, width)
@@ -75,12 +69,7 @@ def true_places(path: Path, joints: int, points: int) -> tuple[Float1D, Float2D,
 
 
 def true_speeds(path: Path, cell: LiveCell) -> Float2D:
-    """Return times and speeds of the fastest watched point, (m, 2) s and m/s, between successive instants of a log.
-
-    Args:
-        path: The log.
-        cell: The cell that wrote it, or one with the same truth.
-    """
+    """Return times and speeds of the fastest watched point, (m, 2) s and m/s, between successive instants of a log."""
     rows = np.fromfile(path)
     rows = rows[: len(rows) // (1 + len(cell.q)) * (1 + len(cell.q))].reshape(-1, 1 + len(cell.q))
     found = [np.empty((0, 2))]

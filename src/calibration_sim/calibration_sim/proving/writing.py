@@ -26,12 +26,6 @@ TABLE, CELL, LABELS = "measurements.csv", "cell.yaml", "labels.json"
 def write_recordings(scenarios: Sequence[Scenario], total: int, out: Path, *, jobs: int) -> tuple[list[str], str]:
     """Write what is missing of the recordings, and all labels into one file.
 
-    Args:
-        scenarios: What to write.
-        total: Length of the whole grid, from which names are shuffled.
-        out: Directory; made if it is missing.
-        jobs: Processes.
-
     Returns:
         Names of the recordings in the order of their names, and the SHA-256 of the file of labels.
     """

@@ -96,11 +96,6 @@ def signal_to_noise(known: Background, played: Played) -> float:
 def softer(world: World, protocol: Protocol, played: Played) -> Float2D:
     """Return how the points (r,) move with the compliance of every joint, (r, n) m per share of it, tracker frame.
 
-    Args:
-        world: Of joints that are springs alone; what the sensor shows may differ.
-        protocol: What is measured.
-        played: The world played.
-
     Raises:
         ValueError: Something besides springs, weight and load holds the robot.
     """

@@ -63,15 +63,7 @@ def lagging_sensor(cell: Cell) -> SensorHysteresis:
 
 
 def look(world: World, played: Played, points: tuple[str, ...], noise: Noise, seed: int) -> Readings:
-    """Return what is recorded.
-
-    Args:
-        world: What was played; its sensors' faults come on top of `noise`.
-        played: Without noise.
-        points: Names of the points that are recorded.
-        noise: How the instruments err.
-        seed: Of all that is random here.
-    """
+    """Return what is recorded."""
     rng = np.random.default_rng(seed)
     cell, faults = world.cell, world.sensors.tracker
     names = tuple(world.truth.points)

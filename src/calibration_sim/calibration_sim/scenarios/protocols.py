@@ -28,11 +28,6 @@ _KIND = re.compile(r"(?:([LRWS])(\d*))?(?:(A)(\d*))?")
 def make_protocol(cell: Cell, kind: str, seed: int) -> Protocol:
     """Draw the configurations and loads of a protocol; the same seed gives the same one.
 
-    Args:
-        cell: The cell; its nominal geometry decides what can be reached and seen.
-        kind: One of `KINDS`, or with numbers of configurations.
-        seed: Of configurations and directions.
-
     Raises:
         PlanError: Too few configurations can be reached and seen.
     """
