@@ -433,6 +433,7 @@ def test_a_session_that_is_gone_is_told_at_once_and_nothing_is_read_into_nothing
         world.temperature = HOT
         until(lambda: any(one.kind == SessionEvent.CONDITION_VIOLATED for one in operator.events))
         assert operator.overrides("temperature").code == Outcome.OK
+        until(lambda: any(one.kind == SessionEvent.CONDITION_OVERRIDDEN for one in operator.events))
         note, tried = Session.note, list[Event]()
 
         def late(one: Session, event: Event) -> None:
