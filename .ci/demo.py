@@ -321,6 +321,7 @@ def main() -> int:
     out.mkdir(parents=True)
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ["ROS_HOME"] = str(out / "ros")  # what nodes keep between runs
     sockets_only(os.environ)
     for number in SIGNALS:
         signal.signal(number, leave)

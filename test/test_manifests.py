@@ -49,7 +49,7 @@ EXTRAS = {"dask", "distributed", "fsspec", "pandas", "pyarrow"}
 # Packages of jazzy/distribution.yaml, same commit.
 JAZZY = {
     "action_msgs", "ament_cmake", "ament_index_python", "builtin_interfaces", "coal", "control_msgs", "diagnostic_msgs",
-    "geometry_msgs", "launch", "launch_ros", "lifecycle_msgs", "pinocchio", "rcl_interfaces", "rclpy",
+    "geometry_msgs", "launch", "launch_ros", "pinocchio", "rcl_interfaces", "rclpy",
     "robot_state_publisher", "ros2bag", "ros2launch", "rosbag2_storage_mcap", "rosgraph_msgs",
     "rosidl_default_generators", "rosidl_default_runtime", "rosidl_parser", "rviz2", "sensor_msgs", "service_msgs",
     "std_msgs", "std_srvs", "tf2_msgs", "trajectory_msgs", "visualization_msgs",

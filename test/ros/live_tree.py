@@ -128,18 +128,18 @@ class LiveTree:
         return "\n".join([said, *(f"--- {name}\n{self.suite.log(name)[-1500:]}" for name in ("sequencer", "guard"))])
 
     def await_active(self, name: str = "", process: int = 0) -> None:
-        """Wait until the manager says that every node works, `name` as the process of that number."""
+        """Wait until the manager hears every node, `name` as the process of that number."""
         began = time.time()
 
         def active() -> bool:
             if self.state is None or self.state.header.stamp.sec == 0:
                 return False
-            fine = all(one.lifecycle.label == "active" and one.level < one.ABSENT for one in self.state.nodes)
+            fine = all(one.level < one.ABSENT for one in self.state.nodes)
             there = {one.name: one.process for one in self.state.nodes}
             heard = all(one.stamp.sec + 1e-9 * one.stamp.nanosec > began for one in self.state.nodes)
             return fine and heard and (not name or there[name] == process)
 
-        self.wait(active, f"not all nodes are active: {name}")
+        self.wait(active, f"not all nodes are heard: {name}")
 
     def stands(self) -> None:
         """See that the joints stand."""

@@ -38,15 +38,7 @@ def second(suite: Any, name: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def change(suite: Any, node: str, label: str) -> bool:
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
-
-    asked = Transition(label=label)
-    return bool(suite.call(ChangeState, f"{node}/change_state", patience=15.0, transition=asked).success)
-
-
-def test_a_second_one_is_refused_and_a_guard_that_is_deactivated_stops_the_robot_first(
+def test_a_second_one_is_refused_and_a_guard_that_is_told_to_end_stops_the_robot_first(
     suite: Any, far_plan: Path
 ) -> None:
     tree = LiveTree(suite, far_plan, SIMULATED)
@@ -64,15 +56,16 @@ def test_a_second_one_is_refused_and_a_guard_that_is_deactivated_stops_the_robot
         assert "two guards" not in tree.state.permission.text
     tree.move()
     asked = time.monotonic_ns()
-    assert change(suite, "guard", "deactivate")
+    code, _ = suite.end("guard")
+    assert code == 0
     stopped, rest = tree.events(asked, "cancel"), tree.events(asked, "rest")
     assert stopped
-    assert rest  # when the guard says that it is inactive, the robot stands
+    assert rest  # when the guard has ended, the robot stands
     tree.stands()
-    tree.see_quiet("after the guard was deactivated")
-    assert change(suite, "guard", "activate")
-    tree.await_active()
-    tree.see_quiet("after the guard was activated again")
+    tree.see_quiet("after the guard was told to end")
+    suite.again("guard")
+    tree.await_active("guard", suite.processes["guard"].pid)
+    tree.see_quiet("after the guard was started again")
     tree.allow()
     tree.move()
     assert tree.moved == []

@@ -10,11 +10,21 @@ import os
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_package_share_directory
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction, TimerAction
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from calibration.process_tree import STARTED_BY, Argument, Given, Process, Tree, files_of, parameters_of, values_of
+from calibration.process_tree import (
+    AGAIN_AFTER,
+    STARTED_BY,
+    Argument,
+    Given,
+    Process,
+    Tree,
+    files_of,
+    parameters_of,
+    values_of,
+)
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from launch import LaunchDescription
@@ -52,6 +62,12 @@ def _declared(argument: Argument) -> Any:
 
 def _node(process: Process, tree: Tree, values: dict[str, str], files: tuple[str, ...]) -> Any:
     given = parameters_of(tree, process, values)
+
+    def again(event: Any, context: Any) -> list[Any]:  # launch's own `respawn` asks for no exit code
+        if context.is_shutdown or not process.again(event.returncode):
+            return []
+        return [TimerAction(period=AGAIN_AFTER, actions=[_node(process, tree, values, files)])]
+
     return Node(
         package=process.package,
         executable=process.name,
@@ -59,6 +75,7 @@ def _node(process: Process, tree: Tree, values: dict[str, str], files: tuple[str
         remappings=list(tree.remappings.items()),
         ros_arguments=["--enclave", process.enclave, "--log-level", values["log_level"]],
         output="screen",
+        on_exit=again,
         additional_env={STARTED_BY: str(os.getpid())},
         sigterm_timeout=str(process.sigterm_after),
         sigkill_timeout=str(process.sigkill_after),

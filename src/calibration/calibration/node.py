@@ -23,18 +23,19 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException, ParameterException
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from calibration.lifecycle import machine
-from calibration.lifecycle.heartbeat import Heartbeat
-from calibration.lifecycle.managed import ManagedNode
-from calibration.presence import Presence, refuse_second
-from calibration.process_tree import Parent, on_end
+from calibration.health import Health, refuse_second
+from calibration.process_tree import UNUSABLE, Parent, on_end
 from calibration.transport import sockets_only
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.yaml_file import read_yaml
@@ -116,48 +117,49 @@ class Declared:
         return ""
 
 
-OF_ALL = (Declared("autostart", True, "Whether the node configures and activates itself; false: its manager does."),)
-
-
-class CalibrationNode(ManagedNode):
-    """A managed node with declared parameters, diagnostics and a sign of life.
+class CalibrationNode(Node):
+    """A node with declared parameters, diagnostics and a sign of life, which works once it is made.
 
     Attributes:
         diagnostics: What the node tells about its health, once a second and at every change.
+        ending: Set when the node has been told to end.
         failed: Set when the node cannot go on; the process then ends with exit code 1.
-        presence: Its identity where there may be but one of its kind.
+        health: Its sign of life, and its identity.
         OWNER: What of which there may be one in a namespace this kind of node is, for example "guard"; empty: nothing.
     """
 
     OWNER = ""
 
     def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
-        """Declare the parameters; configure and activate the node, unless a manager is to do that.
+        """Declare the parameters, and make what the node consists of.
 
         Args:
             name: Name of the node; a remapping may replace it.
-            parameters: Its parameters, besides those of all nodes.
+            parameters: Its parameters.
             kwargs: Passed on to `rclpy.node.Node` (context, parameter_overrides, namespace, ...).
 
         Raises:
             ParameterError: A parameter is unknown, of the wrong type, out of range, or missing.
-            InputError: The node activates itself, and something else that it was given cannot be used.
+            InputError: Something else that the node was given cannot be used.
         """
         super().__init__(name, **kwargs)
-        self.failed = threading.Event()
-        self._table = {one.name: one for one in (*OF_ALL, *parameters)}
+        self.failed, self.ending = threading.Event(), threading.Event()
+        self._table = {one.name: one for one in parameters}
         try:
             self._declare()
             self.add_on_set_parameters_callback(self._check)
             self.diagnostics = Diagnostics(self)
-            self._heartbeat = Heartbeat(self)
-            if self.OWNER:
-                self.presence = Presence(self, self.OWNER, self.on_second)
-            if self.value("autostart"):
-                self.start()
-        except Exception:
+            self.health = Health(self, name)
+            self.on_start()
+        except BaseException:
             self.destroy_node()
             raise
+
+    def on_start(self) -> None:
+        """Make what the node consists of, and begin to work; nothing moves because of it."""
+
+    def on_end(self) -> None:
+        """End what is under way, and give back processes, threads and files; the executor still spins."""
 
     def _declare(self) -> None:
         own = self.get_fully_qualified_name()
@@ -201,11 +203,6 @@ class CalibrationNode(ManagedNode):
         """Return the node's time, ns: the simulation's where `use_sim_time` is set."""
         return int(self.get_clock().now().nanoseconds)
 
-    def announced(self) -> None:
-        """Send the health at once: it has changed."""
-        self._heartbeat.beat()
-        self.diagnostics.publish()
-
     def on_second(self, words: str, younger: bool) -> None:
         """Another node of this kind is heard: the younger one ends; the elder one says so, and stops what it does."""
         self.diagnostics.report("owner", 2, words)
@@ -214,11 +211,44 @@ class CalibrationNode(ManagedNode):
             self.failed.set()
 
     def stop(self) -> None:
-        """End what is under way and give back what is held, before the process ends; the executor still spins."""
-        if self.active:
-            self.change(machine.DEACTIVATE)
-        if self.state in (machine.ACTIVE, machine.INACTIVE):  # what could not be ended is given back all the same
-            self.on_cleanup()
+        """End the work, before the process ends; the executor still spins.  Once is enough."""
+        if not self.ending.is_set():
+            self.ending.set()
+            self.on_end()
+
+    # --- what does not fit is found by looking at the graph (`topics.incompatible`) -----------------------------------
+
+    def create_publisher(self, *args: Any, event_callbacks: PublisherEventCallbacks | None = None, **more: Any) -> Any:
+        """Make a publisher; without the events that rclpy makes for each by itself: they cost half of every wake."""
+        events = event_callbacks or PublisherEventCallbacks(use_default_callbacks=False)
+        return super().create_publisher(*args, event_callbacks=events, **more)
+
+    def create_subscription(
+        self, *args: Any, event_callbacks: SubscriptionEventCallbacks | None = None, **more: Any
+    ) -> Any:
+        """Make a subscription; without the events that rclpy makes for each by itself: they cost half of every wake."""
+        events = event_callbacks or SubscriptionEventCallbacks(use_default_callbacks=False)
+        return super().create_subscription(*args, event_callbacks=events, **more)
+
+    def create_action_server(
+        self,
+        action: Any,
+        name: str,
+        execute: Callable[[Any], Any],
+        *,
+        goal_callback: Callable[[Any], GoalResponse] = lambda _goal: GoalResponse.ACCEPT,
+        cancel_callback: Callable[[Any], CancelResponse] = lambda _goal: CancelResponse.ACCEPT,
+        handle_accepted_callback: Callable[[Any], None] = lambda goal: goal.execute(),
+    ) -> ActionServer:
+        """Offer an action; when the node ends, goals are rejected.  Goals run beside one another."""
+
+        def judged(goal: Any) -> GoalResponse:
+            return GoalResponse.REJECT if self.ending.is_set() else goal_callback(goal)
+
+        return ActionServer(
+            self, action, name, execute, callback_group=ReentrantCallbackGroup(), goal_callback=judged,
+            cancel_callback=cancel_callback, handle_accepted_callback=handle_accepted_callback,
+        )  # fmt: skip
 
 
 def _range(one: Declared) -> str:
@@ -232,7 +262,7 @@ class Diagnostics:
 
     LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
 
-    def __init__(self, node: ManagedNode) -> None:
+    def __init__(self, node: Node) -> None:
         """Start publishing."""
         self._node = node
         self._status: dict[str, DiagnosticStatus] = {}
@@ -268,14 +298,11 @@ class Diagnostics:
 
     @property
     def state(self) -> DiagnosticStatus:
-        """One line for the node as a whole: the gravest thing, or where in its life it is."""
+        """One line for the node as a whole: the gravest thing."""
         level, text = self.worst
-        label = machine.LABELS[self._node.state]
         name = self._node.get_name()
-        values = [KeyValue(key="lifecycle", value=label)]
-        return DiagnosticStatus(
-            level=self.LEVELS[level], name=f"{name}: state", message=text or label, hardware_id=name, values=values
-        )
+        message = text or "all is well"
+        return DiagnosticStatus(level=self.LEVELS[level], name=f"{name}: state", message=message, hardware_id=name)
 
     def publish(self) -> None:
         """Send everything known, the node's state first."""
@@ -356,13 +383,13 @@ def run(make: Callable[[], CalibrationNode], arguments: Sequence[str] | None = N
                 node.get_logger().warning(shared)
         except InputError as error:
             print(error, file=sys.stderr)
-            return 2
+            return UNUSABLE
         except RCLError as error:
             if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
                 raise
             text = " ".join(str(error).split())
             print(f"ROS_SECURITY_ENABLE is true, and the node does not run without it: {text}", file=sys.stderr)
-            return 2
+            return UNUSABLE
         return _until(node, stop, parent)
     finally:
         rclpy.try_shutdown()

@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 
 from calibration.background import in_executor
 from calibration.conversions import joint_positions, to_header
-from calibration.lifecycle.heartbeat import FRESH
+from calibration.health import FRESH
 from calibration.node import CalibrationNode, Declared, ParameterError, run
 from calibration.topics import EVENT, STATE
 from calibration.web.access import EVERY, Control, Session, bracketed, origins
@@ -64,8 +64,8 @@ class PanelNode(CalibrationNode):
         """
         super().__init__("panel", PARAMETERS, **kwargs)
 
-    def on_configure(self) -> None:
-        """Read the cell, take the port, and make what is served; nothing is served yet."""
+    def on_start(self) -> None:
+        """Read the cell, take the port, listen to the cell, and serve."""
         self._cell = load_cell(self.value("cell"), live=True)
         host = self.value("host")
         try:
@@ -92,11 +92,6 @@ class PanelNode(CalibrationNode):
         self._server = Server(settings, folder, self._hub, self._control, do, self._on_entry, scene, door)
         if host != LOOPBACK:
             self.get_logger().warning(f"the page is served at {host} without TLS: who listens there can read the token")
-
-    def on_activate(self) -> None:
-        """Listen to the cell, and serve."""
-        if self._socket.fileno() < 0:  # it was given back when the node was deactivated
-            self._socket = listening(self.value("host"), self._server.settings.port)
         self._web = Serving(self._server.application(), self._socket, self._operator.close, self._door)
         self._heard = self._moved = -FRESH
         self._slow = -SLOW
@@ -213,12 +208,9 @@ class PanelNode(CalibrationNode):
             self.get_logger().info(event.text)
             self._event.publish(event)
 
-    def on_deactivate(self) -> None:
-        """Serve no more; what runs in the cell goes on."""
+    def on_end(self) -> None:
+        """Serve no more, and give the port back; what runs in the cell goes on."""
         self._web.stop()
-
-    def on_cleanup(self) -> None:
-        """Give the port back."""
         self._socket.close()
 
 

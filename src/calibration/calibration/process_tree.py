@@ -2,7 +2,8 @@
 
 The launch files read it, and so does whoever starts the suite where there is no `launch`.  When a tree is ended, every
 process gets SIGINT at once; one that has not ended is sent SIGTERM, then SIGKILL, after the times of its row.  No
-process is ended because another one has ended: the others say what they miss, and go on when it is back.
+process is ended because another one has ended: the others say what they miss, and go on when it is back.  A node that
+crashed or was killed is started again; one that was told to end, or refuses what it is given, is not.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ Scalar = bool | int | float | str
 SIGTERM_AFTER = 10.0  # s, from SIGINT; launch gives 5 s by itself, in which a busy computer does not close a bag
 SIGKILL_AFTER = 5.0  # s, from SIGTERM
 STANDSTILL = 10.0  # s, that whoever stops the robot waits for it to stand, whatever signals say meanwhile
+AGAIN_AFTER = 2.0  # s, from the end of a node to its next start: one that crashes at once leaves the others their time
+DONE, UNUSABLE = 0, 2  # exit codes: told to end; what was given cannot be used
 OUTLIVES = STANDSTILL + 5.0  # s, from SIGINT to SIGTERM, of a process that waits for standstill
 
 
@@ -69,6 +72,7 @@ class Process:
         package: Where the executable is.
         sigterm_after: s, from SIGINT to SIGTERM.
         sigkill_after: s, from SIGTERM to SIGKILL.
+        respawned: Whether it is started again after a crash.
     """
 
     name: str
@@ -76,6 +80,11 @@ class Process:
     package: str = "calibration"
     sigterm_after: float = SIGTERM_AFTER
     sigkill_after: float = SIGKILL_AFTER
+    respawned: bool = True
+
+    def again(self, code: int) -> bool:
+        """Tell whether it is started again after it has ended with an exit code; that of a signal is negative."""
+        return self.respawned and code not in (DONE, UNUSABLE)
 
     @property
     def enclave(self) -> str:
@@ -138,19 +147,15 @@ BAG = {"recording": Given("session", "bag")}
 
 def _suite(everywhere: Mapping[str, Value], motion: Mapping[str, Value], adapter: Value, load: Mapping[str, Value]
            ) -> tuple[Process, ...]:  # fmt: skip
-    """Return the nodes of a cell: who moves the robot and who stops it are told the same way to it.
-
-    The manager brings the others up, in an order of its own: whoever comes back after a crash is brought up again.
-    """
-    managed: dict[str, Value] = {**everywhere, "autostart": False}
+    """Return the nodes of a cell: who moves the robot and who stops it are told the same way to it."""
     return (
-        Process("recorder", {**managed, "out": Given("session", "bag")}),
-        Process("tracker", managed),
-        Process("force_torque", managed),
-        Process("guard", {**managed, **motion, "robot_state.adapter": adapter}, sigterm_after=OUTLIVES),
-        Process("sequencer", {**managed, **motion, **load}),
-        Process("identification", {**CELL_FILE, **BAG, "autostart": False}),
-        Process("compensation", {**CELL_FILE, "autostart": False}),
+        Process("recorder", {**everywhere, "out": Given("session", "bag")}),
+        Process("tracker", everywhere),
+        Process("force_torque", everywhere),
+        Process("guard", {**everywhere, **motion, "robot_state.adapter": adapter}, sigterm_after=OUTLIVES),
+        Process("sequencer", {**everywhere, **motion, **load}),
+        Process("identification", {**CELL_FILE, **BAG}),
+        Process("compensation", CELL_FILE),
         Process("manager", everywhere),
         Process("panel", {**everywhere, "session": Given("session"), "host": Given("host"), "port": Given("port")}),
     )
@@ -182,6 +187,7 @@ SIMULATED_CELL = Tree(
             {**CELL_FILE, "use_sim_time": True, "clock": True, "speed": Given("speed"), "seed": Given("seed")},
             package="calibration_sim",
             sigterm_after=OUTLIVES,
+            respawned=False,  # it stands for the robot, and its clock would begin anew
         ),
         *_suite({**CELL_FILE, "use_sim_time": True}, {"motion.backend": "simulated"}, "native", {"load.by": "device"}),
     ),

@@ -80,7 +80,6 @@ class Topic:
 
 ROBOT_STATE = Topic("/calibration/robot_state", "calibration_interfaces/msg/RobotState", Quality.STATE)
 PERMISSION = Topic("/calibration/permission", "calibration_interfaces/msg/Permission", Quality.PULSE)
-GUARD_EVIDENCE = Topic("/calibration/guard_evidence", "calibration_interfaces/msg/GuardEvidence", Quality.EVENTS)
 EVENT = Topic("/calibration/event", "calibration_interfaces/msg/SessionEvent", Quality.EVENTS)
 READING = Topic("/calibration/reading", "calibration_interfaces/msg/Reading", Quality.EVENTS)
 TARE = Topic("/calibration/tare", "calibration_interfaces/msg/TareEvent", Quality.EVENTS)
@@ -96,7 +95,7 @@ TYPED = Topic("/tracker/typed", TEXT_TYPE, Quality.SAMPLES)  # what an operator 
 PROGRESS = Topic("/calibration/progress", "calibration_interfaces/msg/MeasurementProgress", Quality.STATE)
 CONDITIONS_QUALITY = Quality.EVENTS
 
-OWN = (ROBOT_STATE, PERMISSION, GUARD_EVIDENCE, EVENT, READING, PROGRESS, TARE, SAMPLE_CHECK)
+OWN = (ROBOT_STATE, PERMISSION, EVENT, READING, PROGRESS, TARE, SAMPLE_CHECK)
 
 
 def contract_topics(cell: Cell) -> tuple[Topic, ...]:
@@ -244,7 +243,7 @@ def publishers(node: Node, name: str) -> list[str]:
 def several_publishers(node: Node, name: str) -> str:
     """Return the names of a topic's publishers where there are more than one; empty otherwise.
 
-    One that was killed is counted for 20 s more, but for one of the node's own name: its presence is watched.
+    One that was killed is counted for 20 s more, but for one of the node's own name: its sign of life is watched.
     """
     names = publishers(node, name)
     own = node.get_fully_qualified_name()

@@ -4,7 +4,8 @@
     .venv/bin/python -m calibration.without_launch simulated_cell cell:=CELL.yaml session:=DIR speed:=20.0
 
 The arguments are those of the launch file of that name; `--help` states them.  Ctrl-C, SIGTERM or a terminal that is
-closed ends every process, as launch does it.  Where this process is killed, they end by themselves.
+closed ends every process, as launch does it.  Where this process is killed, they end by themselves.  A node that
+crashed or was killed is started again.
 """
 
 from __future__ import annotations
@@ -24,10 +25,13 @@ from types import FrameType
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
 
 from calibration.process_tree import (
+    AGAIN_AFTER,
+    DONE,
     REAL_CELL,
     REPLAY,
     SIMULATED_CELL,
     STARTED_BY,
+    UNUSABLE,
     Process,
     Tree,
     files_of,
@@ -38,7 +42,6 @@ from calibration.process_tree import (
 from calibration_core.errors import InputError, quoted
 
 TREES = {"real_cell": REAL_CELL, "simulated_cell": SIMULATED_CELL, "replay": REPLAY}
-DONE, UNUSABLE = 0, 2
 HELP = ("-h", "--help")
 WIDTH = 100  # characters of a line of help
 LOOK = 0.2  # s between looks at whether a process still runs
@@ -137,15 +140,25 @@ def main(words: Sequence[str] | None = None) -> int:
     before = on_end(end)
     files = files_of(values, get_package_share_directory("calibration"))
     running: list[tuple[Process, subprocess.Popen[bytes]]] = []
+
+    def started(process: Process) -> tuple[Process, subprocess.Popen[bytes]]:
+        # each in a session of its own: the keyboard's signal reaches it once, from here
+        executable = f"{get_package_prefix(process.package)}/lib/{process.package}/{process.name}"
+        command = command_of(executable, tree, process, values, files)
+        own = {**os.environ, STARTED_BY: str(os.getpid())}
+        return process, subprocess.Popen(command, start_new_session=True, env=own)
+
     try:
-        for process in tree.processes:
-            # each in a session of its own: the keyboard's signal reaches it once, from here
-            executable = f"{get_package_prefix(process.package)}/lib/{process.package}/{process.name}"
-            command = command_of(executable, tree, process, values, files)
-            own = {**os.environ, STARTED_BY: str(os.getpid())}
-            running.append((process, subprocess.Popen(command, start_new_session=True, env=own)))
-        while not asked_to_end and any(one.poll() is None for _, one in running):
+        running.extend(map(started, tree.processes))
+        ended: dict[subprocess.Popen[bytes], float] = {}  # s of the monotonic clock
+        while not asked_to_end and any((code := one.poll()) is None or process.again(code) for process, one in running):
             time.sleep(LOOK)
+            for row, (process, one) in enumerate(running):
+                if (code := one.poll()) is None or not process.again(code):
+                    continue
+                if time.monotonic() - ended.setdefault(one, time.monotonic()) > AGAIN_AFTER:
+                    print(f"{process.name} ended with {code}, and is started again", file=sys.stderr)
+                    running[row] = started(process)
     finally:
         _end(running)
         for number, handler in before.items():

@@ -60,7 +60,7 @@ def declared(name: str) -> tuple[Declared, ...]:
     """Return the parameters of a node of the package `calibration`."""
     own = importlib.import_module(f"calibration.{MODULES.get(name, name)}").PARAMETERS
     common = COMMON if name in ("tracker", "force_torque") else ()
-    return (*getattr(nodes, "OF_ALL", ()), *common, *own)
+    return (*common, *own)
 
 
 def bounds(one: Declared) -> str:

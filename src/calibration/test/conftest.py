@@ -102,6 +102,14 @@ if importlib.util.find_spec("calibration"):
     sockets_only(os.environ)  # what is killed in a test leaves no shared memory behind
 
 
+@pytest.fixture(autouse=True)
+def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What nodes keep between runs is kept for one test alone."""
+    path = tmp_path_factory.mktemp("ros")
+    monkeypatch.setenv("ROS_HOME", str(path))
+    return path
+
+
 @pytest.fixture
 def context() -> Iterator[Any]:
     """A private ROS context on this process's domain."""

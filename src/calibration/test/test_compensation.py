@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from calibration.compensation.compensation import CompensationNode
-from calibration.lifecycle.machine import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE
 from calibration_core.cell import load_cell
 from calibration_core.cli import main
 from calibration_core.errors import InputError
@@ -375,16 +374,4 @@ def test_one_request_at_a_time_and_no_change_of_the_model_meanwhile(spinning: An
         assert ask_pose(spinning, target_of_joints=True, q=Q).outcome.code == Outcome.BUSY
         (refused,) = node.set_parameters([Parameter("model", value=str(model))])
         assert refused.reason == "model: not now: a compensation is under way"
-    assert ask_pose(spinning, target_of_joints=True, q=Q).outcome.code == Outcome.OK
-
-
-def test_a_node_that_is_not_active_says_so(spinning: Any, node: Any) -> None:
-    assert node.change(DEACTIVATE)
-    answer = ask_pose(spinning, target_of_joints=True, q=Q)
-    assert (answer.outcome.code, answer.outcome.text) == (
-        Outcome.NOT_AVAILABLE, "/compensation is inactive, not active"
-    )  # fmt: skip
-    assert node.change(CLEANUP)
-    assert node.change(CONFIGURE)
-    assert node.change(ACTIVATE)
     assert ask_pose(spinning, target_of_joints=True, q=Q).outcome.code == Outcome.OK

@@ -26,7 +26,6 @@ from sequencer_world import CELL, JOINTS, PULL, Operator, World, overrides
 
 from calibration.background import in_executor
 from calibration.conversions import to_outcome
-from calibration.lifecycle.machine import ACTIVATE, DEACTIVATE
 from calibration.recorder.recorder import RecorderNode
 from calibration.sequencer.goal import TABLE, Answer, Goal, GoalEndedError, Request, Stage
 from calibration.sequencer.sequencer import SequencerNode
@@ -128,9 +127,13 @@ class Busy(World):
         }  # fmt: skip
         for name in ("driver", "load_device"):
             self.servers[name] = self._make[name]()
+        self._spinning, self._out = spinning, out
         if out is not None:
-            given = [Parameter("cell", value=CELL), Parameter("out", value=str(out))]
-            self.recorder = spinning.add(RecorderNode(context=spinning.context, parameter_overrides=given))
+            self._record()
+
+    def _record(self) -> None:
+        given = [Parameter("cell", value=CELL), Parameter("out", value=str(self._out))]
+        self.recorder = self._spinning.add(RecorderNode(context=self._spinning.context, parameter_overrides=given))
 
     def leave(self, name: str) -> None:
         """Let a node be absent."""
@@ -138,14 +141,17 @@ class Busy(World):
         if name in self._make:
             self._do(self.servers[name].destroy)
         elif name == "recorder":
-            assert self.recorder.change(DEACTIVATE)
+            self.recorder.stop()
+            self._spinning.nodes.remove(self.recorder)
+            self._spinning.executor.remove_node(self.recorder)
+            self._do(self.recorder.destroy_node)
 
     def come_back(self) -> None:
         name, self.absent = self.absent, ""
         if name in self._make:
             self._do(lambda: self.servers.update({name: self._make[name]()}))
         elif name == "recorder":
-            assert self.recorder.change(ACTIVATE)
+            self._record()
 
     def _do(self, work: Any) -> None:
         done = threading.Event()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import math
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -20,7 +23,7 @@ pytest.importorskip("calibration_interfaces")
 
 from action_msgs.srv import CancelGoal
 from builtin_interfaces.msg import Time
-from calibration_interfaces.msg import GuardEvidence, MotionPulse, Outcome, Permission, RobotState
+from calibration_interfaces.msg import MotionPulse, Outcome, Permission, RobotState
 from calibration_interfaces.srv import ConfirmMode, ResetGuard
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
@@ -29,10 +32,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from calibration.guard.guard import GuardNode
-from calibration.lifecycle import machine
+from calibration.guard.latch import SIZE, Latch, latch_file
 from calibration.process_tree import STANDSTILL
-from calibration.topics import GUARD_EVIDENCE, MOTION_PULSE, PERMISSION
+from calibration.topics import MOTION_PULSE, PERMISSION, ROBOT_STATE
+from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
+from calibration_core.motion.robot_status import Reason
 
 ROOT = Path(__file__).resolve().parents[3]
 CELL = str(ROOT / "config" / "cells" / "demo.cell.yaml")
@@ -91,10 +96,10 @@ class Cell:
             usual["robot_state.max_ages"] = ["state=1.0"]
         overrides = [Parameter(name, value=value) for name, value in (usual | parameters).items()]
         self.heard: list[Permission] = []
-        self.evidence: list[GuardEvidence] = []
+        self.states: list[RobotState] = []
         client = spinning.plain("robot")
         client.create_subscription(Permission, PERMISSION.relative, self.heard.append, QoSProfile(depth=100))
-        client.create_subscription(GuardEvidence, GUARD_EVIDENCE.relative, self.evidence.append, GUARD_EVIDENCE.qos)
+        client.create_subscription(RobotState, ROBOT_STATE.relative, self.states.append, QoSProfile(depth=100))
         self.resetter = client.create_client(ResetGuard, "guard/reset")
         self.confirmer = client.create_client(ConfirmMode, "guard/confirm_mode")
         self.robot = Robot(client)
@@ -129,13 +134,7 @@ def test_yes_when_all_is_well_and_never_before(spinning: Any, until: Any) -> Non
     until(cell.permitted)
     assert cell.now.text == "motion is permitted"
     assert cell.now.speed_limit == 0.25
-    until(lambda: cell.evidence and cell.evidence[-1].permission.permitted)
-    evidence = cell.evidence[-1]
-    assert evidence.joints == JOINTS
-    assert list(evidence.positions) == [0.0] * 6
-    assert evidence.allowed_modes == ["MANUAL_REDUCED"]
-    assert {"flange", "wrench point", "mp1"} <= set(evidence.points)
-    assert evidence.state.operating_mode == RobotState.MODE_MANUAL_REDUCED
+    until(lambda: cell.states and cell.states[-1].operating_mode == RobotState.MODE_MANUAL_REDUCED)
     count, began, watch = len(cell.heard), time.monotonic(), Granted()
     until(lambda: len(cell.heard) >= count + 50)
     assert time.monotonic() - began > 0.6
@@ -204,7 +203,7 @@ def test_an_operators_word_where_the_controller_says_nothing(spinning: Any, unti
     until(cell.permitted)
     assert right.confirmed_until.sec > 0
     until(cell.why(Permission.CONFIRMATION_EXPIRED))
-    assert any(e.state.operator_name == "A. Smith" and e.state.operator_confirmed for e in cell.evidence)
+    assert any(one.operator_name == "A. Smith" and one.operator_confirmed for one in cell.states)
 
 
 def test_an_operators_word_ends_when_the_key_switch_is_turned_and_turned_back(spinning: Any, until: Any) -> None:
@@ -221,17 +220,101 @@ def test_an_operators_word_ends_when_the_key_switch_is_turned_and_turned_back(sp
     assert cell.reset().outcome.code == Outcome.OK
     until(cell.permitted)
     cell.robot.state = GOOD | {"operating_mode": RobotState.MODE_AUTOMATIC}
-    until(lambda: cell.evidence[-1].state.operating_mode == RobotState.MODE_AUTOMATIC)
+    until(lambda: cell.states[-1].operating_mode == RobotState.MODE_AUTOMATIC)
     cell.robot.state = manual
     until(cell.why(Permission.CONFIRMATION_EXPIRED))
     assert cell.reset().outcome.code == Outcome.NOT_PERMITTED
     assert cell.confirm(**word).outcome.code == Outcome.OK
     assert cell.reset().outcome.code == Outcome.OK
     until(cell.permitted)
-    assert cell.guard.change(machine.DEACTIVATE)  # a guard that begins anew has heard no word
-    assert cell.guard.change(machine.ACTIVATE)
-    until(cell.why(Permission.MODE_NOT_ALLOWED))
-    assert not cell.now.permitted
+
+
+GUARD = ROOT / "install" / "calibration" / "lib" / "calibration" / "guard"
+
+
+def test_what_is_latched_outlives_the_process(
+    spinning: Any, until: Any, source_environment: dict[str, str], home: Path
+) -> None:
+    """The guard is killed while it is latched, told to end, and reset by name; the next one each time knows."""
+    heard: list[Permission] = []
+    client = spinning.plain("robot")
+    client.create_subscription(Permission, PERMISSION.relative, heard.append, QoSProfile(depth=100))
+    reset = client.create_client(ResetGuard, "guard/reset")
+    robot = Robot(client)
+    words = [str(GUARD), "--ros-args"]
+    for one in (
+        f"cell:={CELL}",
+        "motion.backend:=external",
+        "max_joints_age:=1.0",
+        "robot_state.max_ages:=[state=1.0]",
+    ):
+        words += ["-p", one]
+
+    def start() -> subprocess.Popen[bytes]:
+        heard.clear()
+        return subprocess.Popen(words, env={**source_environment, "ROS_HOME": str(home)})
+
+    def end(guard: subprocess.Popen[bytes], how: signal.Signals) -> None:
+        guard.send_signal(how)
+        guard.wait(20.0)
+
+    guard = start()
+    try:
+        until(lambda: heard and heard[-1].permitted, timeout=30.0)
+        robot.state = GOOD | {"drives": RobotState.DRIVES_OFF}
+        until(lambda: heard[-1].latched)
+        end(guard, signal.SIGKILL)
+        robot.state = dict(GOOD)
+        for how in (signal.SIGINT, signal.SIGKILL):
+            guard = start()
+            until(lambda: heard and list(heard[-1].reasons) == [Permission.LATCHED], timeout=30.0)
+            assert "the drives are off" in heard[-1].text
+            assert not any(one.permitted for one in heard)
+            end(guard, how)
+        guard = start()
+        until(lambda: heard and list(heard[-1].reasons) == [Permission.LATCHED], timeout=30.0)
+        answer = reset.call(ResetGuard.Request(operator_name="A. Smith"), timeout_sec=10.0)
+        assert answer.outcome.code == Outcome.OK
+        until(lambda: heard[-1].permitted)
+        end(guard, signal.SIGINT)  # that it is told to end is no fault
+        guard = start()
+        until(lambda: heard and heard[-1].permitted, timeout=30.0)
+        assert not any(one.latched for one in heard)
+    finally:
+        guard.kill()
+        guard.wait()
+
+
+def test_a_latch_that_cannot_be_read_or_kept(
+    spinning: Any, until: Any, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file that holds something else, or none: no guard.  One that cannot be written: the guard stays latched."""
+
+    def full(_: Any) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    cell = load_cell(CELL)
+    file = latch_file(cell, "/")
+    assert file.parent.parent == home
+    assert len({latch_file(cell, "/"), latch_file(cell, "/left")}) == 2
+    file.parent.write_text("no folder", "utf-8")
+    given = [Parameter("cell", value=CELL)]
+    with pytest.raises(InputError, match=r"latch-.*: found .*, expected a file that can be written"):
+        GuardNode(context=spinning.context, parameter_overrides=given)
+    file.parent.unlink()
+    Latch(file).keep(tuple(Reason))
+    assert file.stat().st_size == SIZE
+    assert Latch(file).reasons == tuple(Reason)
+    file.write_text("7 nonsense", "utf-8")
+    with pytest.raises(InputError, match=r"latch-.*: found '7 nonsense', expected numbers of reasons"):
+        GuardNode(context=spinning.context, parameter_overrides=given)
+    file.unlink()
+    node = Cell(spinning)
+    until(node.permitted)
+    monkeypatch.setattr(node.guard._latch, "keep", full)
+    node.robot.state = GOOD | {"drives": RobotState.DRIVES_OFF}
+    until(lambda: node.now.latched)
+    until(lambda: "will not be latched" in node.guard.diagnostics.worst[1])
 
 
 def declaring(directory: Path, text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import os
 import re
 import runpy
@@ -23,7 +24,7 @@ from calibration.evaluation import identification
 from calibration.guard import guard
 from calibration.instruments import force_torque, tracker
 from calibration.instruments.acquisition import COMMON
-from calibration.node import NODE_NAMES, OF_ALL, Declared
+from calibration.node import NODE_NAMES, Declared
 from calibration.recorder import recorder
 from calibration.sequencer import parameters as sequencer_parameters
 from calibration_core.errors import InputError
@@ -34,15 +35,15 @@ CELL = ROOT / "config" / "cells" / "demo.cell.yaml"
 SHARE = ROOT / "install" / "calibration" / "share" / "calibration"
 LAUNCH_FILES = sorted((PACKAGE / "launch").glob("*.launch.py"))
 TABLES: dict[str, tuple[Declared, ...]] = {
-    "tracker": (*OF_ALL, *COMMON, *tracker.PARAMETERS),
-    "force_torque": (*OF_ALL, *COMMON, *force_torque.PARAMETERS),
-    "guard": (*OF_ALL, *guard.PARAMETERS),
-    "sequencer": (*OF_ALL, *sequencer_parameters.PARAMETERS),
-    "recorder": (*OF_ALL, *recorder.PARAMETERS),
-    "manager": (*OF_ALL, *manager.PARAMETERS),
-    "panel": (*OF_ALL, *panel.PARAMETERS),
-    "identification": (*OF_ALL, *identification.PARAMETERS),
-    "compensation": (*OF_ALL, *compensation.PARAMETERS),
+    "tracker": (*COMMON, *tracker.PARAMETERS),
+    "force_torque": (*COMMON, *force_torque.PARAMETERS),
+    "guard": guard.PARAMETERS,
+    "sequencer": sequencer_parameters.PARAMETERS,
+    "recorder": recorder.PARAMETERS,
+    "manager": manager.PARAMETERS,
+    "panel": panel.PARAMETERS,
+    "identification": identification.PARAMETERS,
+    "compensation": compensation.PARAMETERS,
 }
 
 
@@ -55,7 +56,7 @@ class Made:
 
 STAND_INS = {
     "launch": ("LaunchDescription",),
-    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "LogInfo", "OpaqueFunction"),
+    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "LogInfo", "OpaqueFunction", "TimerAction"),
     "launch_ros": (),
     "launch_ros.actions": ("Node",),
     "launch_ros.parameter_descriptions": ("ParameterValue",),
@@ -186,8 +187,22 @@ def test_every_argument_is_declared_described_and_used(description: list[Made], 
     assert all(one.named["description"].endswith(".") for one in of("DeclareLaunchArgument", description))
 
 
-def test_a_node_that_ends_ends_no_other(description: list[Made]) -> None:
-    assert [node for node in of("Node", description) if "on_exit" in node.named] == []
+def test_a_node_that_ends_ends_no_other_and_one_that_crashed_is_started_again(
+    description: list[Made], tree: process_tree.Tree
+) -> None:
+    nodes = [one for one in of("Node", description) if one.named["package"].startswith("calibration")]
+    for node, process in zip(nodes, tree.processes, strict=True):
+        for code, shutdown in itertools.product((0, 1, 2, -9, -11), (False, True)):
+            event, context = Made(), Made()
+            event.returncode, context.is_shutdown = code, shutdown
+            started = node.named["on_exit"](event, context)
+            again = code not in (0, 2) and not shutdown and process.name != "simulated_cell"
+            assert bool(started) is again
+            for timer in started:
+                (same,) = timer.named["actions"]
+                assert timer.named["period"] > 1.0
+                assert same.named["executable"] == process.name
+                assert same.named["on_exit"] is not None
 
 
 @pytest.mark.parametrize("name", ["real_cell", "simulated_cell"])

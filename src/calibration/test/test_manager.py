@@ -1,11 +1,10 @@
-"""The manager with real processes: order, silence, come-back, and the state of the cell that it tells."""
+"""The manager with real processes: silence, come-back, and the state of the cell that it tells."""
 
 from __future__ import annotations
 
 import contextlib
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,10 @@ from granted import Granted
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
 from calibration_interfaces.msg import NodeHealth, State
-from lifecycle_msgs.msg import Transition, TransitionEvent
-from lifecycle_msgs.srv import ChangeState
 from rclpy.parameter import Parameter
-from stand_ins import CELL, call
-from std_srvs.srv import Trigger
+from stand_ins import CELL
 
-from calibration.lifecycle.heartbeat import LEASE
+from calibration.health import LEASE
 from calibration.manager import ManagerNode
 from calibration.topics import STATE
 
@@ -34,37 +30,28 @@ NOTICED = 1.5 * LEASE + 1.0  # s, from the blow to the message, on a busy machin
 
 
 class Cell:
-    """Processes that wait for their manager, and a manager in this process."""
+    """Processes, and a manager in this process."""
 
     def __init__(self, spinning: Any, environment: dict[str, str]) -> None:
         self._environment = environment
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.client = spinning.plain("outside")
         self.states: list[State] = []
-        self.events: list[tuple[int, str, str]] = []  # when, ns; who; what
-        self.client.create_subscription(STATE.message, STATE.relative, self.states.append, STATE.qos)
+        spinning.plain("outside").create_subscription(STATE.message, STATE.relative, self.states.append, STATE.qos)
         for name in NAMES:
-            self.client.create_subscription(
-                TransitionEvent, f"{name}/transition_event", lambda message, name=name: self._note(name, message), 100
-            )
             self.start(name)
 
-    def _note(self, name: str, message: TransitionEvent) -> None:
-        if message.transition.label == "transition_success":
-            self.events.append((int(message.timestamp), name, str(message.goal_state.label)))
-
-    @property
-    def changes(self) -> list[tuple[str, str]]:
-        """Who became what, in the order of time: each node speaks on a topic of its own, of which one may be late."""
-        return [(name, label) for _, name, label in sorted(self.events)]
-
     def start(self, name: str) -> None:
-        command = [str(BIN / name), "--ros-args", "-p", f"cell:={CELL}", "-p", "autostart:=false"]
+        command = [str(BIN / name), "--ros-args", "-p", f"cell:={CELL}"]
         self.processes[name] = subprocess.Popen(command, env=self._environment, stderr=subprocess.DEVNULL)
 
     def health(self, name: str) -> NodeHealth:
         found = [one for one in self.states[-1].nodes if one.name == name] if self.states else []
         return found[0] if found else NodeHealth(level=NodeHealth.ABSENT)
+
+    def all_heard(self) -> bool:
+        """Whether every process that was started last is heard."""
+        found = [(self.health(name), process.pid) for name, process in self.processes.items()]
+        return all(one.level < NodeHealth.ABSENT and one.process == pid for one, pid in found)
 
     def faults(self, code: str) -> list[Any]:
         return [one for one in self.states[-1].faults if one.code == code] if self.states else []
@@ -84,15 +71,13 @@ def cell(spinning: Any, source_environment: dict[str, str]) -> Iterator[Cell]:
     one.stop()
 
 
-def test_up_in_order_missed_when_silent_up_again_and_down(
-    spinning: Any, cell: Cell, until: Callable[..., None]
-) -> None:
+def test_missed_when_silent_and_heard_again(spinning: Any, cell: Cell, until: Callable[..., None]) -> None:
     given = [Parameter("cell", value=str(CELL)), Parameter("nodes", value=NAMES)]
-    until(lambda: set(NAMES) <= set(cell.client.get_node_names()), timeout=60.0)
-    manager = spinning.add(ManagerNode(context=spinning.context, parameter_overrides=given))
-    until(lambda: manager.order.all_active, timeout=60.0, what=manager._inactive())
-    until(lambda: len(cell.events) == 6)
-    assert cell.changes == [(name, state) for name in NAMES for state in ("inactive", "active")]
+    spinning.add(ManagerNode(context=spinning.context, parameter_overrides=given))
+    until(cell.all_heard, timeout=60.0)
+    first = cell.health("tracker")
+    assert first.role == "tracker"
+    assert len({cell.health(name).identifier for name in NAMES}) == len(NAMES)
 
     # a dead process
     watch = Granted()
@@ -104,10 +89,11 @@ def test_up_in_order_missed_when_silent_up_again_and_down(
     (fault,) = cell.faults("node_silent")
     assert (fault.source, fault.text) == ("tracker", "tracker is silent: no point is measured")
     assert fault.remedy == "start it again: ros2 run calibration tracker"
-    assert manager.order.members["guard"].state == 3  # nobody else has ended
+    assert cell.health("guard").level < NodeHealth.ABSENT  # nobody else has ended
     cell.start("tracker")
-    until(lambda: manager.order.all_active, timeout=60.0, what=manager._inactive())
+    until(cell.all_heard, timeout=60.0)
     until(lambda: not cell.faults("node_silent"))
+    assert cell.health("tracker").since > first.since
 
     # a process that stands still, and goes on
     watch = Granted()
@@ -115,26 +101,7 @@ def test_up_in_order_missed_when_silent_up_again_and_down(
     until(lambda: cell.health("force_torque").level == NodeHealth.SILENT)
     assert watch.seconds < NOTICED
     cell.processes["force_torque"].send_signal(signal.SIGCONT)
-    until(lambda: manager.order.all_active)
-
-    # what an operator deactivates is left alone, and shown
-    change = cell.client.create_client(ChangeState, "tracker/change_state")
-    assert call(change, ChangeState.Request(transition=Transition(label="deactivate"))).success
-    until(lambda: cell.faults("node_not_active"))
-    assert cell.faults("node_not_active")[0].remedy == "ros2 lifecycle set /tracker activate"
-    time.sleep(1.0)
-    assert cell.health("tracker").lifecycle.label == "inactive"
-    is_active = cell.client.create_client(Trigger, "manager/is_active")
-    answer = call(is_active, Trigger.Request())
-    assert (answer.success, answer.message) == (False, "tracker is inactive")
-
-    # all up again, and down in the opposite order
-    assert call(cell.client.create_client(Trigger, "manager/startup"), Trigger.Request()).success
-    assert call(is_active, Trigger.Request()).success
-    cell.events.clear()
-    assert call(cell.client.create_client(Trigger, "manager/shutdown"), Trigger.Request()).success
-    until(lambda: len(cell.events) == 6)
-    assert cell.changes == [(name, state) for name in reversed(NAMES) for state in ("inactive", "unconfigured")]
+    until(cell.all_heard)
 
 
 def test_a_node_that_hangs_is_silent_although_its_process_lives(spinning: Any, until: Callable[..., None]) -> None:
@@ -145,14 +112,15 @@ def test_a_node_that_hangs_is_silent_although_its_process_lives(spinning: Any, u
 
     given = [Parameter("cell", value=str(CELL)), Parameter("nodes", value=["tracker"])]
     manager = spinning.add(ManagerNode(context=spinning.context, parameter_overrides=given))
+    health = manager.whole.health
     node = CalibrationNode("tracker", (), context=spinning.context)
     executor = SingleThreadedExecutor(context=spinning.context)
     executor.add_node(node)
     for _ in range(20):
         executor.spin_once(timeout_sec=0.1)
-    until(lambda: manager.order.members["tracker"].alive)
+    until(lambda: health["tracker"].level < NodeHealth.ABSENT)
     watch = Granted()
-    until(lambda: not manager.order.members["tracker"].alive)
+    until(lambda: health["tracker"].level == NodeHealth.SILENT)
     assert watch.seconds < NOTICED
     executor.shutdown()
     node.destroy_node()

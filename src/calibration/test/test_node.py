@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,14 @@ from granted import Granted
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
+from action_msgs.msg import GoalStatus
+from calibration_interfaces.action import Measure
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from goals import GoalClient
+from rclpy.event_handler import EventHandler, PublisherEventCallbacks
 from rclpy.parameter import Parameter
+from stand_ins import finish
+from std_msgs.msg import String
 
 from calibration.node import (
     CalibrationNode,
@@ -131,7 +138,92 @@ def test_diagnostics_at_change_and_once_a_second(spinning: Any, until: Callable[
     one.diagnostics.report("tracker/mp1", 0, "fine")
     until(lambda: len(heard) > seen and heard[-1].status[1].level == DiagnosticStatus.OK)
     assert watch.seconds < 0.9  # it does not wait for the second
-    assert (heard[-1].status[0].level, heard[-1].status[0].message) == (DiagnosticStatus.OK, "active")
+    assert (heard[-1].status[0].level, heard[-1].status[0].message) == (DiagnosticStatus.OK, "all is well")
+
+
+def test_a_node_that_ends_begins_nothing_and_ends_once(spinning: Any) -> None:
+    ended: list[bool] = []
+
+    class Doing(CalibrationNode):
+        def on_start(self) -> None:
+            self.create_action_server(Measure, "~/do", self._on_goal)
+
+        def _on_goal(self, goal: Any) -> Any:
+            goal.succeed()
+            return Measure.Result()
+
+        def on_end(self) -> None:
+            ended.append(self.ending.is_set())
+
+    one = spinning.add(Doing("tracker", (), context=spinning.context))
+    do = GoalClient(spinning.plain(), Measure, "tracker/do")
+    assert do.wait_for_server(15.0)
+    assert finish(do.send_goal_async(Measure.Goal())).accepted
+    one.stop()
+    one.stop()
+    assert ended == [True]
+    assert not finish(do.send_goal_async(Measure.Goal())).accepted
+
+
+class Slow:
+    """The handle of an action client that is slow to tell the number of what it has sent."""
+
+    def __init__(self, handle: Any) -> None:
+        self._handle = handle
+        self.requests = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._handle, name)
+
+    def _slowly(self, number: int) -> int:
+        self.requests += 1
+        time.sleep(0.3)
+        return number
+
+    def send_goal_request(self, request: Any) -> int:
+        return self._slowly(self._handle.send_goal_request(request))
+
+    def send_result_request(self, request: Any) -> int:
+        return self._slowly(self._handle.send_result_request(request))
+
+
+def test_an_answer_that_comes_at_once_is_not_lost(spinning: Any) -> None:
+    """Slow filing: the answers are taken in by the thread that spins while the thread of the test still sends."""
+
+    def on_goal(goal: Any) -> Any:
+        goal.succeed()
+        return Measure.Result()
+
+    one = spinning.add(node(spinning.context))
+    one.create_action_server(Measure, "~/do", on_goal)
+    do = GoalClient(spinning.plain(), Measure, "tracker/do")
+    assert do.wait_for_server(15.0)
+    slow = Slow(do._client_handle)
+    do._client_handle = slow
+    handle = finish(do.send_goal_async(Measure.Goal()))
+    assert handle.accepted
+    assert finish(handle.get_result_async()).status == GoalStatus.STATUS_SUCCEEDED
+    assert slow.requests == 2
+
+
+def test_a_wake_carries_no_events_that_nobody_asked_for(spinning: Any) -> None:
+    """The executor looks at every event of every topic each time it wakes; rclpy makes two for each by itself."""
+    one = spinning.add(node(spinning.context))
+    one.create_subscription(String, "words", lambda _: None, 1)
+    assert not any(isinstance(each, EventHandler) for each in one.waitables)
+    heard = one.create_publisher(String, "w", 1, event_callbacks=PublisherEventCallbacks(matched=lambda _: None))
+    assert heard.event_handlers
+
+
+def test_of_two_of_a_kind_the_younger_one_ends(spinning: Any, until: Callable[..., None]) -> None:
+    class Only(CalibrationNode):
+        OWNER = "tracker"
+
+    elder = spinning.add(Only("tracker", (), context=spinning.context))
+    younger = spinning.add(Only("tracker", (), context=spinning.context))
+    until(younger.failed.is_set)
+    until(lambda: elder.diagnostics.worst[1].startswith("owner: two trackers: another one is process "))
+    assert not elder.failed.is_set()
 
 
 def test_a_signal_ends_the_node_after_stop() -> None:

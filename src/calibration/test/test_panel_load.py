@@ -117,7 +117,7 @@ def test_under_load_the_page_is_quick_and_disturbs_nobody(
     )
     record = client.create_client(Record, "recorder/record")
     with running(spinning, source_environment, tmp_path, speed=1.0, more={"simulated_cell": rates}) as cell:
-        until(lambda: states and all(one.lifecycle.label == "active" for one in states[-1].nodes), timeout=LONG)
+        until(lambda: states and all(one.level < one.ABSENT for one in states[-1].nodes), timeout=LONG)
         file = tmp_path / "state.cdr"
         file.write_bytes(serialize_message(states[-1]))
         spinning.executor.create_task(client.destroy_subscription, listening)  # the page alone hears the stranger

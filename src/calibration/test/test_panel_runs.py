@@ -37,8 +37,6 @@ def test_it_ends_while_a_run_that_was_begun_there_goes_on(
     from calibration_interfaces.action import RunPlan
     from rclpy.action import ActionServer
 
-    from calibration.lifecycle import machine
-
     begun, go_on = threading.Event(), threading.Event()
 
     def measure(handle: Any) -> Any:
@@ -61,8 +59,7 @@ def test_it_ends_while_a_run_that_was_begun_there_goes_on(
     run(work())
     try:
         assert begun.wait(10.0)
-        for change in (machine.DEACTIVATE, machine.ACTIVATE, machine.DEACTIVATE, machine.CLEANUP):
-            assert panel.change(change), panel.trouble
+        panel.stop()
         gc.collect()
         assert "never" not in caplog.text
         assert "pending" not in caplog.text
@@ -74,7 +71,6 @@ def test_it_ends_while_a_run_that_was_begun_there_goes_on(
 @pytest.mark.parametrize("pages", [1, 3])
 def test_it_ends_while_pages_are_open(panel: Any, caplog: pytest.LogCaptureFixture, pages: int) -> None:
     """A page that only looks gets nothing more: no task of a page is left when its loop ends."""
-    from calibration.lifecycle import machine
 
     async def work() -> None:
         address, token = panel.where()
@@ -83,13 +79,9 @@ def test_it_ends_while_pages_are_open(panel: Any, caplog: pytest.LogCaptureFixtu
             for _ in range(pages):
                 opened = one.http.ws_connect(f"{address}/pages", headers=one.headers())
                 await (await stack.enter_async_context(opened)).receive_str()
-            assert await asyncio.to_thread(panel.change, machine.DEACTIVATE), panel.trouble
+            await asyncio.to_thread(panel.stop)
 
-    for _ in range(3):
-        run(work())
-        gc.collect()
-        assert panel.change(machine.ACTIVATE), panel.trouble
-    assert panel.change(machine.DEACTIVATE), panel.trouble
+    run(work())
     gc.collect()
     assert [one.getMessage() for one in caplog.records if one.name == "asyncio"] == []
 

@@ -206,7 +206,6 @@ def test_an_operator_hands_over_and_leaves(panel: Any, spinning: Any, until: Any
 def test_a_device_stays_entered_when_the_panel_is_started_again(
     spinning: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from calibration.lifecycle import machine
     from calibration.panel import PanelNode
 
     def start(port: int) -> Any:
@@ -220,15 +219,13 @@ def test_a_device_stays_entered_when_the_panel_is_started_again(
         async with client(address) as one:
             await one.enter(token)
             await one.ask("control_ask")
-            for change in (machine.DEACTIVATE, machine.CLEANUP):
-                assert await asyncio.to_thread(panel.change, change)
+            await asyncio.to_thread(panel.stop)
             again = await asyncio.to_thread(start, int(address.rpartition(":")[2]))
             assert (await (await one.http.get(f"{address}/api/me")).json())["name"] == "Ann"
             assert (await one.ask("stop"))[0] == 200
             assert (await one.ask("pause"))[0] == 409  # control is asked for anew
             assert (await one.post("/api/leave"))[0] == 200
-            for change in (machine.DEACTIVATE, machine.CLEANUP):
-                assert await asyncio.to_thread(again.change, change)
+            await asyncio.to_thread(again.stop)
             (kept,) = tmp_path.glob(".panel-*.json")
             kept.write_text("[damaged", "utf-8")
             await asyncio.to_thread(start, int(address.rpartition(":")[2]))
@@ -276,11 +273,9 @@ def test_a_condition_is_overridden_for_the_next_run(panel: Any, spinning: Any, t
     assert given == [[("temperature", "Ann", "the hall is warm")], []]
 
 
-def test_it_comes_back_at_the_same_place(panel: Any) -> None:
-    from calibration.lifecycle import machine
-
-    address, token = panel.where()
-    assert panel.change(machine.DEACTIVATE)
+def test_a_panel_that_has_ended_serves_nothing(panel: Any) -> None:
+    address, _ = panel.where()
+    panel.stop()
 
     async def gone() -> None:
         async with client(address) as one:
@@ -288,15 +283,6 @@ def test_it_comes_back_at_the_same_place(panel: Any) -> None:
                 await one.http.get(address)
 
     run(gone())
-    assert panel.change(machine.ACTIVATE)
-
-    async def back() -> None:
-        async with client(address) as one:
-            assert await one.enter(panel.where()[1]) == 200
-            await one.listen(lambda shown: shown.get("silent") is True)
-
-    run(back())
-    assert token
 
 
 def test_a_message_for_all_pages_is_small(panel: Any) -> None:

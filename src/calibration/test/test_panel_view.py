@@ -23,7 +23,6 @@ from calibration_interfaces.msg import (
     SampleCheck,
     State,
 )
-from lifecycle_msgs.msg import State as Lifecycle
 
 from calibration.web.shown.plain import CONSTANTS, plain
 from calibration.web.shown.view import checklist, forgotten, place_of, running, unfinished, view
@@ -116,7 +115,7 @@ def test_a_load_step_has_a_place_of_its_own() -> None:
 
 
 def active(name: str, age: float = 0.1) -> NodeHealth:
-    return NodeHealth(name=name, level=NodeHealth.OK, lifecycle=Lifecycle(id=3, label="active"), age=age)
+    return NodeHealth(name=name, level=NodeHealth.OK, age=age)
 
 
 NODES = ("guard", "sequencer", "tracker", "force_torque", "recorder")

@@ -28,12 +28,13 @@ from calibration_interfaces.msg import (
     SampleCheck,
     SessionEvent,
 )
+from rclpy.parameter import Parameter
 from sequencer_world import CELL, GOAL, JOINTS, PULL, Operator, World, ended, overrides
 
 from calibration.cell.port import logged
 from calibration.sequencer.goal import Goal, Request
 from calibration.sequencer.operator_services import HELD, OperatorServices
-from calibration.sequencer.parameters import PARAMETERS, motion_limits
+from calibration.sequencer.parameters import FREE, PARAMETERS, motion_limits
 from calibration.sequencer.runner import Call
 from calibration.sequencer.sequencer import SequencerNode
 from calibration.topics import PROGRESS, SAMPLE_CHECK, Quality, profile
@@ -55,6 +56,21 @@ def test_no_motion_is_planned_faster_than_the_declared_limit(asked: float, plann
     assert motion_limits(Given(), cell).speed == asked
     declaring = cell.model_copy(update={"safety": Safety(speed_limit=0.2, source="checksum 8A3F")})
     assert motion_limits(Given(), declaring).speed == planned
+
+
+def test_parameters_of_a_run_change_between_runs_alone(spinning: Any) -> None:
+    usual = {"cell": str(CELL), "motion.backend": "external", "force_torque": "", "recorder": "", "progress": False}
+    given = [Parameter(name, value=value) for name, value in usual.items()]
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=given))
+    assert {one.name for one in PARAMETERS if not one.read_only} == FREE
+    assert node.set_parameters([Parameter("settle_time", value=2.5)])[0].successful
+    assert not node.set_parameters([Parameter("settle_time", value=-1.0)])[0].successful
+    assert not node.set_parameters([Parameter("permission_age", value=0.9)])[0].successful
+    node.runs.goal = Goal(None, lambda: None)  # as while a plan is measured
+    answer = node.set_parameters([Parameter("settle_time", value=0.0)])[0]
+    assert (answer.successful, answer.reason) == (False, "settle_time: not now: a plan is being measured")
+    node.runs.goal = None
+    assert node.value("settle_time") == 2.5
 
 
 @pytest.fixture

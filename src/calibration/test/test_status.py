@@ -26,11 +26,9 @@ from calibration_interfaces.msg import (
     SampleCheck,
     State,
 )
-from lifecycle_msgs.msg import State as Lifecycle
 
 from calibration.cell.reading_checks import PresentLoad
-from calibration.lifecycle.machine import ACTIVE
-from calibration.lifecycle.order import Order
+from calibration.health import LEASE
 from calibration.status import faults as wrong
 from calibration.status.observer import Observer, Party, Verdict
 from calibration.status.procedure import ProcedureReport
@@ -173,9 +171,8 @@ def test_a_load_of_another_run_is_named() -> None:
     assert watched.observer.waits_for is Party.GUARD
 
 
-def health(name: str, level: int = NodeHealth.OK, state: int = ACTIVE, text: str = "") -> NodeHealth:
-    label = {ACTIVE: "active"}.get(state, "inactive")
-    return NodeHealth(name=name, level=level, lifecycle=Lifecycle(id=state, label=label), text=text, process=7)
+def health(name: str, level: int = NodeHealth.OK, text: str = "", identifier: int = 7) -> NodeHealth:
+    return NodeHealth(name=name, level=level, text=text, identifier=identifier)
 
 
 def well() -> State:
@@ -200,7 +197,6 @@ def test_all_is_well() -> None:
     [
         ({"nodes": [health("tracker", NodeHealth.SILENT)]}, (Fault.ERROR, "node_silent", "tracker"), "start it again"),
         ({"nodes": [health("guard", NodeHealth.ABSENT)]}, (Fault.ERROR, "node_absent", "guard"), "resume motion"),
-        ({"nodes": [health("guard", state=2, text="inactive")]}, (Fault.ERROR, "node_not_active", "guard"), ""),
         ({"nodes": [health("recorder", NodeHealth.ERROR, text="bag: no room")]},
          (Fault.ERROR, "node_error", "recorder"), ""),
         ({"permission_known": False}, (Fault.ERROR, "guard_silent", "guard"), "start it again"),
@@ -259,45 +255,71 @@ def test_every_reason_and_problem_of_the_messages_is_answered() -> None:
 
 
 def test_the_whole_says_who_is_not_heard_and_what_was_said_last() -> None:
-    order, whole = Order(NAMES, 1.5, 0.0), Whole(NAMES, 0.5)
-    state = whole.message(order, 0.0)
+    whole = Whole(NAMES, 0.5)
+    state = whole.message(0.0)
     assert (state.procedure_known, state.permission_known) == (False, False)
     assert state.not_permitted == "the guard is silent"
     assert [one.code for one in state.faults] == ["node_absent", "node_absent"]
     for name in NAMES:
-        whole.hear_node(health(name))
-        order.hear(name, 7, ACTIVE, 1.0)
+        assert whole.hear_node(health(name), 1.0)
     procedure = ProcedureState(text="moving to configuration 3", waiting="robot: arrival")
-    assert not whole.message(order, 1.0).procedure_known
+    assert not whole.message(1.0).procedure_known
     whole.hear("procedure", procedure, 1.0)
     whole.hear("permission", Permission(permitted=True), 1.0)
-    state = whole.message(order, 1.1)
+    state = whole.message(1.1)
     assert (state.text, state.waiting, state.not_permitted) == (procedure.text, procedure.waiting, "")
     assert list(state.faults) == []
     before = whole.news(state)
-    assert before == whole.news(whole.message(order, 1.2))
-    assert [round(one.age, 1) for one in whole.message(order, 1.3).nodes] == [0.3, 0.3]
-    state = whole.message(order, 1.8)  # it is not missed yet, and what it has said is not current any more
+    assert before == whole.news(whole.message(1.2))
+    assert [round(one.age, 1) for one in whole.message(1.3).nodes] == [0.3, 0.3]
+    state = whole.message(1.8)  # it is not missed yet, and what it has said is not current any more
     assert (state.procedure_known, [one.code for one in state.faults]) == (False, ["guard_silent"])
     assert whole.news(state) != before
-    order.lose("sequencer", 1.3)
-    state = whole.message(order, 1.3)
+    whole.hear_node(health("guard"), 2.6)
+    whole.hear("permission", Permission(permitted=True), 2.6)
+    assert whole.silent(2.6) == []
+    assert whole.silent(2.7) == ["sequencer"]
+    state = whole.message(2.7)
     assert state.text == "the sequencer is not heard; it said last: moving to configuration 3"
     assert [one.code for one in state.faults] == ["node_silent"]
     assert whole.news(state) != before
-    assert whole.message(order, 2.0).not_permitted == "the guard is silent"
+    assert whole.message(3.2).not_permitted == "the guard is silent"
+
+
+def test_silence_is_noticed_once_and_ends() -> None:
+    whole = Whole(NAMES, 0.5)
+    for name in NAMES:
+        assert whole.hear_node(health(name), 0.0)
+        assert not whole.hear_node(health(name), 0.0)
+    assert not whole.hear_node(health("stranger"), 0.0)
+    assert whole.silent(LEASE) == []
+    whole.hear_node(health("guard"), LEASE)
+    assert whole.silent(LEASE + 0.1) == ["sequencer"]
+    assert whole.silent(LEASE + 0.2) == []
+    assert whole.hear_node(health("sequencer"), LEASE + 0.3)  # it was stopped, and goes on
+    assert whole.hear_node(health("sequencer", identifier=8), LEASE + 0.4)  # it was started again
+    assert [one.level for one in whole.message(LEASE + 0.5).nodes] == [NodeHealth.OK] * len(NAMES)
+
+
+def test_a_manager_that_was_busy_itself_hears_the_others_before_it_misses_them() -> None:
+    whole = Whole(NAMES, 0.5)
+    for name in NAMES:
+        whole.hear_node(health(name), 0.0)
+    assert whole.silent(0.1) == []
+    assert whole.silent(4.0) == []
+    whole.hear_node(health("guard"), 4.0)
+    assert whole.silent(4.1) == ["sequencer"]
 
 
 def test_readings_of_another_session_are_named_for_a_while() -> None:
-    order, whole = Order(NAMES, 1.5, 0.0), Whole(NAMES, 0.5)
+    whole = Whole(NAMES, 0.5)
     for name in NAMES:
-        whole.hear_node(health(name))
-        order.hear(name, 7, ACTIVE, 1.0)
+        assert whole.hear_node(health(name), 1.0)
     whole.hear("permission", Permission(permitted=True), 1.0)
     whole.hear("procedure", ProcedureState(session="/data/today"), 1.0)
     whole.hear_reading(Reading(session="/data/today@7"), 1.0)
-    assert [one.code for one in whole.message(order, 1.1).faults] == []
+    assert [one.code for one in whole.message(1.1).faults] == []
     whole.hear_reading(Reading(session="/data/last year@3"), 1.0)
-    (fault,) = whole.message(order, 1.1).faults
+    (fault,) = whole.message(1.1).faults
     assert (fault.code, "/data/last year@3" in fault.text) == ("foreign_session", True)
-    assert "foreign_session" not in [one.code for one in whole.message(order, 20.0).faults]
+    assert "foreign_session" not in [one.code for one in whole.message(20.0).faults]

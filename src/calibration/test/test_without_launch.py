@@ -90,6 +90,28 @@ def test_a_deaf_process_is_ended_after_its_time(tree: Callable[..., list[str]], 
     assert time.monotonic() - began < 20.0
 
 
+CRASHES_ONCE = """#!/bin/sh
+echo started >> "$0.log"
+if [ "$(wc -l < "$0.log")" -gt 1 ]; then exit 0; fi
+kill -9 $$
+"""
+
+
+def test_a_node_that_was_killed_is_started_again_and_one_that_was_told_to_end_is_not(
+    tree: Callable[..., list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(without_launch, "AGAIN_AFTER", 0.1)
+    assert main(tree(guard=CRASHES_ONCE)) == 0
+    assert (tmp_path / "lib" / "calibration" / "guard.log").read_text().splitlines() == ["started"] * 2
+    assert capsys.readouterr().err == "guard ended with -9, and is started again\n"
+
+
+def test_a_simulated_cell_that_was_killed_stays_dead(tree: Callable[..., list[str]], tmp_path: Path) -> None:
+    """It stands for the robot, and its clock would begin anew."""
+    assert main(tree(simulated_cell=CRASHES_ONCE)) == -9
+    assert (tmp_path / "lib" / "calibration_sim" / "simulated_cell.log").read_text().splitlines() == ["started"]
+
+
 def test_where_nothing_is_left_it_ends_and_says_so(tree: Callable[..., list[str]]) -> None:
     assert main(tree(guard="#!/bin/sh\nexit 2\n")) == 2
 

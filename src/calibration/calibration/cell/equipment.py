@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from calibration_interfaces.msg import NodeHealth, SampleCheck
-from lifecycle_msgs.msg import State
-from rclpy.qos import QoSProfile
 
 from calibration.cell.description_watch import DescriptionWatch
 from calibration.cell.recorder_client import Recorder
-from calibration.lifecycle.heartbeat import TOPIC
+from calibration.health import QOS, TOPIC
 from calibration.topics import SAMPLE_CHECK
 
 
@@ -31,16 +31,18 @@ class Equipment:
         """
         self._recorder, self._description, self._max_age = recorder, description, max_age
         self._two_sources: dict[str, str] = {}  # stream -> who publish it
-        self._heard: dict[str, tuple[float, str]] = {}  # node -> s of the steady clock, why it does not work
+        self._heard: dict[str, float] = {}  # node -> s of the steady clock
 
     def listen(self, node: Any) -> None:
         """Listen to the recorder, the instruments that the sequencer's parameters name, and the identification."""
-        self._heard.clear()
-        self._two_sources.clear()
         self._recorder.listen()
         instruments = [node.value(name).rpartition("/")[0] for name in ("tracker", "force_torque")]
+        wanted: dict[str, dict[str, str]] = {}  # topic -> name of a node -> with the namespace, as the parameter has it
         for name in [*filter(None, instruments), "identification"]:
-            self._hear(node, name)
+            space, slash, own = name.rpartition("/")
+            wanted.setdefault(f"{space}{slash}{TOPIC}", {})[own] = name
+        for topic, names in wanted.items():
+            node.create_subscription(NodeHealth, topic, functools.partial(self._on_health, names), QOS)
         check = SAMPLE_CHECK
         node.create_subscription(check.message, check.relative, self._on_check, check.qos)
 
@@ -52,21 +54,15 @@ class Equipment:
         else:
             self._two_sources.pop(name, None)
 
-    def _hear(self, node: Any, name: str) -> None:
-        def take(message: NodeHealth) -> None:
-            active = message.lifecycle.id == State.PRIMARY_STATE_ACTIVE
-            self._heard[name] = (time.monotonic(), "" if active else f"is {message.lifecycle.label}")
-
-        node.create_subscription(NodeHealth, f"{name}/{TOPIC}", take, QoSProfile(depth=1))
+    def _on_health(self, names: Mapping[str, str], message: Any) -> None:
+        if message.name in names:
+            self._heard[names[message.name]] = time.monotonic()
 
     def fault(self, now: float) -> str:
         """Say who is missing; empty if nobody is.  `now` is s of the steady clock."""
         faults = [self._description.fault, self._recorder.fault(now), *list(self._two_sources.values())]
-        for name, (heard, why) in list(self._heard.items()):
-            if now - heard > self._max_age:
-                faults.append(f"{name} is silent for {now - heard:.1f} s")
-            elif why:
-                faults.append(f"{name} {why}")
+        late = [(name, now - heard) for name, heard in list(self._heard.items()) if now - heard > self._max_age]
+        faults += [f"{name} is silent for {age:.1f} s" for name, age in late]
         return "; ".join(filter(None, faults))
 
     def recorded(self, since: float) -> bool:
@@ -75,7 +71,7 @@ class Equipment:
 
     def ready(self, since: float) -> bool:
         """Tell whether everybody has: nothing begins on a word that may be older than the loss of who gave it."""
-        return self.recorded(since) and all(heard > since for heard, _ in list(self._heard.values()))
+        return self.recorded(since) and all(heard > since for heard in list(self._heard.values()))
 
     def tick(self, now: float) -> None:
         """Bring a recorder back to the run's bag."""

@@ -59,7 +59,7 @@ class CompensationNode(CalibrationNode):
         self._working = threading.Lock()
         super().__init__("compensation", PARAMETERS, **kwargs)
 
-    def on_configure(self) -> None:
+    def on_start(self) -> None:
         """Read cell and model, and offer the services."""
         self.cell = load_cell(self.value("cell"))
         self._model = self._read(self.value("model"))
@@ -70,10 +70,6 @@ class CompensationNode(CalibrationNode):
         ):
             self.create_service(kind, name, answer, qos_profile=MANY, callback_group=group)
         self._show_status()
-
-    def on_cleanup(self) -> None:
-        """Forget the model."""
-        self._model = None
 
     def _read(self, file: str) -> CalibratedModel | None:
         return read_calibrated(Path(file), self.cell) if file else None

@@ -89,20 +89,22 @@ class IdentificationNode(CalibrationNode):
         """Make the node."""
         super().__init__("identification", PARAMETERS, **kwargs)
 
-    def on_configure(self) -> None:
-        """Start the process that computes, service and action."""
+    def on_start(self) -> None:
+        """Start the process that computes, show the cell, and answer from now on."""
         self._worker = Worker()
         self._drawer: Worker | None = None  # started when it is needed
         self._drawing = threading.Lock()
         self._drawings: dict[Path, threading.Event] = {}
         self._busy = threading.Lock()
-        self._stopping = threading.Event()
         group, answer = ReentrantCallbackGroup(), self._on_stiffness
         self.create_service(IdentifyStiffness, "~/identify_stiffness", answer, qos_profile=MANY, callback_group=group)
         self._action = self.create_action_server(Identify, "~/identify", self._on_goal)
         self._session = ""  # bag of the last session that was recorded
         self._markers = self.create_publisher(MARKERS.message, MARKERS.relative, MARKERS.qos)
         self.diagnostics.report("evaluation", 0, "idle")
+        self.create_subscription(RECORDING.message, RECORDING.relative, self._on_recording, RECORDING.qos)
+        if self.value("cell"):
+            self._show(self.value("cell"), "")
 
     def _on_recording(self, message: Any) -> None:
         if message.plan_sha256:
@@ -136,10 +138,10 @@ class IdentificationNode(CalibrationNode):
     async def _on_stiffness(self, request: Any, response: Any) -> Any:
         what = Identify.Goal.STIFFNESS
         job = self._job(what, request)
-        done = _judged(what, await self._evaluated(job, self._stopping.is_set, report=False))
+        done = _judged(what, await self._evaluated(job, self.ending.is_set, report=False))
         if isinstance(job, Job) and done.result_json:
             self._aside("markers", lambda: self._show(job.cell, done.result_json))
-            self._aside("report", lambda: self._draw(job, self._stopping.is_set))
+            self._aside("report", lambda: self._draw(job, self.ending.is_set))
             rows = json.loads(done.result_json)["stiffness"]
             response.joints = [row["joint"] for row in rows]
             response.stiffness, response.std = (
@@ -164,7 +166,7 @@ class IdentificationNode(CalibrationNode):
                 reported[0] = elapsed
                 now = self._worker.progress
                 goal.publish_feedback(Identify.Feedback(share_done=now.share, text=f"{now.text}: {elapsed:.1f} s"))
-            return bool(goal.is_cancel_requested) or self._stopping.is_set()
+            return bool(goal.is_cancel_requested) or self.ending.is_set()
 
         job = self._job(what, goal.request)
         done = _judged(what, await self._evaluated(job, cancelled, report=True))
@@ -249,22 +251,11 @@ class IdentificationNode(CalibrationNode):
         code = ERRORS.get(done.kind, Outcome.INTERNAL) if done.kind else Outcome.OK
         return Evaluated(code, done.text)
 
-    def on_activate(self) -> None:
-        """Show the cell, listen where the recorder records, and answer from now on."""
-        self._stopping.clear()
-        self.create_subscription(RECORDING.message, RECORDING.relative, self._on_recording, RECORDING.qos)
-        if self.value("cell"):
-            self._show(self.value("cell"), "")
-
-    def on_deactivate(self) -> None:
-        """Cancel what is under way."""
-        self._stopping.set()
+    def on_end(self) -> None:
+        """Cancel what is under way, and end the processes."""
         end = time.monotonic() + 1.0
         while (self._busy.locked() or self._drawing.locked()) and time.monotonic() < end:
             time.sleep(0.01)
-
-    def on_cleanup(self) -> None:
-        """End the processes."""
         self._worker.close()
         if self._drawer is not None:
             self._drawer.close()

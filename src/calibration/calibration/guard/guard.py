@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
-import numpy as np
 from calibration_interfaces.msg import Outcome, Permission
 from calibration_interfaces.srv import ConfirmMode, ProveStop, ResetGuard
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -28,9 +27,9 @@ from sensor_msgs.msg import JointState
 from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_stamp
 from calibration.guard.emergency import Emergency
 from calibration.guard.joint_publishers import JointPublishers
-from calibration.guard.messages import to_evidence, to_permission, to_robot_state
+from calibration.guard.latch import Latch, latch_file
+from calibration.guard.messages import to_permission, to_robot_state
 from calibration.guard.parameters import PARAMETERS, configured_adapter, guard_rules
-from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.stop import make_stop_path
 from calibration.node import CalibrationNode, run
@@ -38,7 +37,6 @@ from calibration.process_tree import STANDSTILL
 from calibration.robot_state.adapter import Received, Report, assemble
 from calibration.robot_state.confirmation import Confirmation, checked, confirmed
 from calibration.topics import (
-    GUARD_EVIDENCE,
     PERMISSION,
     ROBOT_STATE,
     load_type,
@@ -70,16 +68,15 @@ class GuardNode(CalibrationNode):
     OWNER = "guard"
 
     def __init__(self, **kwargs: Any) -> None:
-        """Make the node; it watches while it is active.
+        """Make the node; it watches from now on.
 
         Raises:
             InputError: A parameter or the cell file cannot be used, or a message package is not installed.
         """
-        self._latched: tuple[Reason, ...] = ()  # outlives every transition: only an operator's reset ends it
         super().__init__("guard", PARAMETERS, **kwargs)
 
-    def on_configure(self) -> None:
-        """Read the cell, choose adapter and stop path, and offer what the guard says."""
+    def on_start(self) -> None:
+        """Read the cell, choose adapter and stop path, and watch; what was latched before stays latched."""
         self.cell = load_cell(self.value("cell"))
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell), tool_point(self.cell))
         self.adapter = configured_adapter(self)
@@ -97,26 +94,19 @@ class GuardNode(CalibrationNode):
         self._asked: dict[str, tuple[Any, Any, float]] = {}  # service -> client, pending answer, since
         self._deciding = threading.RLock()
         self._emergency = Emergency(self, self.stop_path, self.value("sequencer_age"), self.value("trace"))
-        self._begin_anew()
-        self._speak()
-
-    def _begin_anew(self) -> None:
-        """Know nothing, permit nothing, and have the stop proven again; what was latched stays latched."""
+        self._latch = Latch(latch_file(self.cell, self.get_namespace()))
+        self._latched = self._latch.reasons
         self.guard = Guard(self.monitored, self.rules, self.stop_path.how, latched=self._latched)
         self._proving = b""  # the goal that is to be stopped for a proof
         self._deaf = False  # the driver has not acknowledged a stop
         self._received: dict[str, Received] = {}
         self._report = Report(self.adapter.translate({}))
         self._confirmation: Confirmation | None = None
-        self._q = np.full(self.monitored.chain.n, math.nan)
         self._joint_publishers = JointPublishers(self.monitored.chain.joints)
         self._last: GuardDecision | None = None
-        self._evidence_sent = -math.inf
+        self._state_sent = -math.inf
         self._clock_watch = ClockWatch(self.value("clock_jump"))
-
-    def on_activate(self) -> None:
-        """Watch from now on."""
-        self._begin_anew()
+        self._speak()
         self._emergency.listen()
         self._listen()
 
@@ -124,7 +114,6 @@ class GuardNode(CalibrationNode):
         pulse = PERMISSION.qos
         pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
         self._permission = self.create_publisher(PERMISSION.message, PERMISSION.relative, pulse)
-        self._evidence = self.create_publisher(GUARD_EVIDENCE.message, GUARD_EVIDENCE.relative, GUARD_EVIDENCE.qos)
         self._state = self.create_publisher(ROBOT_STATE.message, ROBOT_STATE.relative, ROBOT_STATE.qos)
         self.create_service(ResetGuard, "~/reset", self._on_reset)
         self.create_service(ConfirmMode, "~/confirm_mode", self._on_confirm)
@@ -179,7 +168,6 @@ class GuardNode(CalibrationNode):
         q = joint_positions(message, self.monitored.chain.joints)
         if q is None:  # another device's joints, or some of ours
             return
-        self._q = q
         stamp = stamp_ns(message.header.stamp)
         self._joints.add(stamp or self.now_ns(), q)
         self.guard.on_joints(q, now, stamp / NANOSECONDS if stamp else math.nan)
@@ -249,9 +237,8 @@ class GuardNode(CalibrationNode):
 
     def on_second(self, words: str, younger: bool) -> None:
         """Another guard is heard: neither permits anything."""
-        if self.active:
-            self.guard.on_second_guard()
-            self._decide(time.monotonic())
+        self.guard.on_second_guard()
+        self._decide(time.monotonic())
         super().on_second(words, younger)
 
     def _decide(self, now: float) -> None:
@@ -264,24 +251,34 @@ class GuardNode(CalibrationNode):
 
     def _publish(self, decision: GuardDecision, now: float) -> None:
         stamp = self.now_ns()
-        message = self._message(decision, stamp, now)
-        self._permission.publish(message)
+        self._permission.publish(self._message(decision, stamp, now))
         before, self._last = self._last, decision
-        self._latched = decision.latched
+        self._keep(decision.latched)
         changed = before is None or (before.permitted, before.reasons, before.latched) != (
             decision.permitted, decision.reasons, decision.latched,
         )  # fmt: skip
-        if changed or now - self._evidence_sent >= 1.0 / self.value("evidence_rate"):
-            self._evidence_sent = now
-            state = to_robot_state(self._report, stamp, steady_to_ros=stamp - round(now * NANOSECONDS))
-            self._state.publish(state)
-            self._evidence.publish(to_evidence(decision, message, state, self.monitored, self.rules, self._q))
+        if changed or now - self._state_sent >= 1.0 / self.value("state_rate"):
+            self._state_sent = now
+            steady_to_ros = stamp - round(now * NANOSECONDS)
+            self._state.publish(to_robot_state(self._report, stamp, steady_to_ros=steady_to_ros))
         if changed:
             self.diagnostics.report("permission", 0 if decision.permitted else 1, decision.text)
             if before is not None and before.permitted and not decision.permitted:
                 self.get_logger().warning(f"motion is no longer permitted: {decision.text}")
             else:
                 self.get_logger().info(decision.text)
+
+    def _keep(self, latched: tuple[Reason, ...]) -> None:
+        """Keep what is latched for the guard after this one; that this one is told to end is no fault."""
+        if latched == self._latched or self.ending.is_set():
+            return
+        self._latched = latched
+        try:
+            self._latch.keep(latched)
+        except OSError as error:
+            text = f"{self._latch.path}: {error}: a guard that is started again will not be latched"
+            self.get_logger().error(text)
+            self.diagnostics.report("latch", 2, text)
 
     # --- what the operator says --------------------------------------------------------------------------------------
 
@@ -337,7 +334,7 @@ class GuardNode(CalibrationNode):
 
     # --- the end -----------------------------------------------------------------------------------------------------
 
-    def on_deactivate(self) -> None:
+    def on_end(self) -> None:
         """Take the permission back, stop what moves, and go when the robot stands: last of all."""
         began = time.monotonic()
         with self._deciding:  # the executor's thread still decides
@@ -355,7 +352,7 @@ class GuardNode(CalibrationNode):
             if (stands if moved else at_rest) and (not self._emergency.hears(now) or now - began > OTHERS):
                 return
             time.sleep(0.02)
-        raise TransitionError(RUNS_ON)
+        self.get_logger().error(RUNS_ON)
 
 
 class _While:

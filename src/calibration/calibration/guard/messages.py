@@ -1,17 +1,16 @@
-"""The guard's messages: permission, evidence and robot state, from and to values of the core."""
+"""The guard's messages: permission and robot state, from and to values of the core."""
 
 from __future__ import annotations
 
 import math
 
-from calibration_interfaces.msg import GuardEvidence, Permission, RobotState
+from calibration_interfaces.msg import Permission, RobotState
 
 from calibration.conversions import to_header, to_stamp
 from calibration.robot_state.adapter import Report
 from calibration_core.motion.guard import GuardDecision, GuardRules
 from calibration_core.motion.robot_status import OperatingMode
-from calibration_core.motion.speed import Monitored
-from calibration_core.timeseries import NANOSECONDS, Float1D
+from calibration_core.timeseries import NANOSECONDS
 
 MILLIMETRES = 1e3
 
@@ -72,31 +71,6 @@ def to_permission(decision: GuardDecision, rules: GuardRules, time: int, *, hear
         speed_limit=rules.speed_limit,
         hears_sequencer=hears,
         stop=stop,
-    )
-
-
-def to_evidence(
-    decision: GuardDecision,
-    permission: Permission,
-    state: RobotState,
-    monitored: Monitored,
-    rules: GuardRules,
-    q: Float1D,
-) -> GuardEvidence:
-    """Return what a decision rests on; `q` (n,) rad are the joint angles as last received."""
-    return GuardEvidence(
-        header=permission.header,
-        permission=permission,
-        latched_reasons=[int(reason) for reason in decision.latched],
-        state=state,
-        state_age=decision.state_age,
-        joints_age=decision.joints_age,
-        joints=list(monitored.chain.joints),
-        positions=q.tolist(),
-        velocities=decision.rates.tolist(),
-        points=list(monitored.names),
-        speeds=decision.speeds.tolist(),
-        allowed_modes=sorted(mode.name for mode in rules.allowed_modes),
     )
 
 

@@ -23,7 +23,7 @@ MODES = tuple(mode.name for mode in OperatingMode if mode is not OperatingMode.U
 PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
     Declared("rate", 50.0, "Hz, of the permission.", low=20.0, high=500.0),
-    Declared("evidence_rate", 2.0, "Hz, of the evidence between changes.", low=0.1, high=50.0),
+    Declared("state_rate", 2.0, "Hz, of the robot state between changes.", low=0.1, high=50.0),
     Declared("allowed_modes", ["MANUAL_REDUCED"], f"Operating modes in which motion is permitted: {', '.join(MODES)}."),
     Declared("speed_limit", RULES.speed_limit, "m/s, of every monitored point.", low=0.01, high=0.25),
     Declared(

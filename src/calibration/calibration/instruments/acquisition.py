@@ -13,10 +13,9 @@ from calibration_interfaces.msg import Outcome
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 
-from calibration.background import Background
+from calibration.background import Background, wait_until
 from calibration.conversions import Mean, Sample, joint_positions, stamp_ns, to_average, to_header, to_outcome
 from calibration.instruments.stream import Source, Stream
-from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.node import CalibrationNode, Declared
 from calibration.topics import SAMPLE_CHECK, Quality, Topic, subscribe_to_samples, subscription_profile
@@ -82,11 +81,11 @@ class AcquisitionNode(CalibrationNode):
     """
 
     def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
-        """Make the node; subclasses add streams and sources when they are configured."""
+        """Make the node; subclasses add streams and sources in `on_start`."""
         super().__init__(name, (*COMMON, *parameters), **kwargs)
 
-    def on_configure(self) -> None:
-        """Read the cell, and offer what the node measures."""
+    def on_start(self) -> None:
+        """Read the cell, have the streams made, look for their sources, and report how they are from now on."""
         self.cell: Cell = load_cell(self.value("cell"))
         self.streams: dict[str, Stream] = {}
         self.joints = Joints(ArrivalRules())
@@ -97,21 +96,20 @@ class AcquisitionNode(CalibrationNode):
         self._checks = self.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
         self._measure = self.create_action_server(Measure, "~/measure", self._on_measure)
         self._averages: set[object] = set()  # under way, in threads of their own
-
-    def on_activate(self) -> None:
-        """Look for the sources, and report how they are, from now on."""
+        self.make_streams()
         self._alone_until = time.monotonic() + LISTENERS_WAIT
         for source in self._sources.values():
-            source.begin()
+            source.look()
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def on_deactivate(self) -> None:
-        """Wait until averages under way have given up: they look whether the node is still active."""
-        end = time.monotonic() + GIVEN_UP
-        while self._averages:
-            if time.monotonic() > end:
-                raise TransitionError(f"an average is still being taken after {GIVEN_UP:g} s")
-            time.sleep(POLL)
+    def make_streams(self) -> None:
+        """Add streams and sources, and offer what is made of them."""
+        raise NotImplementedError
+
+    def on_end(self) -> None:
+        """Wait until averages under way have given up: they look whether the node ends."""
+        if not wait_until(lambda: not self._averages, GIVEN_UP):
+            self.get_logger().error(f"an average is still being taken after {GIVEN_UP:g} s")
 
     def busy(self) -> str:
         """Say that an average is being taken: what it is taken with does not change meanwhile."""
@@ -286,8 +284,8 @@ class AcquisitionNode(CalibrationNode):
         """Raise MeasuringError where nobody wants the average any more, or nobody knows whose it would be."""
         if cancelled():
             raise MeasuringError(Outcome.CANCELLED, "cancelled")
-        if not self.active:
-            raise MeasuringError(Outcome.NOT_AVAILABLE, f"{self.get_name()} is being deactivated")
+        if self.ending.is_set():
+            raise MeasuringError(Outcome.NOT_AVAILABLE, f"{self.get_name()} is being shut down")
         for stream in request.streams:
             problem, text = stream.outside
             if problem is Problem.TWO_SOURCES:

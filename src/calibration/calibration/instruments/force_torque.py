@@ -73,9 +73,8 @@ class ForceTorqueNode(AcquisitionNode):
         """Make the node."""
         super().__init__("force_torque", PARAMETERS, **kwargs)
 
-    def on_configure(self) -> None:
-        """Make the one stream."""
-        super().on_configure()
+    def make_streams(self) -> None:
+        """Make the one stream, and listen to the joint states, too."""
         self._units = FORCE_UNITS[self.value("force_unit")], TORQUE_UNITS[self.value("torque_unit")]
         self._sign = SIGNS[self.value("sign")]
         self._bias: Float1D = np.zeros(6)
@@ -97,10 +96,6 @@ class ForceTorqueNode(AcquisitionNode):
         self.add_source(topic, WRENCH_INPUTS[self.value("input_type")], self._on_wrench)
         self.create_service(Tare, "~/tare", self._on_tare, callback_group=self.group)
         self.create_service(SelfTest, "~/self_test", self._on_self_test, callback_group=self.group)
-
-    def on_activate(self) -> None:
-        """Listen to the joint states, too."""
-        super().on_activate()
         self.listen_to_joints()
         if self._forwards:  # a node that was started again has forgotten the tare of before
             self._publish_tare(0, self._bias, None, self.get_name(), "the node begins without a tare")

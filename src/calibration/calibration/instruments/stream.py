@@ -37,7 +37,7 @@ class Source:
     """
 
     def __init__(self, node: Node, name: str, kind: str, callback: Callable[[Any], None]) -> None:
-        """Prepare; `begin` subscribes, or waits for a publisher.
+        """Prepare; `look` subscribes, once there is a publisher.
 
         Args:
             node: The node.
@@ -59,11 +59,6 @@ class Source:
     def resolved(self) -> str:
         """The topic's full name, remappings applied."""
         return str(self._node.resolve_topic_name(self.name))
-
-    def begin(self) -> None:
-        """Subscribe, if somebody publishes; what was subscribed before the node was deactivated is gone."""
-        self._subscription, self.complaint = None, ""
-        self.look()
 
     def look(self) -> None:
         """Subscribe once somebody publishes; subscribe anew if a publisher cannot be heard."""

@@ -55,9 +55,8 @@ class TrackerNode(AcquisitionNode):
         """Make the node."""
         super().__init__("tracker", PARAMETERS, **kwargs)
 
-    def on_configure(self) -> None:
+    def make_streams(self) -> None:
         """Make one stream per point."""
-        super().on_configure()
         names: list[str] = self.value("points") or list(self.cell.points)
         topics: list[str] = self.value("topics") or [f"input/{name}" for name in names]
         self._check_names(names, topics)
@@ -128,6 +127,10 @@ class TrackerNode(AcquisitionNode):
         frame = self.value("output_frame") or self.value("frame") or self.get_name()
         self.diagnostics.report("beam", 0, "")
         self.beam = OneBeam(Aim(self.cell), self._driver, self.joints, self.value("tolerance"), frame)
+        self.listen_to_joints()
+        if isinstance(self._driver, Typed):
+            take = partial(self._on_typed, self._driver)
+            self.create_subscription(TYPED.message, TYPED.relative, take, TYPED.qos)
 
     def _made_driver(self) -> Driver:
         kind, unit = self.value("driver"), LENGTH_UNITS[self.value("units")]
@@ -140,17 +143,9 @@ class TrackerNode(AcquisitionNode):
             raise ParameterError(self.get_name(), "address", repr(self.value("address")), "host:port")
         return Line((host, int(port)), load_template(self.value("template")))
 
-    def on_activate(self) -> None:
-        """Listen to the joint states, and to an operator, where the beam has to be aimed."""
-        super().on_activate()
-        if self.beam is not None:
-            self.listen_to_joints()
-            if isinstance(self._driver, Typed):
-                take = partial(self._on_typed, self._driver)
-                self.create_subscription(TYPED.message, TYPED.relative, take, TYPED.qos)
-
-    def on_cleanup(self) -> None:
-        """Close the driver."""
+    def on_end(self) -> None:
+        """End averages under way, and close the driver."""
+        super().on_end()
         if self.beam is not None:
             self.beam.close()
 

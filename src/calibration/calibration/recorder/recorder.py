@@ -78,8 +78,8 @@ class RecorderNode(CalibrationNode):
         """Make the node."""
         super().__init__("recorder", PARAMETERS, **kwargs)
 
-    def on_configure(self) -> None:
-        """Read the cell, and offer the services; no bag is open yet."""
+    def on_start(self) -> None:
+        """Read the cell, offer the services, open the bag and wait for publishers."""
         cell = load_cell(self.value("cell"))
         self._topics = recorded_topics(cell)
         self._instruments = [topic for topic in contract_topics(cell) if topic.quality is Quality.SAMPLES]
@@ -94,22 +94,17 @@ class RecorderNode(CalibrationNode):
         self._signs = self.create_publisher(RECORDING.message, RECORDING.relative, RECORDING.qos)
         self._bag: LiveBag | None = None
         self._ending = threading.Event()
-        self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
         waiting = ReentrantCallbackGroup()  # these await the writer
         self.create_service(Record, "~/record", self._on_record, callback_group=waiting)
         self.create_service(Trigger, "~/close", self._on_close, callback_group=waiting)
         self.create_service(Trigger, "~/open", self._on_open, callback_group=waiting)
         self.create_service(Trigger, "~/hears", self._on_hears)
-
-    def on_activate(self) -> None:
-        """Open the bag and wait for publishers."""
         self._heard: dict[str, tuple[Any, Any]] = {}
         self._counted: dict[str, int] = {}
         self._looked = -math.inf  # s of the monotonic clock
         self._written = time.monotonic()  # when everything that had come was last on the disk
         if self._place:
             self._open_bag()
-        self._ending.clear()
         self._leaving = False
         self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
         self._writer.start()
@@ -375,7 +370,7 @@ class RecorderNode(CalibrationNode):
         figures = {"messages": bag.messages, "waiting": len(self._queue), "topics": len(self._numbers)}
         self.diagnostics.report("bag", 0, f"recording to {bag.file}", figures)
 
-    def on_deactivate(self) -> None:
+    def on_end(self) -> None:
         """Say so at once, for a robot may move; write what has come and close the bag."""
         drained = threading.Event()
         self._leaving = True

@@ -36,7 +36,6 @@ from calibration.cell.recorder_client import Recorder, Wanted
 from calibration.cell.wrench_watch import WrenchWatch
 from calibration.conversions import joint_positions, stamp_ns, to_outcome
 from calibration.guard.guard import PULSE_DEADLINE
-from calibration.lifecycle.managed import TransitionError
 from calibration.motion.arrival import Joints
 from calibration.motion.calls import callers, succeeded
 from calibration.motion.catalogue import make_backend
@@ -106,15 +105,15 @@ class SequencerNode(CalibrationNode):
         Raises:
             InputError: A parameter or the cell file cannot be used, or a message package is not installed.
         """
-        self._counted = itertools.count()  # signs of life, through all transitions
         super().__init__("sequencer", PARAMETERS, **kwargs)
 
-    def on_configure(self) -> None:
-        """Connect to the cell."""
+    def on_start(self) -> None:
+        """Connect to the cell and listen; nothing moves before somebody asks for a measurement."""
         self.cell = load_cell(self.value("cell"), live=True)
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell), tool_point(self.cell))
         self.runner: Runner | None = None
         self.port: CellPort | None = None
+        self._counted = itertools.count()  # signs of life
         self._decided: tuple[Any, ...] = ()
         self._lost = ""  # of recorder and instruments, when a motion was looked at last
         self._backend = make_backend(
@@ -144,9 +143,6 @@ class SequencerNode(CalibrationNode):
         self.conditions = ConditionsWatch(self)
         self.feedback = Feedback(self, advise=self.value("progress"))
         self._speak()
-
-    def on_activate(self) -> None:
-        """Listen to the cell; no plan is being measured, and nothing moves before somebody asks for one."""
         self._joints = Joints(arrival_rules(self), keep=60.0 + self.value("reading_limit"))
         self.watch = PermissionWatch(self.value("permission_age"))
         self._wrench = WrenchWatch(self) if self.value("force_torque") else None
@@ -250,17 +246,16 @@ class SequencerNode(CalibrationNode):
         if runner is not None and lost and not self._lost and self._interrupt():
             runner.post(Call(lambda: runner.lose(lost)))
         self._lost = lost
-        self._pulse.publish(MotionPulse(identity=self.presence.identifier, count=next(self._counted), moving=moving))
+        self._pulse.publish(MotionPulse(identity=self.health.identifier, count=next(self._counted), moving=moving))
 
     # --- what others want ---------------------------------------------------------------------------------------------
 
     def on_second(self, words: str, younger: bool) -> None:
         """Another sequencer is heard: neither moves the robot."""
         self._second = (time.monotonic(), words)
-        if self.active:
-            self._halt(words)
-            if self.runner is not None:
-                self.runner.post(m.PermissionChanged(0.0, False, words))
+        self._halt(words)
+        if self.runner is not None:
+            self.runner.post(m.PermissionChanged(0.0, False, words))
         super().on_second(words, younger)
 
     def _against(self) -> str:
@@ -418,14 +413,11 @@ class SequencerNode(CalibrationNode):
         """Say that a plan is being measured: what it is measured with does not change meanwhile."""
         return self.runs.take(Request.GOAL).refusal
 
-    def on_deactivate(self) -> None:
-        """End the run: the motion is stopped, the session closed."""
+    def on_end(self) -> None:
+        """End the run (the motion is stopped, the session closed), and the process that works progress out."""
         self.runs.take(Request.END)
         if not self.runs.wait(END_TIME):
-            raise TransitionError(f"the run has not ended within {END_TIME:g} s")
-
-    def on_cleanup(self) -> None:
-        """End the process that works progress out."""
+            self.get_logger().error(f"the run has not ended within {END_TIME:g} s")
         self.feedback.close()
 
 

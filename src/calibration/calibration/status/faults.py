@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from calibration_interfaces.msg import Condition, Fault, NodeHealth, Permission, ProcedureState, SampleCheck, State
-from lifecycle_msgs.msg import State as Lifecycle
 
 from calibration_core.measurement.target_check import PUT_RIGHT, TARGETS
 
@@ -110,11 +109,8 @@ def _nodes(nodes: Sequence[NodeHealth]) -> Iterator[Fault]:
             yield _fault(Fault.ERROR, "node_absent", one.name, f"{one.name} has not been heard yet: {missed}", remedy)
         elif one.level == NodeHealth.SILENT:
             yield _fault(Fault.ERROR, "node_silent", one.name, f"{one.name} is silent: {missed}", remedy)
-        elif one.lifecycle.id != Lifecycle.PRIMARY_STATE_ACTIVE:
-            text = f"{one.name} is not active ({one.text or one.lifecycle.label}): {missed}"
-            yield _fault(Fault.ERROR, "node_not_active", one.name, text, one.remedy)
         elif one.level == NodeHealth.ERROR:
-            yield _fault(Fault.ERROR, "node_error", one.name, f"{one.name}: {one.text}", one.remedy)
+            yield _fault(Fault.ERROR, "node_error", one.name, f"{one.name}: {one.text}", "")
 
 
 def _permission(state: State) -> Iterator[Fault]:

@@ -9,8 +9,7 @@ from typing import Any
 from calibration_interfaces.msg import NodeHealth, ProcedureState, SampleCheck, State
 
 from calibration.cell.permission import SILENT
-from calibration.lifecycle.heartbeat import FRESH
-from calibration.lifecycle.order import Order
+from calibration.health import FRESH, LEASE
 from calibration.status.faults import MISSED, faults
 
 FOREIGN = 10.0  # s, for which a reading of another session is told
@@ -30,6 +29,8 @@ class Whole:
         self._state = State(procedure=ProcedureState(seconds_left=math.nan, averaged=math.nan))
         self._streams: dict[tuple[str, str], SampleCheck] = {}
         self.health = {name: NodeHealth(name=name, level=NodeHealth.ABSENT) for name in names}
+        self._heard = dict.fromkeys(names, -math.inf)
+        self._looked = -math.inf
         self._permission_heard = -math.inf
         self._procedure_heard = False
         self._foreign = (-math.inf, "")
@@ -52,21 +53,36 @@ class Whole:
         """Take the health of one stream."""
         self._streams[(str(message.topic), str(message.name))] = message
 
-    def hear_node(self, message: NodeHealth) -> None:
-        """Take a node's sign of life."""
-        self.health[message.name] = message
+    def hear_node(self, message: NodeHealth, now: float) -> bool:
+        """Take a node's sign of life; return whether it is news: it was not heard before, or was started again."""
+        before = self.health.get(message.name)
+        if before is None:
+            return False
+        self.health[message.name], self._heard[message.name] = message, now
+        return before.level >= NodeHealth.ABSENT or before.identifier != message.identifier
 
-    def message(self, order: Order, now: float) -> State:
+    def silent(self, now: float) -> list[str]:
+        """Return the nodes that fell silent since the last look; to be called several times within a lease.
+
+        Whoever did not look for longer was too busy itself to hear them, and hears them first.
+        """
+        looked, self._looked = self._looked, now
+        if now - looked > 0.5 * LEASE:
+            return []
+        late = [one for one in self.health.values() if one.level < NodeHealth.ABSENT]
+        late = [one for one in late if now - self._heard[one.name] > LEASE]
+        for one in late:
+            one.level, one.text = NodeHealth.SILENT, f"silent: {MISSED.get(one.name, '')}"
+        return [one.name for one in late]
+
+    def message(self, now: float) -> State:
         """Return the state of the cell at `now`; a new run of the sequencer's process makes no old words true."""
         state = self._state
-        for name, member in order.members.items():
-            if not member.alive and member.process:
-                self.health[name].level = NodeHealth.SILENT
-                self.health[name].text = f"silent: {MISSED.get(name, '')}"
-            self.health[name].age = now - member.heard if member.process else math.nan
+        for name, health in self.health.items():
+            health.age = now - self._heard[name] if self._heard[name] > -math.inf else math.nan
         state.nodes = list(self.health.values())
-        sequencer = order.members.get("sequencer")
-        known = sequencer is not None and sequencer.alive and now - sequencer.heard <= FRESH
+        sequencer = self.health.get("sequencer")
+        known = sequencer is not None and sequencer.level < NodeHealth.ABSENT and sequencer.age <= FRESH
         state.procedure_known = known and self._procedure_heard
         state.permission_known = now - self._permission_heard <= self._age
         state.streams = sorted(self._streams.values(), key=lambda one: (one.topic, one.name))
@@ -96,7 +112,7 @@ class Whole:
             "known": (state.procedure_known, state.permission_known),
             "permission": (permission.permitted, permission.latched, tuple(permission.reasons)),
             "fresh": [one.age <= FRESH for one in state.nodes],
-            "nodes": [(one.process, one.lifecycle.id, one.level, one.text) for one in state.nodes],
+            "nodes": [(one.identifier, one.level, one.text) for one in state.nodes],
             "faults": [(one.code, one.source, one.text) for one in state.faults],
             "streams": [(one.name, one.problem) for one in state.streams],
             "progress": state.progress.configuration,

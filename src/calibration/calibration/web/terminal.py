@@ -24,7 +24,7 @@ from textual.widgets import Footer, Static
 
 from calibration.background import in_executor
 from calibration.conversions import to_header
-from calibration.lifecycle.heartbeat import FRESH
+from calibration.health import FRESH
 from calibration.node import spin
 from calibration.topics import EVENT, STATE
 from calibration.web.link import CellLink, Latest

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration.lifecycle.heartbeat import FRESH
+from calibration.health import FRESH
 from calibration.web.shown.band import Pull, pull
 
 Plain = Mapping[str, Any]
@@ -46,8 +46,7 @@ def view(state: Plain) -> dict[str, Any]:
         "conditions": [_condition(one) for one in state["conditions"]["conditions"]],
         "nodes": [
             {"name": one["name"], "level": LEVELS.get(one["level"], 3), "state": one["level"],
-             "active": one["lifecycle"]["label"] == "active", "fresh": fresh(state, one["name"]), "text": one["text"],
-             "remedy": one["remedy"]}
+             "fresh": fresh(state, one["name"]), "text": one["text"]}
             for one in state["nodes"]
         ],
         "faults": [{key: one[key] for key in ("level", "code", "source", "text", "remedy")} for one in state["faults"]],
@@ -231,10 +230,9 @@ def checklist(shown: Plain, disk_free: float | None, recorder: tuple[bool, str] 
     """
     permission, robot = shown["permission"], shown["robot"]
     rows = [
-        _row("node_" + one["name"], (one["active"] and one["level"] < LEVELS["error"]) if one["fresh"] else None,
-             one["text"], remedy=one["remedy"])
+        _row("node_" + one["name"], one["level"] < LEVELS["error"] if one["fresh"] else None, one["text"])
         for one in shown["nodes"]
-    ]  # fmt: skip
+    ]
     heard = {one["name"] for one in shown["nodes"] if one["fresh"]}
     if "recorder" not in heard and any(one["name"] == "recorder" for one in shown["nodes"]):
         recorder = None
@@ -261,8 +259,8 @@ def checklist(shown: Plain, disk_free: float | None, recorder: tuple[bool, str] 
 DISK = 5e9  # bytes that a long session may take
 
 
-def _row(name: str, met: bool | None, seen: str, code: str = "", remedy: str = "") -> dict[str, Any]:
-    return {"name": name, "met": met, "seen": seen, "code": code, "help": remedy}
+def _row(name: str, met: bool | None, seen: str, code: str = "") -> dict[str, Any]:
+    return {"name": name, "met": met, "seen": seen, "code": code}
 
 
 def place_of(state: Plain) -> tuple[object, ...]:

@@ -89,7 +89,7 @@ export function before(state, told) {
       const [kind, ...rest] = one.name.split("_");
       const key = known(`check_${one.name}`) ? `check_${one.name}` : `check_${kind}`;
       const seen = one.code && known(`${one.code}_${one.seen}`) ? w(`${one.code}_${one.seen}`) : one.seen;
-      const help = verdict === "yes" ? "" : one.help || known(`help_${one.name}`) ? w(`help_${one.name}`) : known(`help_${kind}_${verdict}`) ? w(`help_${kind}_${verdict}`) : known(`help_${kind}`) ? w(`help_${kind}`) : "";
+      const help = verdict === "yes" ? "" : known(`help_${one.name}`) ? w(`help_${one.name}`) : known(`help_${kind}_${verdict}`) ? w(`help_${kind}_${verdict}`) : known(`help_${kind}`) ? w(`help_${kind}`) : "";
       return h("li", { class: verdict, "data-name": one.name },
         h("span", { class: "mark", "aria-label": w(`check_is_${verdict}`), role: "img" }, { yes: "✓", no: "✗", unknown: "?" }[verdict]),
         h("span", {}, h("b", {}, w(key, { name: rest.join("_") })), h("span", {}, seen ? `: ${seen}` : ""), help ? h("span", { class: "small" }, h("br"), `→ ${help}`) : null));
