@@ -3,6 +3,7 @@
 Targets on one flange are a rigid body.  So in every step their distances are those of the session; from one unloaded
 step to the next they travel as far as the joint angles say; a load moves them as the joints yield, each between two
 thirds and twice as far as its believed stiffness says; and once the load is gone they stand where they stood before.
+A target that moves while it is measured scatters more than the session's, and its mean is of no place at all.
 Positions are compared within a configuration and a session alone: no frame has to be calibrated for that.
 """
 
@@ -80,6 +81,7 @@ class TargetCheck:
     def _forget(self) -> None:
         self._distances: dict[tuple[str, str], collections.deque[float]] = {}
         self._last: Targets | None = None  # the last step 0 that was kept, or the last visit to the reference
+        self._scatter: collections.deque[float] = collections.deque(maxlen=KEPT)
         self._both: collections.deque[tuple[Float1D, Float1D]] = collections.deque(maxlen=KEPT)
         self.begin()
 
@@ -102,15 +104,18 @@ class TargetCheck:
 
     def restore(self, readings: Iterable[ConfirmedReading]) -> None:
         """Take over the distances from what a session holds already, in the order of time."""
-        steps: dict[tuple[int, int], dict[str, Float1D]] = {}
+        steps: dict[tuple[int, int], dict[str, ConfirmedReading]] = {}
         for one in readings:
-            steps.setdefault((one.configuration, one.step), {})[one.point] = one.position
-        for positions in steps.values():
-            self._remember(positions)
+            steps.setdefault((one.configuration, one.step), {})[one.point] = one
+        for seen in steps.values():
+            self._remember(
+                {name: one.position for name, one in seen.items()},
+                {name: one.position_covariance for name, one in seen.items()},
+            )
 
     def keep(self, seen: Targets) -> None:
         """Take a step that counts; the first of an attempt is what the others are held against."""
-        self._remember(seen.positions)
+        self._remember(seen.positions, seen.covariances)
         if self._first is None:
             self._first = self._last = seen
             places = self._places(seen.q, seen.positions)
@@ -119,7 +124,8 @@ class TargetCheck:
         else:
             self._largest = max(self._largest, *(float(np.linalg.norm(d)) for d in self._displaced(seen).values()))
 
-    def _remember(self, positions: Mapping[str, Float1D]) -> None:
+    def _remember(self, positions: Mapping[str, Float1D], covariances: Mapping[str, Float2D]) -> None:
+        self._scatter += [_size(covariance) for covariance in covariances.values()]
         for pair in itertools.combinations(sorted(positions), 2):
             known = self._distances.setdefault(pair, collections.deque(maxlen=KEPT))
             known.append(_apart(positions, pair))
@@ -141,7 +147,27 @@ class TargetCheck:
 
     def _found(self, seen: Targets) -> str:
         """Say what is wrong where every target carries its own name."""
-        return self._shape(seen) or (self._yielded(seen) if self._first is not None else self._travelled(seen))
+        return (
+            self._unsteady(seen)
+            or self._shape(seen)
+            or (self._yielded(seen) if self._first is not None else self._travelled(seen))
+        )
+
+    def _unsteady(self, seen: Targets) -> str:
+        """Say which mean scatters more than those of the session: its target moved meanwhile, or others were seen."""
+        if not self._scatter:
+            return ""
+        usual = float(np.median(self._scatter))
+        for name, covariance in seen.covariances.items():
+            claim = _size(tracker_covariance(self._cell, seen.positions[name][None, :])[0])
+            limit = DEVIATIONS * float(np.hypot(usual, claim))
+            if (size := _size(covariance)) > limit:
+                self._complaint = ("shape", 0.0)
+                return (
+                    f"{name} moved while it was measured: its mean scatters by {size * MM:.2f} mm, expected at most"
+                    f" {rounded_down(limit * MM):g} mm; look at target and beam"
+                )
+        return ""
 
     # --- distances -------------------------------------------------------------------------------------------------
 
@@ -293,6 +319,11 @@ class TargetCheck:
         if odd:
             self._complaint = ("travel", 0.0)
         return odd
+
+
+def _size(covariance: Float2D) -> float:
+    """Return the standard deviation of a place, m; of a single sample nothing is known."""
+    return float(np.sqrt(np.trace(np.nan_to_num(covariance))))
 
 
 def _apart(positions: Mapping[str, Float1D], pair: tuple[str, str]) -> float:

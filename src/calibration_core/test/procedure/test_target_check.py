@@ -14,6 +14,7 @@ from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import Load
+from calibration_core.observations.average import average
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.timeseries import Float1D
 
@@ -173,3 +174,31 @@ def test_300_faults_and_500_good_readings(demo_cell: Cell, plan: Plan) -> None:
     print(f"{steps} good readings: {refused} refused")
     assert wrong == 0
     assert refused <= 0.01 * steps
+
+
+@pytest.mark.parametrize(("far", "after"), [(0.3, 3), (0.3, 1), (5e-3, 1), (1e-3, 4)])
+def test_a_mean_of_two_places_is_no_reading(demo_cell: Cell, plan: Plan, far: float, after: int) -> None:
+    """A target is lost, or another one seen, while it is measured; later readings are held against none of that."""
+    rng = np.random.default_rng(5)
+    robot, check = Robot(demo_cell, rng), TargetCheck(demo_cell)
+
+    def read(places: Float1D) -> Targets:
+        seen = robot.seen(plan.primary[0].q, np.zeros(6))
+        means = {
+            name: average(place + places + rng.normal(0.0, SIGMA, (11, 3))) for name, place in seen.positions.items()
+        }
+        return dataclasses.replace(
+            seen,
+            positions={name: one.mean for name, one in means.items()},
+            covariances={name: one.covariance for name, one in means.items()},
+        )
+
+    for _ in range(20):
+        check.begin()
+        seen = read(np.zeros((11, 3)))
+        assert check.fault(seen) == ""
+        check.keep(seen)
+    moved = np.zeros((11, 3))
+    moved[:after, 0] = far
+    assert "moved while it was measured" in check.fault(read(moved))
+    assert check.fault(read(np.zeros((11, 3)))) == ""
