@@ -240,8 +240,8 @@ def _with_steps(
     parts: tuple[ModelPart, ...] = ()
     rigid = whole
     heard = {one.text: _heard(one, found, recorded, cell, believed) for one in compared.witnesses}
-    said = {before: "" if one is None else one.text for before, one in heard.items()}
-    sentences = tuple(text for text in (said.get(one, one) for one in compared.sentences) if text)
+    texts = {before: "" if one is None else one.text for before, one in heard.items()}
+    sentences = tuple(text for text in (texts.get(one, one) for one in compared.sentences) if text)
     witnesses = tuple(one for one in heard.values() if one is not None)
     loads = any(one.what == "wrench" for one in witnesses)
     for part in (FRAMES, GEOMETRY, *_parts(found, model)):
@@ -297,13 +297,13 @@ def _heard(
     """
     (compared,), (readings, rows), model = found.comparisons, recorded, found.handed_out[0]
     if stated.what == "wrench" and readings.wrench is not None and compared.simulated.wrench is not None:
-        said = readings.wrench.copy()
-        said[compared.rows] = compared.simulated.wrench
-        other = dataclasses.replace(readings, wrench=said)
+        wrench = readings.wrench.copy()
+        wrench[compared.rows] = compared.simulated.wrench
+        other = dataclasses.replace(readings, wrench=wrench)
     elif stated.what == "joint angles":
-        said = readings.q.copy()
-        said[compared.rows] = compared.simulated.q
-        other = dataclasses.replace(readings, q=said)
+        angles = readings.q.copy()
+        angles[compared.rows] = compared.simulated.q
+        other = dataclasses.replace(readings, q=angles)
     else:
         return stated
     positions = stated.what == "joint angles" and cell.measurements.points == "absolute"
