@@ -232,13 +232,14 @@ def test_the_schedule_neither_drifts_nor_sends_twice() -> None:
 
 def test_faults_begin_and_end() -> None:
     faults = Faults()
-    faults.begin(Fault(Kind.TRACKER_JUMP, 0.1, until=5.0, point="mp2"))
-    faults.begin(Fault(Kind.OVER_SPEED, 3.0))
-    faults.at(4.9)
+    faults.begin(Fault.read("TRACKER_JUMP 0.1 mp2", 2.0))
+    faults.begin(Fault.read("OVER_SPEED 3", 2.0))
     assert faults.on(Kind.TRACKER_JUMP, "mp2")
     assert not faults.on(Kind.TRACKER_JUMP, "mp1")
-    faults.at(5.0)
-    assert not faults.on(Kind.TRACKER_JUMP, "mp2")
+    assert faults.grown(Kind.TRACKER_JUMP, 4.0) == pytest.approx(0.2)
     assert faults.value(Kind.OVER_SPEED, 1.0) == 3.0
+    for wrong in ("NO_SUCH_KIND", "OVER_SPEED fast", "OVER_SPEED 1 mp1 2"):
+        with pytest.raises(ValueError, match=r"found|convert|unpack"):
+            Fault.read(wrong, 0.0)
     faults.begin(Fault(Kind.NONE))
     assert faults.value(Kind.OVER_SPEED, 1.0) == 1.0
