@@ -101,7 +101,7 @@ class Unloaded:
         design = self._design(q)
         spread = COVERAGE * float(np.sqrt(np.linalg.eigvalsh(design @ self._covariance @ design.T)[-1]))
         force = self._force(q, wrench) - design @ self._estimate
-        # a band that is mostly doubt would let a load pass
+        # a band that is mostly uncertainty would let a load pass
         return force, self._check.floor + spread if spread <= self._check.floor else np.nan
 
     def fault(self, q: Float1D, wrench: Float1D, most: float = 0.0) -> str:
