@@ -316,7 +316,7 @@ def _dependences(
     flange = np.einsum("akm,mpk->mpa", at.flange, peak)
     sets = [values.reshape(len(peak), -1) for values in (peak, flange)]
     sets = [values - values.mean(axis=0) for values in sets]
-    power = max(float((sets[0] ** 2).sum()), 1e-30)
+    power = max(float((peak**2).sum()), 1e-30)
     seen = np.max([((wide @ values) ** 2).sum(axis=1) for values in sets], axis=0) / power
     rng = np.random.default_rng(0)
     largest = np.empty(PERMUTATIONS)

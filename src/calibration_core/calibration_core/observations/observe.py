@@ -30,12 +30,13 @@ NEAREST_TEMPERATURE = 600.0  # s
 CLAIMS_BASE_AXES = "wrench_axes"  # note: the messages say that the wrench is in base axes
 
 
-def observe(path: Path, cell: Cell) -> Readings:
+def observe(path: Path, cell: Cell, *, simulated: bool = False) -> Readings:
     """Read a recording of any kind.
 
     Args:
         path: A bag, a measurement table, or a session (directory or database).
         cell: The cell it was recorded in.
+        simulated: Whether a simulation wrote it, see `read_table`.
 
     Returns:
         The readings, their angles those of the chain; `notes` tell what was lost, repaired or set aside.
@@ -47,7 +48,7 @@ def observe(path: Path, cell: Cell) -> Readings:
     path = Path(path)
     kind = recording_kind(path)
     if kind == "table":
-        readings = read_table(path, cell)
+        readings = read_table(path, cell, simulated=simulated)
     elif kind == "session":
         readings, conditions = read_session(path, cell)
         readings = dataclasses.replace(readings, conditions=worst(conditions))

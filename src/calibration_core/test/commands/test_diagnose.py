@@ -170,7 +170,7 @@ def test_a_simulation_that_cannot_be_used_ends_with_one_line(
     assert not out.exists()
 
 
-def test_millimetres_in_a_simulation_are_refused_by_name(
+def test_millimetres_in_a_simulation_are_named_and_put_right(
     simulated: Path, clean: Path, cell_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     head, *rows = (clean / "measurements.csv").read_text().splitlines()
@@ -183,5 +183,7 @@ def test_millimetres_in_a_simulation_are_refused_by_name(
     ]
     table.write_text("\n".join([head, *scaled]) + "\n")
     recording, out = simulated / "measurements.csv", tmp_path / "out"
-    assert run("diagnose", recording, "--cell", cell_path, "--simulation", table, "--out", out) == 2
-    assert "a position in m" in capsys.readouterr().err
+    assert run("diagnose", recording, "--cell", cell_path, "--simulation", table, "--out", out) == 0
+    assert "the simulation in mm" in capsys.readouterr().out
+    (difference,) = result_of(out)["comparison"]["differences"]
+    assert (difference["kind"], difference["side"]) == ("position_unit", "simulation")

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from robots import loaded_readings, write_cell
+from scipy.spatial.transform import Rotation
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.comparison.points import rigid
 from calibration_core.diagnosis.comparison.recordings import sensor_axes
 from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.simulated import compare_checked
+from calibration_core.errors import RecordingError
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
+from calibration_core.observations.observe import observe
+from calibration_core.recording.tables.table import write_table
 from calibration_core.timeseries import Readings
 
 
@@ -122,3 +129,110 @@ def test_a_simulation_that_does_not_bend_is_the_rigid_robot(recorded: Readings, 
     assert found.reproduction.compliance is not None
     assert not found.reproduction.compliance.any()
     assert found.steps is not None
+
+
+def rewritten(path: Path, named: dict[str, tuple[str, float]]) -> None:
+    """Give columns of a table another name and unit."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        header, *rows = csv.reader(stream)
+    for name, (_, factor) in named.items():
+        k = header.index(name)
+        for row in rows:
+            row[k] = repr(factor * float(row[k]))
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream).writerows([[named.get(name, (name,))[0] for name in header], *rows])
+
+
+def millimetres(path: Path, readings: Readings, _: Cell) -> None:
+    write_table(path, readings)
+    rewritten(path, {axis: (axis, 1e3) for axis in "xyz"})
+
+
+def stated_millimetres(path: Path, readings: Readings, _: Cell) -> None:
+    write_table(path, readings)
+    angles = {f"q{i}": (f"q{i} [deg]", 180 / np.pi) for i in range(1, 7)}
+    rewritten(path, {axis: (f"{axis} [mm]", 1e3) for axis in "xyz"} | angles)
+
+
+def torques_in_newton_millimetres(path: Path, readings: Readings, _: Cell) -> None:
+    write_table(path, readings)
+    rewritten(path, {name: (name, 1e3) for name in ("tx", "ty", "tz")})
+
+
+def poses(
+    path: Path, readings: Readings, cell: Cell, turn: tuple[str, ...], unit: dict[str, tuple[str, float]]
+) -> None:
+    """Write one row for each step: the pose of the tool, which carries the points, in the base frame."""
+    model, points = nominal_parameters(cell), np.stack([cell.frames.measurement_points[p] for p in readings.points])
+    count = len(points)
+    position = (readings.position @ model.tracker[:3, :3].T + model.tracker[:3, 3]).reshape(-1, count, 3)
+    header = [
+        "configuration",
+        "step",
+        *(f"q{i}" for i in range(1, 7)),
+        "fx",
+        "fy",
+        "fz",
+        "tx",
+        "ty",
+        "tz",
+        *"xyz",
+        *turn,
+    ]
+    assert readings.wrench is not None
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(header)
+        for k, seen in zip(range(0, len(readings), count), position, strict=True):
+            axes, shift, _ = rigid(seen, points)
+            assert cell.frames.wrench_point is not None
+            rotation, place = Rotation.from_matrix(axes), axes @ np.array(cell.frames.wrench_point) + shift
+            turned = rotation.as_quat() if len(turn) == 4 else rotation.as_euler("xyz")
+            numbers = np.concatenate([readings.q[k], readings.wrench[k], place, turned])
+            writer.writerow([readings.configuration[k], readings.step[k], *map(repr, numbers.tolist())])
+    rewritten(path, unit)
+
+
+def tool_poses(path: Path, readings: Readings, cell: Cell) -> None:
+    poses(path, readings, cell, ("roll", "pitch", "yaw"), {})
+
+
+def tool_quaternions(path: Path, readings: Readings, cell: Cell) -> None:
+    poses(path, readings, cell, ("qx", "qy", "qz", "qw"), {axis: (f"{axis} [mm]", 1e3) for axis in "xyz"})
+
+
+@pytest.mark.parametrize(
+    ("write", "kinds"),
+    [
+        (millimetres, ["position_unit"]),
+        (stated_millimetres, []),
+        (torques_in_newton_millimetres, ["wrench_unit"]),
+        (tool_poses, []),
+        (tool_quaternions, []),
+    ],
+)
+def test_a_table_of_another_program_is_compared(
+    write: Callable[[Path, Readings, Cell], None],
+    kinds: list[str],
+    recorded: Readings,
+    plain: Comparison,
+    cell: Cell,
+    tmp_path: Path,
+) -> None:
+    table = tmp_path / "simulation.csv"
+    write(table, simulated(recorded, cell), cell)
+    found = compare_checked(recorded, observe(table, cell, simulated=True), cell)
+    assert [one.kind for one in found.differences] == kinds
+    assert found.steps is not None
+    assert plain.steps is not None
+    assert found.steps.rms == pytest.approx(plain.steps.rms, rel=1e-6)
+
+
+def test_a_quaternion_that_is_none_is_named(recorded: Readings, cell: Cell, tmp_path: Path) -> None:
+    table = tmp_path / "poses.csv"
+    tool_quaternions(table, recorded, cell)
+    rewritten(table, {"qw": ("qw", 3.0)})
+    with pytest.raises(
+        RecordingError, match=r"line 2, column qx qy qz qw: found a length of .*, expected a quaternion"
+    ):
+        observe(table, cell, simulated=True)

@@ -72,6 +72,12 @@ def test_turns_about_its_own_axis_are_told_from_others(cell: Cell, readings: Rea
     assert next(share for share in found.shares if share.joint == "joint_3").own_axis > 0.6
 
 
+def test_no_quantity_is_followed_by_more_than_the_whole(cell: Cell, readings: Readings) -> None:
+    """What stands still in base axes turns with the flange: it varies there alone."""
+    found = located(readings, (readings.step == 2)[:, None] * np.array([1e-3, 0.0, 0.0]), cell)
+    assert 0.05 < max(one.share for one in found.dependences) <= 1.0
+
+
 def test_turn_and_shift_are_measured(cell: Cell, readings: Readings) -> None:
     full = readings.step == 2
     found = located(readings, full[:, None] * np.array([1e-4, 0.0, 0.0]), cell)

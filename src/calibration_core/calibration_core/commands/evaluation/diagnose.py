@@ -132,7 +132,7 @@ def run(arguments: argparse.Namespace) -> str:
     cells, recordings = read_recordings(arguments)
     cell = cells[0]
     test = None if arguments.test is None else observe(arguments.test, cell)
-    simulations = [observe(path, own) for path, own in zip(arguments.simulations, cells, strict=False)]
+    simulations = [observe(path, own, simulated=True) for path, own in zip(arguments.simulations, cells, strict=False)]
     given = None if arguments.model is None else read_given(arguments.model, cell)
     report_progress(arguments, 1 / 3, "looking for missing physics")
     population = asked_population(arguments, cell)

@@ -15,7 +15,7 @@ from calibration_core.recording.dates import start_of
 from calibration_core.recording.foreign.mapping import ImportMap
 from calibration_core.recording.foreign.meaning import AXES, FORCES, JOINT, TORQUES
 from calibration_core.recording.foreign.names import split_by, split_names
-from calibration_core.recording.foreign.source import Source, read_source
+from calibration_core.recording.foreign.source import Seen, Source, read_source
 from calibration_core.recording.source import file_names, sha256_of
 from calibration_core.timeseries import Float1D, Float2D, Int1D, Provenance, Readings
 
@@ -52,7 +52,10 @@ class _Rows:
 
 
 def import_files(
-    paths: Sequence[Path], how: ImportMap | None = None, travels: Mapping[str, float] | None = None
+    paths: Sequence[Path],
+    how: ImportMap | None = None,
+    travels: Mapping[str, float] | None = None,
+    seen: Seen | None = None,
 ) -> Imported:
     """Read foreign files and join them.
 
@@ -61,13 +64,14 @@ def import_files(
             are taken one after another.
         how: What is stated; None: everything is recognised.
         travels: Which joints slide, as for `read_source`; None: not known.
+        seen: Where the points of a tool stand, as for `read_source`.
 
     Raises:
         RecordingError: Something is missing or can be read in more than one way; names the file and what to state.
     """
     how = how or ImportMap()
     account: list[str] = []
-    sources = tuple(read_source(Path(path), how.of(Path(path)), travels) for path in paths)
+    sources = tuple(read_source(Path(path), how.of(Path(path)), travels, seen) for path in paths)
     positions = [source for source in sources if source.has_points]
     for source in positions:
         _refuse_repeated(source)

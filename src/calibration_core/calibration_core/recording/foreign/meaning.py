@@ -13,6 +13,10 @@ FORCES = ("fx", "fy", "fz")
 TORQUES = ("tx", "ty", "tz")
 COUNTS = ("configuration", "step", "number")
 NAMES = ("point", "name", "group")
+TURNS = (
+    ("roll", "pitch", "yaw"),
+    ("qx", "qy", "qz", "qw"),
+)  # how a tool is turned
 JOINT = re.compile(r"q[1-9]\d?")
 ANGLE = re.compile(r"(?:angle|winkel|theta|th|rot|euler)_?\d")  # of an orientation, or of a joint
 EXTERNAL = re.compile(r"(?:e|ext|ext_ax|extax|external|external_axis|eax)_?[1-9a-f]")
@@ -21,6 +25,7 @@ DIMENSIONS: MappingProxyType[str, Dimension] = MappingProxyType(
         **dict.fromkeys(AXES, "length"),
         **dict.fromkeys(FORCES, "force"),
         **dict.fromkeys(TORQUES, "torque"),
+        **dict.fromkeys(TURNS[0], "angle"),
         "time": "time",
         "temperature": "temperature",
     }
@@ -41,6 +46,7 @@ _UNUSED = re.compile(
 _PREFIX = r"(?:(?:pos|position|point|pt|meas|measured|measurement|actual|act|ist|coord|coordinate|tracker|tcp)_)*"
 _SUFFIX = r"(?:_(?:pos|position|meas|measured|measurement|actual|act|ist|coord|coordinate|value|wert|tracker))*"
 _AXIS = re.compile(_PREFIX + r"([xyz])" + _SUFFIX)
+_TURN = re.compile(_PREFIX + r"(?:orientation_)?(roll|pitch|yaw|q[xyzw])")
 _FORCE = re.compile(r"(?:wrench_)?(?:f|force|kraft)_?([xyz])|([xyz])_(?:force|kraft)")
 _TORQUE = re.compile(r"(?:wrench_)?(?:t|m|torque|moment|drehmoment)_?([xyz])|([xyz])_(?:torque|moment)")
 _JOINT = re.compile(
@@ -89,7 +95,7 @@ def meanings(names: Sequence[str]) -> list[str | None]:
             for i, name in enumerate(joints):
                 found[plain.index(name)] = f"q{i + 1}"
     if {"qx", "qy", "qz"} <= set(plain):
-        found = [None if name in {"q0", "qw"} else meaning for name, meaning in zip(plain, found, strict=True)]
+        found = [None if name == "q0" else meaning for name, meaning in zip(plain, found, strict=True)]
     for columns in of_one_family(names, found):
         if any(found[i] == "q0" for i in columns):
             for i in columns:
@@ -136,7 +142,7 @@ def dimension_of(meaning: str) -> Dimension:
 def _meaning(name: str) -> str | None:
     if name in _BY_WORD:
         return _BY_WORD[name]
-    for pattern, prefix in ((_FORCE, "f"), (_TORQUE, "t"), (_AXIS, "")):
+    for pattern, prefix in ((_FORCE, "f"), (_TORQUE, "t"), (_AXIS, ""), (_TURN, "")):
         match = pattern.fullmatch(name)
         if match is not None:
             return prefix + next(group for group in match.groups() if group)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from calibration_core.recording.foreign.meaning import (
     JOINT,
     NAMES,
     TORQUES,
+    TURNS,
     dimension_of,
     meanings,
     normal,
@@ -41,11 +42,12 @@ from calibration_core.recording.foreign.units import (
     unit_of,
     unknown_unit,
 )
-from calibration_core.timeseries import Float1D
+from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 _STATED = re.compile(r"(?:units?|einheit(?:en)?)\b\s*[:=]?\s*(.+)", re.IGNORECASE)
 _STATED_IN = re.compile(r"\b(?:in|are|lengths?:|distances?:)\s+(\w+)", re.IGNORECASE)
 _CLOCKS = {"utc", "gmt", "local", "cet", "cest", "mez", "mesz"}  # stand in brackets behind a time, and are no unit
+Seen = Callable[[Float2D, Float3D], Mapping[str, Float2D]]  # places (m, 3) m and axes (m, 3, 3) -> point -> (m, 3) m
 UNIT_NORM = 1e-3  # of a quaternion with at least three digits
 _SEPARATOR_NAMES = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", BLANKS: "blanks"}
 
@@ -119,7 +121,9 @@ class Source:
         return self.files[row] if self.files else self.path
 
 
-def read_source(path: Path, how: FileMap, travels: Mapping[str, float] | None = None) -> Source:
+def read_source(
+    path: Path, how: FileMap, travels: Mapping[str, float] | None = None, seen: Seen | None = None
+) -> Source:
     """Read one file.
 
     Args:
@@ -127,6 +131,8 @@ def read_source(path: Path, how: FileMap, travels: Mapping[str, float] | None = 
         how: What is stated of it; everything else is recognised.
         travels: Meaning -> how far a sliding joint stands from its zero at most, m; none of the others slides.  None:
             it is not known which joints slide.
+        seen: Returns where the points stand that a tool carries: rows of poses without a point are read as them.
+            None: no poses of a tool are expected.
 
     Raises:
         RecordingError: It is no table, or a column or unit can be read in more than one way.
@@ -140,6 +146,9 @@ def read_source(path: Path, how: FileMap, travels: Mapping[str, float] | None = 
     names, stated = _named(grid)
     recognised = meanings(names) if grid.header else _headerless(grid, how)
     _leave_out_orientation(grid, recognised)
+    turns = next((one for one in TURNS if seen is not None and set(one) <= set(recognised)), ())
+    if not turns or "point" in recognised:
+        recognised = [None if any(meaning in one for one in TURNS) else meaning for meaning in recognised]
     _find_others(grid, names, stated, recognised)
     found = _with_map(grid, names, recognised, how)
     _refuse_lost(grid, names, found, how)
@@ -175,7 +184,39 @@ def read_source(path: Path, how: FileMap, travels: Mapping[str, float] | None = 
         )
     taken = _converted(grid.path, numbers, taken, travels)
     form = f"{_SEPARATOR_NAMES[grid.separator]}-separated, decimal mark {quoted(grid.decimal)}, {text.encoding}"
-    return Source(path, form, numbers, texts, grid.lines, tuple(taken), ignored)
+    source = Source(path, form, numbers, texts, grid.lines, tuple(taken), ignored)
+    turned = [meaning for meaning in numbers if any(meaning in one for one in TURNS)]
+    return source if seen is None or not turned else _at_points(source, seen)
+
+
+def _at_points(source: Source, seen: Seen) -> Source:
+    """Return a source of poses with one row for each point instead.
+
+    Raises:
+        RecordingError: Four numbers are no quaternion.
+    """
+    from scipy.spatial.transform import Rotation  # slow to load, and most tables hold no poses
+
+    angles, quaternion = (
+        np.column_stack([source.numbers[name] for name in one]) if set(one) <= set(source.numbers) else None
+        for one in TURNS
+    )
+    if angles is None and quaternion is not None:
+        length = np.linalg.norm(quaternion, axis=1)
+        for row in np.flatnonzero(np.abs(length - 1) > UNIT_NORM):
+            raise source.fault(int(row), "qx qy qz qw", f"a length of {length[row]:.6g}", "a quaternion of length 1")
+    turn = Rotation.from_euler("xyz", angles) if angles is not None else Rotation.from_quat(quaternion)
+    places = seen(np.column_stack([source.numbers[name] for name in AXES]), turn.as_matrix())
+    rows = np.repeat(np.arange(len(source)), len(places))
+    position = np.stack(list(places.values()), axis=1).reshape(-1, 3).T
+    return dataclasses.replace(
+        source,
+        numbers={name: values[rows] for name, values in source.numbers.items()}
+        | dict(zip(AXES, position, strict=True)),
+        texts={name: tuple(texts[row] for row in rows) for name, texts in source.texts.items()}
+        | {"point": tuple(places) * len(source)},
+        lines=tuple(source.lines[row] for row in rows),
+    )
 
 
 def _of_poses(poses: Poses, text: Text, how: FileMap) -> Source:
@@ -373,6 +414,7 @@ def _converted(
     inferred = {
         **_family(path, AXES, numbers, result, length),
         **_family(path, [name for name in joints if not _slides(result[name], travels)], numbers, result, angle),
+        **_family(path, TURNS[0], numbers, result, angle),
         **_family(path, FORCES, numbers, result, force),
         **_family(path, TORQUES, numbers, result, lambda *_: (UNITS["n*m"], "the usual unit")),
     }
@@ -383,9 +425,9 @@ def _converted(
     if travels is None:
         refuse_two_ways(path, joints, numbers, {name: result[name].column for name in joints}, inferred)
     for meaning, one in result.items():
-        if meaning not in numbers or meaning in COUNTS:
-            continue
         dimension = _dimension(meaning, travels)
+        if meaning not in numbers or dimension == "number":
+            continue
         usual = next(unit for unit in UNITS.values() if unit.dimension == dimension and unit.name == SI[dimension])
         unit, how = inferred.get(meaning) or (unit_of(one.unit) or usual, one.how or "the usual unit")
         may_slide = travels is None and JOINT.fullmatch(meaning) and unit.dimension == "length"

@@ -16,6 +16,8 @@ from calibration_core.errors import RecordingError, quoted
 from calibration_core.files.csv_cells import inert, meant
 from calibration_core.files.written import number
 from calibration_core.recording.dates import start_of
+from calibration_core.recording.foreign.meaning import TURNS
+from calibration_core.recording.foreign.units import split_unit
 from calibration_core.recording.source import sha256_of
 from calibration_core.recording.tables.checks import check_plausible, check_steps
 from calibration_core.recording.tables.columns import INTEGERS, OPTIONAL, OURS, POSITION, WRENCH, checked_columns
@@ -27,8 +29,13 @@ MAX_INTEGER = 1 << 53
 BLOCK = 4096
 
 
-def read_table(path: Path, cell: Cell) -> Readings:
+def read_table(path: Path, cell: Cell, *, simulated: bool = False) -> Readings:
     """Read a measurement table; one of another program is converted where it can be read in one way only.
+
+    Args:
+        path: The table.
+        cell: The cell.
+        simulated: Whether a simulation wrote it: where it is compared its units are judged, and it may hold tool poses.
 
     Returns:
         One row per line, in the order of the file; `wrench` is None where the table has no wrench columns, and `time`
@@ -44,8 +51,8 @@ def read_table(path: Path, cell: Cell) -> Readings:
             if size > MAX_BYTES:
                 raise RecordingError(path, "", f"{size} bytes", f"a measurement table of at most {MAX_BYTES} bytes")
             stream.seek(0)
-            if _is_foreign(stream.readline(MAX_LINE)):
-                return _read_foreign(path, cell)
+            if _is_foreign(stream.readline(MAX_LINE), simulated=simulated):
+                return _read_foreign(path, cell, simulated=simulated)
             stream.seek(0)
             columns, numbers, points, lines = _parse(path, stream, cell)
     except OSError as error:
@@ -70,25 +77,32 @@ def read_table(path: Path, cell: Cell) -> Readings:
             str(path), "csv", {path.name: sha256_of(path)}, {"rows": count}, start_of(column("time"))
         ),
     )
-    check_plausible(path, readings, cell, lines)
+    if not simulated:
+        check_plausible(path, readings, cell, lines)
     return readings.with_notes(*check_steps(path, readings, lines))
 
 
-def _read_foreign(path: Path, cell: Cell) -> Readings:
+def _read_foreign(path: Path, cell: Cell, *, simulated: bool) -> Readings:
     # what reads other programs' tables is slow to load, and most recordings are not of this kind
     from calibration_core.recording.foreign.direct import read_foreign
 
-    readings = read_foreign(path, cell)
+    readings = read_foreign(path, cell, simulated=simulated)
     lines = np.arange(1, len(readings) + 1)
-    check_plausible(path, readings, cell, lines)
+    if not simulated:
+        check_plausible(path, readings, cell, lines)
     return readings.with_notes(*check_steps(path, readings, lines))
 
 
-def _is_foreign(first: bytes) -> bool:
-    """Tell from the first line whether a table is another program's: ours have numbers, or lack one column at most."""
+def _is_foreign(first: bytes, *, simulated: bool) -> bool:
+    """Tell from the first line whether a table is another program's.
+
+    Ours have numbers, or lack one column at most; none of their columns states a unit.
+    """
     if not first.strip() or first[:1] == b"\x00":
         return False
     names = {name.strip() for name in first.decode("utf-8-sig", errors="replace").split(",")}
+    if any(split_unit(name)[1] for name in names) or (simulated and any(set(turns) <= names for turns in TURNS)):
+        return True
     return not (set(INTEGERS) <= names or len(names & OURS) >= len(OURS) - 1)
 
 
