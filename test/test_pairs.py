@@ -19,18 +19,20 @@ from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.simulated import compare_checked
 from calibration_core.files.yaml_file import yaml_text
+from calibration_core.model.effects.words import effect_sentence
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.timeseries import Float1D, Float2D, Readings
 from calibration_sim.cell.protocol import Configuration
 from calibration_sim.effects.draw import robot_cell
 from calibration_sim.scenarios.generate import generate
-from calibration_sim.scenarios.grid import Scenario, grid
+from calibration_sim.scenarios.grid import Scenario, grid, second_grid
 from calibration_sim.scenarios.protocols import make_protocol
 
 SEED, MANY = int(os.environ.get("PROVE_SEED", "20261")), int(os.environ.get("PROVE_PAIRS", "200"))
 FITTED, TESTED = 18, 8  # configurations
 FOREIGN = 40  # simulations of other conventions
+UNLOADED = 40  # pairs at rest, or with postures at rest beside loads
 SENSOR = frozenset({"wrench_gain", "wrench_crosstalk", "wrench_frame_misalignment"})
 MODELLED = frozenset({"simulation", "frames", "geometry", "stiffness", "noise"})
 
@@ -61,10 +63,11 @@ class Planned(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """What one pair came to."""
+    """What one pair came to; `alike` says in words what does exactly the same as a concealed effect."""
 
     group: str
     true: frozenset[str]
+    alike: frozenset[str]
     compared: Comparison
     noise: float
 
@@ -79,6 +82,12 @@ def scenarios(seed: int) -> list[Scenario]:
     return [dataclasses.replace(one, protocol=f"L{FITTED + TESTED}") for one in mixed]
 
 
+def unloaded(seed: int) -> list[Scenario]:
+    """Return recordings of one effect at rest, and with postures at rest beside loads, in turn."""
+    kinds = [[one for one in second_grid(seed) if one.group == kind] for kind in ("rest", "mixed")]
+    return [one for both in zip(*kinds, strict=False) for one in both][:UNLOADED]
+
+
 def simulated(cell: Cell, scenario: Scenario) -> Readings:
     """Return what the product's `simulate` says of the same plan, by the cell file alone."""
     measured: tuple[Configuration, ...] = make_protocol(
@@ -88,19 +97,21 @@ def simulated(cell: Cell, scenario: Scenario) -> Readings:
     return simulate_plan(planned, cell, nominal_parameters(cell))
 
 
-def pairs(count: int, folder: Path) -> Iterator[Pair]:
-    for scenario in scenarios(SEED)[:count]:
+def pairs(chosen: list[Scenario], folder: Path) -> Iterator[Pair]:
+    for scenario in chosen:
         made = generate(scenario)
         path = folder / "cell.yaml"
         path.write_text(yaml_text(made.cell), encoding="utf-8")
         cell, readings = load_cell(path), made.readings
-        last = np.unique(readings.configuration)[FITTED:]
+        last = np.unique(readings.configuration)[-TESTED:]
         tested = np.isin(readings.configuration, last)
         found = diagnose(
             readings.select(~tested), cell, test=readings.select(tested), simulation=simulated(cell, scenario)
         )
         true = frozenset(str(effect["effect"]) for effect in made.label["effects"])
-        yield Pair(scenario.group, true, found.comparisons[0], found.noise_known)
+        same = [one for effect in made.label["effects"] for one in effect["equivalent"]]
+        alike = frozenset(effect_sentence(one["effect"], one["location"]) for one in same)
+        yield Pair(scenario.group, true, alike, found.comparisons[0], found.noise_known)
 
 
 def told(folder: Path) -> Iterator[tuple[str, set[tuple[str, str]], bool]]:
@@ -128,9 +139,12 @@ def share(hits: list[bool]) -> str:
 
 
 @pytest.mark.slow
-def test_the_steps_lead_from_the_simulation_to_the_noise(tmp_path: Path) -> None:
+@pytest.mark.parametrize("chosen", [scenarios, unloaded])
+def test_the_steps_lead_from_the_simulation_to_the_noise(
+    chosen: Callable[[int], list[Scenario]], tmp_path: Path
+) -> None:
     sums, ends, largest, nothing, closed, worse, witnessed = [], [], [], [], [], [], []
-    for pair in pairs(MANY, tmp_path):
+    for pair in pairs(chosen(SEED)[:MANY], tmp_path):
         steps, improved = pair.compared.waterfall, pair.compared.improved
         print(pair.group, sorted(pair.true), [(step.name, round(1e6 * step.rms, 1)) for step in steps], flush=True)
         witnesses = [one for one in pair.compared.witnesses if one.what == "wrench"]
@@ -145,7 +159,8 @@ def test_the_steps_lead_from_the_simulation_to_the_noise(tmp_path: Path) -> None
             nothing.append(all(step.share <= 0.02 for step in physics))
         else:
             ends.append(steps[-1].rms <= 1.2 * pair.noise)
-            largest.append(bool(physics) and max(physics, key=lambda step: step.share).name in pair.true)
+            bar = max(physics, key=lambda step: step.share, default=steps[0])
+            largest.append(bar.name in pair.true or bar.what in pair.alike)
         closed.append(improved.test_rms / steps[-1].test_rms - 1)
         before = steps[-3].test_rms if physics else steps[-2].test_rms
         worse.append(improved.test_rms <= 1.05 * before)
@@ -163,5 +178,5 @@ def test_the_steps_lead_from_the_simulation_to_the_noise(tmp_path: Path) -> None
     assert all(nothing)
     assert np.median(np.abs(closed)) <= 0.1
     assert all(worse)
-    assert np.mean(right) >= 0.9
+    assert not right or np.mean(right) >= 0.9
     assert "simulation" not in witnessed

@@ -13,11 +13,13 @@ from robots import loaded_readings, write_cell
 from scipy.spatial.transform import Rotation
 
 from calibration_core.cell import Cell
+from calibration_core.commands.evaluation.diagnose import evaluate
 from calibration_core.diagnosis.comparison.points import rigid
 from calibration_core.diagnosis.comparison.recordings import sensor_axes
 from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.simulated import compare_checked
 from calibration_core.errors import RecordingError
+from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
@@ -129,6 +131,20 @@ def test_a_simulation_that_does_not_bend_is_the_rigid_robot(recorded: Readings, 
     assert found.reproduction.compliance is not None
     assert not found.reproduction.compliance.any()
     assert found.steps is not None
+
+
+def same(readings: Readings, _: Cell) -> Readings:
+    return readings
+
+
+@pytest.mark.parametrize("foreign", [same, in_millimetres, without_weight, zero_wrench])
+def test_the_answer_of_each_class_fits_a_terminal(
+    foreign: Callable[[Readings, Cell], Readings], recorded: Readings, cell: Cell
+) -> None:
+    simulation = foreign(simulated(recorded, cell), cell)
+    lines = evaluate(recorded, cell, Options(), simulation=simulation).content["summary"]
+    assert len(lines) < 12  # the report's place follows
+    assert max(map(len, lines)) <= 120
 
 
 def rewritten(path: Path, named: dict[str, tuple[str, float]]) -> None:
