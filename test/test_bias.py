@@ -13,8 +13,8 @@ import pytest
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.evaluation.identify import Identified, evaluate
-from calibration_core.diagnosis.bias import with_bias
 from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.model_estimate import with_bias
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.identify import identify

@@ -15,12 +15,11 @@ import pytest
 
 from calibration_core.cell import Cell
 from calibration_core.model.effects import candidates, catalogue
-from calibration_core.model.effects.recorded_state import recorded_state
-from calibration_core.model.effects.state import State
+from calibration_core.model.effects.state import State, recorded_state
 from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import load_of
 from calibration_core.observations.kinds import single_steps
 from calibration_core.timeseries import Float2D, Provenance, Readings
 from calibration_sim.cell.truth import nominal_truth

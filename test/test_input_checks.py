@@ -14,10 +14,10 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.cli import main
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.identify import identify
+from calibration_core.input_checks.anomaly import unit_anomaly
 from calibration_core.input_checks.check import check_inputs, unit_note
 from calibration_core.input_checks.placed import PositionRecording, check_positions
-from calibration_core.input_checks.tracker_axes import quarter_turns
-from calibration_core.input_checks.units import unit_anomaly
+from calibration_core.input_checks.wrench_axes import quarter_turns
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of

@@ -26,11 +26,11 @@ from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.stiffness.predict import predict_readings, shift_by_effects
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.applied import applied
-from calibration_core.model.effects.recorded_state import recorded_state
+from calibration_core.model.effects.state import recorded_state
 from calibration_core.model.identified.model_file import read_model
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import load_of
 from calibration_core.recording.tables.table import read_table, write_table
 from calibration_core.timeseries import Float2D, Readings
 from calibration_sim.cell.truth import Spread, draw_truth

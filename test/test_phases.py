@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from phase_cases import CELL, NOMINAL_ONLY, bare_cell, play, protocol
 
-from calibration_core.identification.geometry.prior import difference
-from calibration_core.identification.geometry.problem import absolute_problem
+from calibration_core.identification.geometry.fit import absolute_problem
+from calibration_core.identification.geometry.parameter_table import difference
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.standard.kinematic_phases import identify_kinematics, split
 from calibration_core.identification.standard.phases import holds_phases, identify_phases
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.average import position_covariance
 from calibration_sim.cell.table import measure, solve
 from calibration_sim.cell.truth import Truth, draw_truth
 

@@ -23,7 +23,7 @@ from calibration_core.commands.evaluation.candidate_measurements import offers_f
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import design_at, loaded_state
 from calibration_core.diagnosis.loaded import diagnose_loaded
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.choose import Offer
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded

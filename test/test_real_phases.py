@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
-from calibration_core.identification.geometry.problem import absolute_problem
+from calibration_core.identification.geometry.fit import absolute_problem
 from calibration_core.identification.standard.kinematic_phases import identify_kinematics
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.average import position_covariance
 from calibration_core.recording.tables.table import read_table
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"

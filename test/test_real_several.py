@@ -15,7 +15,7 @@ import pytest
 from calibration_core.cell import load_cell
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.result.finding import Diagnosis
-from calibration_core.identification.several.members import members_of
+from calibration_core.identification.several.merge import members_of
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.outcomes.together.diagnose import diagnose_together
 from calibration_core.outcomes.together.prepare import Prepared, prepare

@@ -61,7 +61,7 @@ def _deflection(chain, q, load, point, stiffness, rng) -> np.ndarray:
 
 def _fitted(chain, q, load, point, deflection) -> tuple[np.ndarray, np.ndarray]:
     """Return compliances, not negative, and their standard deviations."""
-    from calibration_core.identification.statistics.solve import solve_non_negative
+    from calibration_core.identification.statistics import solve_non_negative
 
     matrix, vector = np.zeros((chain.n, chain.n)), np.zeros(chain.n)
     for rows, columns in _blocks(chain, q, load, point):

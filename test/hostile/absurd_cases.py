@@ -13,7 +13,7 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.input_checks.check import check_inputs
-from calibration_core.input_checks.tracker_axes import quarter_turns
+from calibration_core.input_checks.wrench_axes import quarter_turns
 from calibration_core.timeseries import Readings
 from calibration_sim.effects.draw import robot_cell
 from calibration_sim.scenarios.generate import Generated, generate

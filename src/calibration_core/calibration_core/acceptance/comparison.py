@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from calibration_core.acceptance.yearly_change import weighted_line, yearly_change
-from calibration_core.identification.statistics.distributions import normal_quantile
+from calibration_core.identification.statistics import normal_quantile
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.timeseries import Float1D, Float2D
 

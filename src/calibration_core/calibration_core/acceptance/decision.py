@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from calibration_core.identification.statistics.distributions import normal_quantile
+from calibration_core.identification.statistics import normal_quantile
 from calibration_core.timeseries import Float1D
 
 Decision = Literal["conforming", "not_conforming", "undecided"]

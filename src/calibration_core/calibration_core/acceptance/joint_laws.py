@@ -13,15 +13,14 @@ from functools import partial
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.statistics.offsets import normal_equations
+from calibration_core.identification.statistics import normal_equations
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects.joint_law.hysteresis import stop
-from calibration_core.model.effects.recorded_state import recorded_state
-from calibration_core.model.effects.state import State
+from calibration_core.model.effects.state import State, recorded_state
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import load_of
 from calibration_core.timeseries import Float1D, Float3D, Readings
 
 CLEARANCE = 0.02  # of the largest torque: within it a joint crosses its clearance

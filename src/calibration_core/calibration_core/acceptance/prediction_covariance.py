@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.statistics.distributions import beyond_noise
+from calibration_core.identification.statistics import beyond_noise
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import with_values
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.observations.covariance import wrench_covariance
+from calibration_core.observations.average import wrench_covariance
 from calibration_core.timeseries import Float2D, Float3D, Readings
 
 OFF = 2.0  # times the uncertainty: positions that are off in half of the configurations, not in one that was disturbed

@@ -16,7 +16,7 @@ import numpy as np
 from calibration_core.acceptance.decision import guard_factor
 from calibration_core.acceptance.verification import frame_columns, verify
 from calibration_core.cell import Cell
-from calibration_core.identification.statistics.distributions import normal_quantile
+from calibration_core.identification.statistics import normal_quantile
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.identified.named_values import value_of, with_values

@@ -22,7 +22,7 @@ from calibration_core.model.chain import aligned
 from calibration_core.model.identified.calibrated import CalibratedModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.average import position_covariance
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Readings
 
 FEWEST = 3  # places from which a frame is fitted

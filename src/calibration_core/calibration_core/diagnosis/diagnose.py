@@ -9,22 +9,21 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.bias import with_bias
 from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.location import locate
-from calibration_core.diagnosis.proposals.candidates import Offers
+from calibration_core.diagnosis.model_estimate import with_bias
+from calibration_core.diagnosis.proposals.choose import Offers
 from calibration_core.diagnosis.result.finding import HANDED_OUT, Diagnosis, Rest
 from calibration_core.errors import EquilibriumError, IdentificationError
-from calibration_core.identification.geometry.named_estimate import with_known_effects
+from calibration_core.identification.geometry.parameter_table import with_known_effects
 from calibration_core.identification.identify import with_given
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.result.tested import PARTS, PartKind
-from calibration_core.identification.statistics.distributions import beyond_noise
-from calibration_core.identification.stiffness.end_effector import accounted
-from calibration_core.identification.stiffness.known_effects import in_own_set_up, without_effects
+from calibration_core.identification.statistics import beyond_noise
+from calibration_core.identification.stiffness.end_effector import accounted, in_own_set_up, without_effects
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.effects.recordings import RECORDING
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.observations.kinds import holds_single_steps, is_loaded
 from calibration_core.timeseries import Bool1D, Float2D, Note, Readings
 

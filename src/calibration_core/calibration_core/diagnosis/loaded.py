@@ -13,23 +13,27 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
     noise_understated,
     outlier_readings,
 )
-from calibration_core.diagnosis.data_checks.noise import Scatter, claimed, directions, scatter, with_noise
-from calibration_core.diagnosis.data_checks.outlier_readings import (
+from calibration_core.diagnosis.data_checks.noise import (
+    Scatter,
+    claimed,
+    directions,
     moved_with_their_step,
     readings_to_use,
+    scatter,
     whole_steps,
+    with_noise,
 )
-from calibration_core.diagnosis.empirical.law import empirical_law, law_findings, law_sentence, with_open_laws
-from calibration_core.diagnosis.evidence.aliases import aliases
-from calibration_core.diagnosis.evidence.alternatives import with_alternatives
-from calibration_core.diagnosis.evidence.design import Design
+from calibration_core.diagnosis.empirical import empirical_law, law_findings, law_sentence, with_open_laws
+from calibration_core.diagnosis.evidence.design import Design, LoadedSelection, select
 from calibration_core.diagnosis.evidence.extended import (
     ExtendedLoadedModel,
+    aliases,
     beside_small_effects,
     design_at,
     extend,
     extended_model,
     loaded_state,
+    with_alternatives,
 )
 from calibration_core.diagnosis.evidence.residual import (
     Jumps,
@@ -41,24 +45,21 @@ from calibration_core.diagnosis.evidence.residual import (
     weighted_rest,
     what_remains,
 )
-from calibration_core.diagnosis.evidence.selection import LoadedSelection, select
 from calibration_core.diagnosis.findings.loaded import (
     RejectedCandidate,
     findings_of,
+    registration,
     rejected_candidates,
     rejection_sentence,
 )
-from calibration_core.diagnosis.findings.registration import registration
 from calibration_core.diagnosis.model_estimate import loaded_estimate
-from calibration_core.diagnosis.proposals.candidates import Offers
-from calibration_core.diagnosis.proposals.choose import NONE_ASKED, choose
-from calibration_core.diagnosis.proposals.loaded import LoadedKnowledge
+from calibration_core.diagnosis.proposals.choose import NONE_ASKED, Offers, choose
+from calibration_core.diagnosis.proposals.postures import LoadedKnowledge
 from calibration_core.diagnosis.result.finding import Diagnosis, Rest, by_size
 from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.result.estimate import Anomaly, Identification
 from calibration_core.identification.result.tested import MISFIT
-from calibration_core.identification.statistics.offsets import Rows, without_offsets
-from calibration_core.identification.statistics.sizes import rms
+from calibration_core.identification.statistics import Rows, rms, without_offsets
 from calibration_core.identification.stiffness.loaded import (
     Options,
     PreparedLoaded,
@@ -70,7 +71,7 @@ from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects import candidates, effects_with
 from calibration_core.model.effects.candidate import Candidate, Trait
-from calibration_core.observations.covariance import coordinate_std
+from calibration_core.observations.average import coordinate_std
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings
 
 ROUNDS = 3

@@ -16,9 +16,8 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.model.kinematics import Posture, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
-from calibration_core.model.statics import load_torque
+from calibration_core.model.statics import load_of, load_torque
 from calibration_core.observations.kinds import levels_of
 from calibration_core.policy import CERTAIN
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time

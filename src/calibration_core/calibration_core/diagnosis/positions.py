@@ -16,19 +16,15 @@ from calibration_core.diagnosis.data_checks.loaded_anomalies import (
     outlier_readings,
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter
-from calibration_core.diagnosis.empirical.law import with_open_joints
-from calibration_core.diagnosis.evidence.aliases import aliases
-from calibration_core.diagnosis.evidence.extended import loaded_state
+from calibration_core.diagnosis.empirical import with_open_joints
+from calibration_core.diagnosis.evidence.extended import aliases, loaded_state
 from calibration_core.diagnosis.findings.geometry import geometry_findings
 from calibration_core.diagnosis.findings.positions import position_findings
 from calibration_core.diagnosis.model_estimate import positions_compliance, positions_estimate
-from calibration_core.diagnosis.proposals.candidates import Offers
-from calibration_core.diagnosis.proposals.choose import NONE_ASKED, Proposals
-from calibration_core.diagnosis.proposals.loaded import propose_loads
-from calibration_core.diagnosis.proposals.postures import Known, propose_postures
+from calibration_core.diagnosis.proposals.choose import NONE_ASKED, Offers, Proposals
+from calibration_core.diagnosis.proposals.postures import Known, propose_loads, propose_postures
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding, Rest, by_size
-from calibration_core.estimation.alternatives.equivalents import equivalents
-from calibration_core.estimation.alternatives.unnamed import with_unnamed
+from calibration_core.estimation.alternatives import equivalents, with_unnamed
 from calibration_core.estimation.blocks import posture_blocks, time_blocks
 from calibration_core.estimation.estimate import Estimate, estimate
 from calibration_core.estimation.hypotheses import is_axial
@@ -38,7 +34,7 @@ from calibration_core.identification.absolute.evaluate import Evaluated, evaluat
 from calibration_core.identification.checks.noise_audit import rigid_triangle
 from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Anomaly, Identification
-from calibration_core.identification.statistics.sizes import rms, rms_length
+from calibration_core.identification.statistics import rms, rms_length
 from calibration_core.identification.stiffness.loaded import (
     MIN_CONFIGURATIONS,
     Options,
@@ -48,7 +44,7 @@ from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
-from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.observations.kinds import loaded_configurations, standing
 from calibration_core.timeseries import Readings
 

@@ -11,17 +11,18 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.recordings import compare, put_right, with_loads
 from calibration_core.diagnosis.comparison.result import Comparison, Difference, OwnFaults
 from calibration_core.diagnosis.data_checks.loaded_anomalies import (
+    OTHERS,
     find_shifts,
     noise_understated,
+    out_of_shape,
     outlier_readings,
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter
-from calibration_core.diagnosis.data_checks.tool_shape import OTHERS, out_of_shape
 from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.estimation.rows import state_at
 from calibration_core.identification.absolute.evaluate import evaluate_absolute, identification_of
-from calibration_core.identification.geometry.problem import absolute_problem, start_parameters
+from calibration_core.identification.geometry.fit import absolute_problem, start_parameters
 from calibration_core.identification.result.estimate import MODEL_FREE, Anomaly, Identification, NoiseAudit
 from calibration_core.identification.stiffness.loaded import (
     MIN_CONFIGURATIONS,
@@ -32,7 +33,7 @@ from calibration_core.identification.stiffness.loaded import (
 from calibration_core.model.effects.state import State
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.observations.kinds import is_loaded, loaded_configurations
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Readings
 

@@ -27,14 +27,14 @@ from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.errors import EquilibriumError
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.effects.applied import applied_shift
-from calibration_core.model.effects.recorded_state import recorded_state
+from calibration_core.model.effects.state import recorded_state
 from calibration_core.model.effects.words import effect_sentence, plain_name
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import value_of, with_values
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import load_of
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
 
 STIFFNESS = "stiffness"

@@ -13,17 +13,21 @@ import numpy as np
 from calibration_core.estimation.controls import CHANCE
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.leave_out import LeftOut
-from calibration_core.estimation.likelihood.gains import Gains, Grouped, Seen, beside, chance_gain
-from calibration_core.estimation.likelihood.restricted import USUAL, WIDE, Sizes
-from calibration_core.estimation.likelihood.small_effects import (
+from calibration_core.estimation.likelihood.gains import (
     LEVELS,
     NONE,
+    Gains,
+    Grouped,
     LevelFit,
+    Seen,
     SmallEffects,
+    beside,
     best_gains,
+    chance_gain,
     likelihood_at,
     most_probable,
 )
+from calibration_core.estimation.likelihood.restricted import USUAL, WIDE, Sizes
 from calibration_core.timeseries import Float1D
 
 KEPT = 2  # models with blocks left out, for what is tried beside them: tens of megabytes each

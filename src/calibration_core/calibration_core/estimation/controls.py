@@ -19,8 +19,7 @@ from calibration_core.estimation.hypotheses import SAG, WAVE, typical_sizes
 from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
-from calibration_core.estimation.springs.compensator_geometry import SPRING, one_wave
-from calibration_core.estimation.springs.relief import Relief, Weighed, without_springs
+from calibration_core.estimation.springs import SPRING, Relief, Weighed, one_wave, without_springs
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
 from calibration_core.model.effects.candidate import Candidate, Trait, number_of

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.estimation.alternatives.covariance import with_alternatives
+from calibration_core.estimation.alternatives import with_alternatives
 from calibration_core.estimation.blocks import Blocks, posture_blocks, time_blocks
 from calibration_core.estimation.controls import controls
 from calibration_core.estimation.field import Accepted, Field
@@ -28,7 +28,7 @@ from calibration_core.estimation.refit import Extended, Part, refit
 from calibration_core.estimation.rows import NullModel, sample, state_at, weighted
 from calibration_core.estimation.search import Search, Selection
 from calibration_core.estimation.shifts import FAMILY, shifts, spacing
-from calibration_core.estimation.springs.compensator_geometry import (
+from calibration_core.estimation.springs import (
     IMITATING,
     SPRING,
     fit_compensator_geometry,
@@ -36,16 +36,15 @@ from calibration_core.estimation.springs.compensator_geometry import (
 )
 from calibration_core.identification.absolute.evaluate import Evaluated
 from calibration_core.identification.absolute.prediction_error import compare
-from calibration_core.identification.geometry.problem import absolute_problem
+from calibration_core.identification.geometry.fit import absolute_problem
 from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm
-from calibration_core.identification.statistics.distributions import FINEST, chi2_limit
+from calibration_core.identification.statistics import FINEST, chi2_limit
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
-from calibration_core.model.effects.applied import Acting
+from calibration_core.model.effects.applied import Acting, stacked
 from calibration_core.model.effects.candidate import Candidate, Parameter, number_of, typical
-from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import position_covariance
+from calibration_core.observations.average import position_covariance
 from calibration_core.observations.kinds import loaded_configurations
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
 

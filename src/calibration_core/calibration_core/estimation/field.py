@@ -15,7 +15,7 @@ from calibration_core.estimation.hypotheses import Hypothesis, Offered
 from calibration_core.estimation.leave_out import LeftOut, Proof, block_squares, proof
 from calibration_core.estimation.likelihood.gains import Seen
 from calibration_core.estimation.likelihood.restricted import JITTER, Gram, Sizes
-from calibration_core.identification.statistics.distributions import FINEST
+from calibration_core.identification.statistics import FINEST
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D
 

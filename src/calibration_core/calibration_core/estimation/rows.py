@@ -18,8 +18,7 @@ from calibration_core.identification.geometry.fit import AbsoluteProblem
 from calibration_core.identification.geometry.terms import Term, columns_of
 from calibration_core.model.effects.applied import Acting, with_side_torques
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.recorded_state import recorded_state
-from calibration_core.model.effects.state import State
+from calibration_core.model.effects.state import State, recorded_state
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 

@@ -22,9 +22,8 @@ from calibration_core.estimation.controls import EQUIVALENT, impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.hypotheses import LAW, Hypothesis
 from calibration_core.estimation.leave_out import LEAST_NATS, Proof
-from calibration_core.estimation.likelihood.gains import Grouped
+from calibration_core.estimation.likelihood.gains import Grouped, likelihood_at, visible
 from calibration_core.estimation.likelihood.restricted import USUAL, Sizes
-from calibration_core.estimation.likelihood.small_effects import likelihood_at, visible
 from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.timeseries import Float1D
 

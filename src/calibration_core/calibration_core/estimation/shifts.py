@@ -11,8 +11,8 @@ from functools import partial
 import numpy as np
 
 from calibration_core.model.chain import Chain
+from calibration_core.model.effects.applied import stacked
 from calibration_core.model.effects.candidate import Candidate, Parameter
-from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.kinematics import cross
 from calibration_core.timeseries import Bool1D, Float3D, Int1D, Readings, in_time

@@ -14,7 +14,7 @@ from calibration_core.fleet.pooling import Pooled, Population, pool
 from calibration_core.fleet.reasons import RankingReason, law_reasons, stiffness_reasons
 from calibration_core.fleet.recordings.rows import Row
 from calibration_core.fleet.series import STIFFNESS, Quantity, quantities
-from calibration_core.identification.statistics.distributions import normal_quantile
+from calibration_core.identification.statistics import normal_quantile
 
 LEVEL = 0.002  # probability that a robot like its sisters stands out anywhere
 TESTS_PER_QUANTITY = 3  # the population, steps and slope

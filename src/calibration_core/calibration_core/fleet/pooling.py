@@ -20,7 +20,7 @@ import math
 import numpy as np
 from scipy.special import gammaln, ndtr
 
-from calibration_core.identification.statistics.distributions import student_quantile
+from calibration_core.identification.statistics import student_quantile
 from calibration_core.timeseries import Bool1D, Float1D, Float2D
 
 LEAST = 5  # robots from which a population is stated

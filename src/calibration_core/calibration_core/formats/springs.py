@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration_core.model.chain import Chain
-from calibration_core.model.effects.springs import NODES, WEIGHTS
+from calibration_core.model.effects.applied import NODES, WEIGHTS
 from calibration_core.model.effects.structure.link_bending import ACROSS
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float1D, Float2D

@@ -6,16 +6,15 @@ import dataclasses
 
 from calibration_core.cell import Cell
 from calibration_core.identification.absolute.evaluate import identify_absolute
-from calibration_core.identification.geometry.named_estimate import with_known_effects
+from calibration_core.identification.geometry.parameter_table import with_known_effects
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.several.mixed import identify_mixed
 from calibration_core.identification.standard.decoupled import identify_loaded
+from calibration_core.identification.standard.kinematic_phases import standard_geometry
 from calibration_core.identification.standard.phases import holds_phases, identify_phases
-from calibration_core.identification.standard.standard_geometry import standard_geometry
-from calibration_core.identification.stiffness.end_effector import accounted
-from calibration_core.identification.stiffness.known_effects import in_own_set_up, without_effects
+from calibration_core.identification.stiffness.end_effector import accounted, in_own_set_up, without_effects
 from calibration_core.identification.stiffness.loaded import Options
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.observations.kinds import holds_both, is_loaded
 from calibration_core.timeseries import Note, Readings
 

@@ -14,8 +14,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.result.observability import TWO_SIDED
-from calibration_core.identification.statistics.distributions import chi2_limit
-from calibration_core.identification.statistics.offsets import normal_equations
+from calibration_core.identification.statistics import chi2_limit, normal_equations
 from calibration_core.identification.stiffness.fit import LoadedFit
 from calibration_core.identification.stiffness.loaded import Options, identify_prepared, prepare_loaded
 from calibration_core.identification.stiffness.problem import LoadedProblem, build_problem

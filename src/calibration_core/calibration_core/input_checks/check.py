@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.input_checks.anomaly import InputAnomaly
+from calibration_core.input_checks.anomaly import CellSizes, InputAnomaly, check_lengths, unit_words
 from calibration_core.input_checks.explained import Motion, Reading, centred
 from calibration_core.input_checks.loaded import check_loaded
 from calibration_core.input_checks.placed import PositionRecording, check_positions
-from calibration_core.input_checks.units import CellSizes, check_lengths, unit_words
 from calibration_core.model.chain import Chain, nearest_rotation, pose_matrix
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of

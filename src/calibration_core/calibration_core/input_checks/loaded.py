@@ -9,7 +9,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calibration_core.input_checks.anomaly import InputAnomaly
+from calibration_core.input_checks.anomaly import (
+    SEEN_BY_PRIOR,
+    VISIBLE,
+    CellSizes,
+    InputAnomaly,
+    apart,
+    expected_motion,
+    torques_apart,
+    unit_anomaly,
+)
 from calibration_core.input_checks.explained import (
     Explanation,
     Motion,
@@ -21,17 +30,7 @@ from calibration_core.input_checks.explained import (
     without_wild,
 )
 from calibration_core.input_checks.placed import best_zero, other_points
-from calibration_core.input_checks.tracker_axes import LEAST_TURN, turned_axes
-from calibration_core.input_checks.units import (
-    SEEN_BY_PRIOR,
-    VISIBLE,
-    CellSizes,
-    apart,
-    expected_motion,
-    torques_apart,
-    unit_anomaly,
-)
-from calibration_core.input_checks.wrench_axes import other_axes
+from calibration_core.input_checks.wrench_axes import LEAST_TURN, other_axes, turned_axes
 from calibration_core.model.effects.joint_law.hysteresis import stop
 from calibration_core.model.kinematics import cross, dot, linear_jacobian
 from calibration_core.model.statics import Load, load_torque

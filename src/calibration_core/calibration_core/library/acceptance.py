@@ -30,8 +30,7 @@ from calibration_core.outcomes.comparison import (
     refuse_other_robots,
     source_of,
 )
-from calibration_core.outcomes.inputs import Inputs, look, naming_model
-from calibration_core.outcomes.own_recordings import refuse_own
+from calibration_core.outcomes.inputs import Inputs, look, naming_model, refuse_own
 from calibration_core.outcomes.verification import places
 from calibration_core.report.writing.output import Content
 from calibration_core.timeseries import Float1D

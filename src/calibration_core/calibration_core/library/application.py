@@ -22,9 +22,8 @@ from calibration_core.errors import InputError
 from calibration_core.library.arguments import Numbers, checked
 from calibration_core.library.models import HoldsModel, given_model
 from calibration_core.library.result import Columns, Picture, Result
-from calibration_core.model.identified.given import GivenModel
-from calibration_core.outcomes.compensation import Applied, apply
-from calibration_core.outcomes.deflection import Deflected, deflected
+from calibration_core.model.identified.model_file import GivenModel
+from calibration_core.outcomes.compensation import Applied, Deflected, apply, deflected
 from calibration_core.outcomes.inputs import Inputs, digest_of
 from calibration_core.recording.tables.columns import WRENCH, joint_columns
 from calibration_core.report.writing.output import Content

@@ -16,7 +16,7 @@ from calibration_core.library.identification import ANOMALY
 from calibration_core.library.models import HoldsModel, given_model, in_memory
 from calibration_core.library.recordings import Recording, recordings_of
 from calibration_core.library.result import Columns, Judged, Picture, columns_of
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.timeseries import Readings
 
 WATERFALL = ("name", "what", "rms", "held_out_rms", "test_rms", "share")

@@ -20,7 +20,7 @@ from calibration_core.library.arguments import checked, differing
 from calibration_core.library.models import HoldsModel, given_model, in_memory
 from calibration_core.library.recordings import Recording, recordings_of
 from calibration_core.library.result import Columns, Judged, Picture, columns_of
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.timeseries import Float1D, Float2D, Readings
 
 STIFFNESS = ("joint", "value", "std", "low", "high", "compliance", "compliance_std", "identifiable", "reason", "unit")

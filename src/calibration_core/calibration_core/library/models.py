@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 from calibration_core.cell import Cell
 from calibration_core.model.identified.calibrated import ValidRange
 from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.given import GivenModel, read_given
+from calibration_core.model.identified.model_file import GivenModel, read_given
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Readings
 

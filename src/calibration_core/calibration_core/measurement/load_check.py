@@ -17,8 +17,8 @@ from calibration_core.cell import Cell
 from calibration_core.errors import apart, beyond, rounded_down
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.recorded_load import recorded_load
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import recorded_load
 from calibration_core.planning.plans.tolerances import DEVIATIONS, Tolerances
 from calibration_core.timeseries import Float1D
 

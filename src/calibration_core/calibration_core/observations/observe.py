@@ -11,8 +11,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import ObservationError
 from calibration_core.observations.average import average, mean_of
-from calibration_core.observations.clock import clock_offset, corrected, on_one_base
-from calibration_core.observations.faulty_streams import refuse_frozen, without_faults
+from calibration_core.observations.clock import clock_offset, corrected, on_one_base, refuse_frozen, without_faults
 from calibration_core.observations.plateaus import USUAL_SIGMA, Window, found_windows, marked_windows
 from calibration_core.observations.window import settled_from
 from calibration_core.recording.bags.bag import read_bag

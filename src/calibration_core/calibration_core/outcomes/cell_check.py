@@ -16,7 +16,7 @@ from calibration_core.input_checks.check import check_inputs
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
-from calibration_core.model.urdf.bodies import lost_meshes, urdf_shapes
+from calibration_core.model.urdf.reading import lost_meshes, urdf_shapes
 from calibration_core.observations.observe import observe
 from calibration_core.recording.bags.bag import Contents, read_contents
 from calibration_core.recording.bags.files import bag_files

@@ -9,17 +9,29 @@ from pathlib import Path
 import numpy as np
 
 from calibration_core.cell import Cell
+from calibration_core.diagnosis.comparison.result import FormatLoss
+from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.files.yaml_file import yaml_text
+from calibration_core.formats.calibrated import ExportedRobot, calibrated_robot
+from calibration_core.formats.mjcf import FILE as MJCF
+from calibration_core.formats.mjcf import mjcf_files
+from calibration_core.formats.springs import springs_of
+from calibration_core.formats.urdf import URDF, urdf_files
 from calibration_core.identification.result.estimate import OperatingSpace
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.identification.stiffness.predict import predict_readings
+from calibration_core.model.chain import rpy_of
+from calibration_core.model.effects.words import effect_sentence
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.simulation.simulate import Schedule, simulate_plan
-from calibration_core.model.simulation.streams import as_recording
+from calibration_core.model.parameters import AppliedEffect, ModelParameters
+from calibration_core.model.simulation.simulate import Schedule, as_recording, simulate_plan
 from calibration_core.outcomes.inputs import naming_model, refuse_lengths
 from calibration_core.outcomes.spaces import scheduled_space
 from calibration_core.planning.loaded import make_plan
 from calibration_core.planning.plans.plan import Plan
-from calibration_core.timeseries import Note, Readings, Streams
+from calibration_core.recording.tables.table import write_table
+from calibration_core.report.writing.output import Content
+from calibration_core.timeseries import Float2D, Note, Readings, Streams
 
 BAG, TABLE = "recording", "measurements.csv"
 
@@ -118,3 +130,91 @@ def as_stated(readings: Readings, cell: Cell) -> Readings:
     if not cell.robot.joint_coupling:
         return readings
     return dataclasses.replace(readings, q=readings.q @ np.linalg.inv(cell.robot.coupling).T)
+
+
+# --- the simulation that a diagnosis hands over -----------------------------------------------------------------------
+
+
+SIMULATION, CELL_LINES = "simulation.csv", "cell_lines.yaml"
+
+
+def with_losses(found: Diagnosis, cell: Cell) -> Diagnosis:
+    """Add to an improved simulation what each kind of simulator cannot hold of it, and what that costs.
+
+    Raises:
+        InputError: The model's geometry is that of no robot.
+    """
+    compared = next(iter(found.comparisons), None)
+    if compared is None or compared.improved is None:
+        return found
+    improved = compared.improved
+    robot = calibrated_robot(cell, found.handed_out[0])
+    springs = springs_of(robot.chain, robot.further).held
+    kinds: list[tuple[tuple[str, ...], tuple[AppliedEffect, ...], bool]]
+    kinds = [((CELL_LINES, URDF), (), True), ((URDF,), (), False)]
+    if not robot.chain.mimics:
+        kinds.append(((MJCF,), springs, True))
+    losses = []
+    for files, held, bends in kinds:
+        left = [effect for effect in robot.further if effect not in held]
+        words = [effect_sentence(effect.effect, effect.location) for effect in left]
+        model = robot.parameters.replace(effects=(*robot.folded, *held))
+        if not bends and np.any(model.compliance):
+            words.insert(0, "the springs of the joints")
+            model = model.replace(compliance=np.zeros_like(model.compliance))
+        more = improved.left_by(model) ** 2 - improved.rms**2 if words else 0.0
+        losses.append(FormatLoss(files, tuple(dict.fromkeys(words)), max(more, 0.0) ** 0.5))
+    improved = dataclasses.replace(improved, losses=tuple(losses))
+    return dataclasses.replace(found, comparisons=(dataclasses.replace(compared, improved=improved),))
+
+
+def improved_files(found: Diagnosis, recorded: Readings, cell: Cell, folder: Path) -> Mapping[str, Content]:
+    """Return the files of the improved simulation, name -> content; none where there is none.
+
+    Args:
+        found: The diagnosis, with its losses.
+        recorded: The recording.
+        cell: The cell file.
+        folder: Where the files will stand.
+    """
+    compared = next(iter(found.comparisons), None)
+    if compared is None or compared.improved is None:
+        return {}
+    model = found.handed_out[0]
+    again = dataclasses.replace(recorded, position=predict_readings(recorded, cell, model))
+    robot = calibrated_robot(cell, model)
+    mujoco = {} if robot.chain.mimics else mjcf_files(robot).files
+    return {
+        SIMULATION: lambda path: write_table(path, as_stated(again, cell)),
+        CELL_LINES: _cell_lines(robot, cell, model).encode(),
+        **urdf_files(robot, folder).files,
+        **mujoco,
+    }
+
+
+def _cell_lines(robot: ExportedRobot, cell: Cell, model: ModelParameters) -> str:
+    """Return what of the cell file changes, in its own words."""
+    from_dh = cell.urdf_path is None
+    stiffness = [float(1 / c) if c > 0 else float("inf") for c in model.compliance]
+    frames: dict[str, object] = {"measurement_points": {name: _numbers(at) for name, at in model.points.items()}}
+    if cell.frames.tracker is not None:
+        frames["tracker"] = _pose(model.tracker)
+    if model.wrench_point is not None:
+        frames["wrench_point"] = _numbers(model.wrench_point)
+    if model.force_torque is not None:
+        frames["force_torque"] = _pose(model.force_torque)
+    links = {"base_link": "base_link", "flange": "flange"} if from_dh else {}
+    lines = {"robot": {"urdf": URDF, **links, "stiffness": stiffness}, "frames": frames}
+    instead = "; the URDF stands for dh, modified_dh, joint_limits, joint_types and inertials" if from_dh else ""
+    head = f"# What changes in {cell.path.name}: these keys stand for those of the same name{instead}.\n"
+    held = len(robot.further)
+    more = f"# {held} effects of the model have no words in a cell file: --model model.yaml has them.\n" if held else ""
+    return head + more + yaml_text(lines, flow=None)
+
+
+def _numbers(values: np.ndarray) -> list[float]:
+    return [float(value) for value in values]
+
+
+def _pose(matrix: Float2D) -> dict[str, list[float]]:
+    return {"xyz": _numbers(matrix[:3, 3]), "rpy": _numbers(rpy_of(matrix[:3, :3]))}

@@ -10,8 +10,8 @@ import numpy as np
 from calibration_core.acceptance.decision import Decision, guard_factor
 from calibration_core.acceptance.verification import Verification
 from calibration_core.model.identified.calibrated import WITHOUT_INTERVALS
-from calibration_core.outcomes.own_recordings import NOT_COMPARED
-from calibration_core.outcomes.prediction_check import only_positions
+from calibration_core.outcomes.inputs import NOT_COMPARED
+from calibration_core.outcomes.prediction import only_positions
 from calibration_core.report.rounding import listed
 from calibration_core.timeseries import Float2D
 

@@ -16,9 +16,9 @@ from calibration_core.model.effects.candidate import Candidate, Effect, typical
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.model.statics import load_of
 from calibration_core.planning.plans.plan import PlannedConfiguration
 from calibration_core.timeseries import Float2D, Readings
 

@@ -15,7 +15,7 @@ from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.identified.calibrated import CalibratedModel
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.outcomes.verification import reservations
 

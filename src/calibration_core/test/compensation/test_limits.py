@@ -22,8 +22,7 @@ from calibration_core.model.identified.calibrated import CalibratedModel, ValidR
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.motion.speed import SAFETY_RATED_SPEED, Monitored
-from calibration_core.outcomes.compensation import apply
-from calibration_core.outcomes.deflection import deflected
+from calibration_core.outcomes.compensation import apply, deflected
 
 GOOD = [0.0, 0.1, 0.1, 0.2, 0.8, 0.3]
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pytest
 
-from calibration_core.diagnosis.evidence.aliases import aliases
+from calibration_core.diagnosis.evidence.extended import aliases
 from calibration_core.model.chain import Chain, rotation_rpy, rotation_x
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import foldnorm, norm
 
-from calibration_core.diagnosis.bias import half_width
+from calibration_core.diagnosis.model_estimate import half_width
 
 ROOT = Path(__file__).resolve().parents[4]
 SLOW_TO_LOAD = ("scipy.stats", "scipy.optimize", "matplotlib")

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from calibration_core.diagnosis.findings.causes import causes
+from calibration_core.diagnosis.findings.positions import causes
 from calibration_core.estimation.hypotheses import ALL, Hypothesis
 
 JOINT, OTHER = {"joint": "joint_6"}, {"joint": "joint_2"}

@@ -14,8 +14,7 @@ from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.model.parameters import AppliedEffect
-from calibration_core.outcomes.together.agreement import agreement
-from calibration_core.outcomes.together.by_themselves import by_themselves, without_changes
+from calibration_core.outcomes.together.agreement import agreement, by_themselves, without_changes
 from calibration_core.outcomes.together.diagnose import diagnose_together
 from calibration_core.timeseries import Readings
 
@@ -102,7 +101,7 @@ def test_what_each_shows_beside_the_findings_is_evaluated_once(tmp_path: Path, m
         evaluated.append(len(some))
         return fit_freed(some, *rest)
 
-    monkeypatch.setattr("calibration_core.outcomes.together.by_themselves.fit_freed", counted)
+    monkeypatch.setattr("calibration_core.outcomes.together.agreement.fit_freed", counted)
     found = diagnose_together(prepared)
     assert effects(found) == [("wrench_gain", {"sensor": "force_torque", "recording": "C.csv"})]
     assert evaluated == [len(one) for one in recordings]

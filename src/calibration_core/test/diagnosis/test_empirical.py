@@ -11,12 +11,11 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis import loaded
-from calibration_core.diagnosis.empirical.dictionary import dictionary
-from calibration_core.diagnosis.empirical.law import empirical_law
+from calibration_core.diagnosis.empirical import dictionary, empirical_law
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.diagnosis.result.finding import Diagnosis
-from calibration_core.identification.statistics.offsets import whitened
+from calibration_core.identification.statistics import whitened
 from calibration_core.report.diagnosis_summary import diagnosis_summary
 from calibration_core.report.documents.diagnosis import diagnosis_document
 from calibration_core.report.results.diagnosis import diagnosis_dict

@@ -12,7 +12,7 @@ from robots import STIFFNESS, loaded_readings, write_cell
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.predict import predict_readings
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.timeseries import Readings

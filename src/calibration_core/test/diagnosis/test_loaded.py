@@ -12,7 +12,7 @@ from loaded_cases import TRUE, planted, shifted, true_state
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.data_checks.outlier_readings import moved_with_their_step, whole_steps
+from calibration_core.diagnosis.data_checks.noise import moved_with_their_step, whole_steps
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings

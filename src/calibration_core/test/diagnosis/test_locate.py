@@ -13,9 +13,8 @@ from calibration_core.diagnosis.location import CERTAIN, Located, locate
 from calibration_core.model.effects.joint_law.hysteresis import stop
 from calibration_core.model.kinematics import cross, posture
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
-from calibration_core.model.statics import load_torque
+from calibration_core.model.statics import load_of, load_torque
 from calibration_core.timeseries import Float1D, Float2D, Readings
 
 NOISE = 2e-5

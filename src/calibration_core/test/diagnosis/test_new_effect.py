@@ -29,7 +29,7 @@ FILE = '''
 from functools import partial
 
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter
-from calibration_core.model.effects.springs import stacked
+from calibration_core.model.effects.applied import stacked
 from calibration_core.model.effects.candidate import Trait
 
 

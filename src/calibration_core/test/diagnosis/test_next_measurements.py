@@ -14,17 +14,16 @@ from calibration_core.cell import Cell
 from calibration_core.commands.evaluation.candidate_measurements import offers_for, proposed_plan
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.loaded import diagnose_loaded
-from calibration_core.diagnosis.proposals.candidates import Offer
-from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
+from calibration_core.diagnosis.proposals.choose import HypothesisPosterior, Offer, expected_log_bayes_factor
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
 from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.model.statics import load_of
 from calibration_core.observations.kinds import levels_of
 from calibration_core.planning.feasible.loads import wrench_steps
 from calibration_core.planning.plans.plan import PlannedConfiguration

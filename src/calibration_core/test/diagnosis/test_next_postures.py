@@ -13,7 +13,7 @@ from absolute_cases import SIGMA, make_cell, make_readings, random_angles, truth
 from calibration_core.cell import Cell
 from calibration_core.commands.evaluation.candidate_measurements import offers_for, proposed_plan
 from calibration_core.diagnosis.diagnose import diagnose
-from calibration_core.diagnosis.proposals.candidates import Offers
+from calibration_core.diagnosis.proposals.choose import Offers
 from calibration_core.diagnosis.proposals.postures import NO_POSTURE, NOTHING_FOUND, Known, propose_postures
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.estimation.estimate import estimate

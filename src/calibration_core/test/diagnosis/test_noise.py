@@ -13,7 +13,7 @@ from calibration_core.diagnosis.data_checks.adequacy import against_noise
 from calibration_core.diagnosis.data_checks.loaded_anomalies import noise_understated
 from calibration_core.diagnosis.data_checks.noise import claimed, directions, scatter, with_noise
 from calibration_core.diagnosis.evidence.residual import Jumps, jumps_along_a_joint
-from calibration_core.identification.statistics.offsets import whitened
+from calibration_core.identification.statistics import whitened
 from calibration_core.identification.stiffness.loaded import Options, PreparedLoaded, prepare_loaded
 from calibration_core.model.kinematics import linear_jacobian, posture
 from calibration_core.timeseries import Float2D, Float3D

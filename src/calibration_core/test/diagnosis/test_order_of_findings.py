@@ -6,7 +6,7 @@ import itertools
 from types import SimpleNamespace
 
 from calibration_core.diagnosis.result.finding import by_size
-from calibration_core.estimation.alternatives.equivalents import nearest_first
+from calibration_core.estimation.alternatives import nearest_first
 
 
 def test_the_largest_effect_on_the_measured_points_is_first() -> None:

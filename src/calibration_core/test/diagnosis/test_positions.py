@@ -13,7 +13,7 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.positions import diagnose_still
 from calibration_core.diagnosis.result.finding import Diagnosis
-from calibration_core.estimation.alternatives.equivalents import EQUIVALENT, equivalents
+from calibration_core.estimation.alternatives import EQUIVALENT, equivalents
 from calibration_core.estimation.estimate import estimate
 from calibration_core.identification.absolute.evaluate import evaluate_absolute
 from calibration_core.identification.stiffness.predict import predict_readings

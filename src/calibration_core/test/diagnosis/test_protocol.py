@@ -9,7 +9,7 @@ import pytest
 
 from calibration_core.cell import load_cell
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.choose import Offer
 from calibration_core.diagnosis.proposals.protocol import PROTOCOLS, SHOWN, Pace, Worth, _log_bayes_factor, worth_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of

@@ -14,7 +14,7 @@ from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.diagnose import diagnose
-from calibration_core.diagnosis.findings.registration import TARGETS, TRACKER, registration
+from calibration_core.diagnosis.findings.loaded import TARGETS, TRACKER, registration
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded, refitted_frames
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.chain import rotation_vector

@@ -11,10 +11,9 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis import loaded
-from calibration_core.diagnosis.empirical.dictionary import SIZE
-from calibration_core.diagnosis.empirical.law import EQUIVALENT, rival
+from calibration_core.diagnosis.empirical import EQUIVALENT, SIZE, rival
+from calibration_core.diagnosis.evidence.design import LoadedSelection
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
-from calibration_core.diagnosis.evidence.selection import LoadedSelection
 from calibration_core.diagnosis.findings.loaded import RejectedCandidate
 from calibration_core.diagnosis.loaded import diagnose_loaded
 

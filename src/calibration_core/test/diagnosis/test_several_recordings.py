@@ -13,8 +13,8 @@ from several_cases import measured, setup, together
 from calibration_core.commands.evaluation.candidate_measurements import offers_for
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.evidence.extended import loaded_state
-from calibration_core.diagnosis.findings.registration import TARGETS
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.findings.loaded import TARGETS
+from calibration_core.diagnosis.proposals.choose import Offer
 from calibration_core.identification.stiffness.loaded import prepare_loaded
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.words import effect_sentence

@@ -8,7 +8,7 @@ import weakref
 import numpy as np
 import pytest
 
-from calibration_core.estimation.alternatives.confounding import strongest_first
+from calibration_core.estimation.alternatives import strongest_first
 from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.field import Field
 from calibration_core.estimation.hypotheses import Offered, offer

@@ -9,10 +9,9 @@ from calibration_core.estimation.blocks import Blocks
 from calibration_core.estimation.comparisons import STEPS
 from calibration_core.estimation.field import Field
 from calibration_core.estimation.hypotheses import offer
-from calibration_core.estimation.likelihood.gains import Grouped
-from calibration_core.estimation.likelihood.restricted import Sizes, price
-from calibration_core.estimation.likelihood.small_effects import (
+from calibration_core.estimation.likelihood.gains import (
     LEVELS,
+    Grouped,
     SmallEffects,
     best_gains,
     likelihood_at,
@@ -20,6 +19,7 @@ from calibration_core.estimation.likelihood.small_effects import (
     shared_power,
     visible,
 )
+from calibration_core.estimation.likelihood.restricted import Sizes, price
 from calibration_core.estimation.search import Search
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.state import State

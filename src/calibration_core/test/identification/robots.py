@@ -10,8 +10,8 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import load_of
 from calibration_core.timeseries import Provenance, Readings
 
 STIFFNESS = [1.4e6, 4.0e6, 9.4e5, 3.6e5, 3.7e5, 3.8e5]

@@ -11,7 +11,7 @@ from robots import STIFFNESS, cell_dict
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.identification.several.members import members_of
+from calibration_core.identification.several.merge import members_of
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.predict import shift_by_effects
 from calibration_core.identification.stiffness.problem import load_of

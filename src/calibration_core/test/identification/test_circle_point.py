@@ -11,11 +11,9 @@ from robots import write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.circle_point.circle import _jacobian, _residual, fit_circle
-from calibration_core.identification.circle_point.coaxial import fit_coaxial
+from calibration_core.identification.circle_point.circle import _jacobian, _residual, fit_circle, fit_coaxial
 from calibration_core.identification.circle_point.joint_axes import identify_axes, single_joint_sweeps
-from calibration_core.identification.wrist.centre import identify_wrist_centre
-from calibration_core.identification.wrist.sphere import fit_sphere, trilaterate
+from calibration_core.identification.wrist import fit_sphere, identify_wrist_centre, trilaterate
 from calibration_core.model.chain import Chain, rpy_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters

@@ -10,8 +10,13 @@ from robots import cell_dict
 from test_circle_point import SIGMA
 
 from calibration_core.cell import Cell
-from calibration_core.identification.circle_point.circle import arc_for, centre_std, fit_circle
-from calibration_core.identification.circle_point.coaxial import _linearised, fit_coaxial
+from calibration_core.identification.circle_point.circle import (
+    _linearised,
+    arc_for,
+    centre_std,
+    fit_circle,
+    fit_coaxial,
+)
 from calibration_core.identification.circle_point.joint_axes import identify_axes
 from calibration_core.model.chain import pose_matrix, rotation_about, rotation_vector
 from calibration_core.model.robot import chain_of

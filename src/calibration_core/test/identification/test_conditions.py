@@ -11,13 +11,18 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell, EndEffector
 from calibration_core.errors import CellError
-from calibration_core.identification.checks.conditions import NAMES, CellState, judge
-from calibration_core.identification.checks.preconditions import check_preconditions, with_temperature_of
+from calibration_core.identification.checks.conditions import (
+    NAMES,
+    CellState,
+    check_preconditions,
+    judge,
+    with_temperature_of,
+)
 from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.end_effector import TOOL_COMPLIANCE, accounted, relative_stiffness
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.predict import shift_by_effects
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.observations.observe import worst
 from calibration_core.report.content import build

@@ -8,7 +8,7 @@ from absolute_cases import make_cell, make_problem, make_readings, random_angles
 from calibration_core.identification.absolute.prediction_error import LinearModel, compare, folds, held_out
 from calibration_core.identification.geometry.fit import GeometryFit, fit, normal_equations
 from calibration_core.identification.geometry.identifiability import candidates, select_frames, select_identifiable
-from calibration_core.identification.geometry.prior import GaussianPrior
+from calibration_core.identification.geometry.parameter_table import GaussianPrior
 from calibration_core.identification.geometry.terms import ElasticityTerm, names_of
 from calibration_core.model.nominal import nominal_parameters
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from calibration_core.identification.statistics import distributions
+from calibration_core.identification import statistics as distributions
 
 
 @pytest.mark.parametrize("probability", [1e-9, 0.01, 0.5, 0.975])

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from absolute_cases import make_cell, make_problem, make_readings, random_angles, truth_of
 
-from calibration_core.identification.geometry.fit import fit, normal_equations
+from calibration_core.identification.geometry.fit import fit, normal_equations, start_parameters
 from calibration_core.identification.geometry.identifiability import candidates, select_frames, select_identifiable
-from calibration_core.identification.geometry.prior import GaussianPrior, difference, learn
-from calibration_core.identification.geometry.problem import start_parameters
+from calibration_core.identification.geometry.parameter_table import GaussianPrior, difference, learn
 from calibration_core.identification.geometry.terms import ElasticityTerm, PointTerm, names_of
 from calibration_core.model.nominal import nominal_parameters
 

@@ -9,7 +9,7 @@ from several_cases import measured, setup
 
 from calibration_core.identification.absolute.evaluate import evaluate_absolute
 from calibration_core.identification.identify import fit_freed
-from calibration_core.identification.several.mixture import identify_mixture
+from calibration_core.identification.several.mixed import identify_mixture
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import value_of

@@ -12,9 +12,9 @@ from robots import STIFFNESS, loaded_readings, write_cell
 from calibration_core.cell import Cell
 from calibration_core.errors import ModelFileError, RecordingError
 from calibration_core.identification.identify import identify
-from calibration_core.identification.stiffness.known_effects import without_effects
+from calibration_core.identification.stiffness.end_effector import without_effects
 from calibration_core.identification.stiffness.predict import from_step_zero, predict_readings
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.timeseries import Readings

@@ -11,8 +11,7 @@ from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.identification.geometry.frames import FrameFit
-from calibration_core.identification.geometry.named_estimate import with_known_effects
-from calibration_core.identification.geometry.parameter_table import frames_uncertainty
+from calibration_core.identification.geometry.parameter_table import frames_uncertainty, with_known_effects
 from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.chain import rotation_about, rotation_rpy, rpy_of

@@ -8,7 +8,7 @@ import weakref
 import numpy as np
 import pytest
 
-from calibration_core.identification.statistics.offsets import (
+from calibration_core.identification.statistics import (
     Rows,
     deleted,
     normal_equations,

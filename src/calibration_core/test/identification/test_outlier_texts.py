@@ -13,7 +13,7 @@ from several_cases import measured, setup
 
 from calibration_core.cli import main
 from calibration_core.diagnosis.diagnose import diagnose
-from calibration_core.identification.checks.exclusion_anomalies import OUTLIERS, outlier_text, with_own_outliers
+from calibration_core.identification.checks.noise_audit import OUTLIERS, outlier_text, with_own_outliers
 from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.report.diagnosis_summary import diagnosis_summary
 from calibration_core.report.document import Table

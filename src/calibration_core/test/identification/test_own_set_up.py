@@ -11,8 +11,8 @@ from several_cases import measured, setup, truth_in
 
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.identification.identify import identify
-from calibration_core.identification.stiffness.known_effects import in_own_set_up
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.identification.stiffness.end_effector import in_own_set_up
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.parameters import AppliedEffect
 
 SIZES = {"compliance_x": 6e-8, "compliance_y": 5e-8, "compliance_xy": 1e-8}  # rad/(N*m)

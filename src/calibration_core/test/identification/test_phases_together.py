@@ -160,7 +160,7 @@ def test_the_command_goes_the_same_way(cell: Cell, readings: Readings) -> None:
 
 
 def test_the_doubt_of_what_stays_nominal_widens_the_stiffness_intervals(cell: Cell, readings: Readings) -> None:
-    from calibration_core.identification.standard.fit_with_prior import fit_with_prior
+    from calibration_core.identification.standard.phases import fit_with_prior
     from calibration_core.identification.stiffness.loaded import Options
 
     some = readings.select(readings.point < 3)

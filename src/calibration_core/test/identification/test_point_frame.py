@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.identification.standard.standard_geometry import frame_of
+from calibration_core.identification.standard.kinematic_phases import frame_of
 from calibration_core.model.chain import rotation_vector
 
 POINTS = np.array([[0.17, 0.0, 0.12], [-0.09, 0.15, 0.12], [-0.09, -0.15, 0.18]])

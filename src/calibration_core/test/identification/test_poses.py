@@ -7,8 +7,8 @@ import pytest
 from robots import STIFFNESS, loaded_readings, write_cell
 
 from calibration_core.errors import IdentificationError
+from calibration_core.identification.stiffness.fit import as_poses
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
-from calibration_core.identification.stiffness.poses import as_poses
 from calibration_core.identification.stiffness.problem import LoadedProblem
 
 COMPLIANCE = 1 / np.array(STIFFNESS)

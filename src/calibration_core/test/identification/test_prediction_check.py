@@ -17,7 +17,7 @@ from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.identification.identify import identify
 from calibration_core.identification.stiffness.predict import from_step_zero
 from calibration_core.model.chain import pose_matrix
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.observations.observe import observe
 from calibration_core.recording.tables.table import write_table

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration_core.identification.absolute.residual_noise import NEIGHBOURS, audit_absolute, compare_neighbours
+from calibration_core.identification.absolute.gross_errors import NEIGHBOURS, audit_absolute, compare_neighbours
 
 M, SIGMA = 600, 2e-5
 

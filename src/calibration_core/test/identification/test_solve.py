@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from calibration_core.identification.result.observability import stiffness_table, weak_directions
-from calibration_core.identification.statistics.solve import solve_non_negative
+from calibration_core.identification.statistics import solve_non_negative
 
 
 def _normal(columns: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,9 +14,9 @@ from test_circle_point import HOME, SIGMA, _readings, _sweeps
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.identify import identify
-from calibration_core.identification.result.phase import StandardGeometry
-from calibration_core.identification.standard.standard_geometry import standard_geometry
-from calibration_core.identification.wrist.centre import identify_wrist_centre
+from calibration_core.identification.result.estimate import StandardGeometry
+from calibration_core.identification.standard.kinematic_phases import standard_geometry
+from calibration_core.identification.wrist import identify_wrist_centre
 from calibration_core.model.chain import rpy_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of

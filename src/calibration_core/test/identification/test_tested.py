@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration_core.identification.checks.exclusion_anomalies import overstated
+from calibration_core.identification.checks.noise_audit import overstated
 from calibration_core.identification.result.estimate import NoiseAudit, NoiseCheck
 from calibration_core.identification.result.tested import TestPart, TestResult
 

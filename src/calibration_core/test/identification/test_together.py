@@ -14,7 +14,7 @@ from calibration_core.cell import Cell
 from calibration_core.errors import InputError
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.several.members import members_of
+from calibration_core.identification.several.merge import members_of
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.outcomes.together.evaluate import covered, identify_together
 from calibration_core.outcomes.together.prepare import prepare

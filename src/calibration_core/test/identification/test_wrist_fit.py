@@ -11,8 +11,7 @@ from test_circle_point import HOME, SIGMA, _readings
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.wrist.centre import identify_wrist_centre
-from calibration_core.identification.wrist.fit import fit_wrist
+from calibration_core.identification.wrist import fit_wrist, identify_wrist_centre
 from calibration_core.model.chain import Chain, rotation_about
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters

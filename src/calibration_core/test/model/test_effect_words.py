@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.diagnosis.findings.building import found_parameters
-from calibration_core.diagnosis.result.finding import FoundParameter
+from calibration_core.diagnosis.result.finding import FoundParameter, found_parameters
 from calibration_core.model.effects import catalogue
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.words import effect_sentence, effect_words, people_unit, plain_name

@@ -15,8 +15,7 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.model.simulation.simulate import Schedule, simulate_plan, tracker_covariance
-from calibration_core.model.simulation.streams import as_recording
+from calibration_core.model.simulation.simulate import Schedule, as_recording, simulate_plan, tracker_covariance
 from calibration_core.timeseries import Phase, Readings
 
 CELLS = Path(__file__).parents[4] / "config" / "cells"

@@ -10,7 +10,7 @@ import pytest
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import CellError
-from calibration_core.observations.covariance import position_covariance, spherical_covariance, wrench_covariance
+from calibration_core.observations.average import position_covariance, spherical_covariance, wrench_covariance
 from calibration_core.timeseries import Provenance, Readings
 
 SPHERICAL = "tracker: {sigma_range: 1.0e-5, sigma_range_per_m: 1.0e-6, sigma_angle: 5.0e-6}"

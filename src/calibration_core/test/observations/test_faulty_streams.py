@@ -11,7 +11,7 @@ import pytest
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.errors import RecordingError
-from calibration_core.observations.faulty_streams import refuse_frozen
+from calibration_core.observations.clock import refuse_frozen
 from calibration_core.observations.observe import observe_recording
 from calibration_core.recording.bags.bag import read_bag
 from calibration_core.timeseries import Readings, Streams, TimeSeries

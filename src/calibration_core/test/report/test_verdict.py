@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration_core.identification.result.estimate import Identification, NoiseCheck
-from calibration_core.identification.statistics.distributions import SIGNIFICANT
+from calibration_core.identification.statistics import SIGNIFICANT
 from calibration_core.report.results.verdict import rest
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from calibration_core.acceptance.comparison import OF_JOINTS
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.errors import InputError, quoted
-from calibration_core.identification.several.members import cells_of
+from calibration_core.identification.several.merge import cells_of
 from calibration_core.outcomes.comparison import (
     Compared,
     compared_sources,

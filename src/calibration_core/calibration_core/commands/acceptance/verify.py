@@ -16,14 +16,13 @@ from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.commands.shared.several import dated
 from calibration_core.errors import InputError
 from calibration_core.identification.checks.space import operating_space
-from calibration_core.model.identified.given import read_given
+from calibration_core.model.identified.model_file import read_given
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import load_of
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
-from calibration_core.outcomes.inputs import Inputs, blocked, digest_of, look, naming_model
-from calibration_core.outcomes.own_recordings import refuse_own
+from calibration_core.outcomes.inputs import Inputs, blocked, digest_of, look, naming_model, refuse_own
 from calibration_core.outcomes.verification import error_sizes, not_conforming, places, remarks, reservations
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import recording_record, result_json

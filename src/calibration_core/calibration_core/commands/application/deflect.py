@@ -14,7 +14,7 @@ from calibration_core.compensation.deflection import TOOL, Deflection
 from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import InputError
 from calibration_core.files.written import csv_bytes
-from calibration_core.outcomes.deflection import Deflected, deflected
+from calibration_core.outcomes.compensation import Deflected, deflected
 from calibration_core.outcomes.inputs import Inputs, digest_of
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import result_json

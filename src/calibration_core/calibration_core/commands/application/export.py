@@ -18,7 +18,7 @@ from calibration_core.formats.mjcf import mjcf_files
 from calibration_core.formats.table import DeflectionGrid, table_files
 from calibration_core.formats.ur import ur_files
 from calibration_core.formats.urdf import urdf_files
-from calibration_core.model.identified.given import read_given
+from calibration_core.model.identified.model_file import read_given
 from calibration_core.outcomes.inputs import Inputs, naming_model
 from calibration_core.report.results.command import input_record
 from calibration_core.report.results.result import SCHEMA

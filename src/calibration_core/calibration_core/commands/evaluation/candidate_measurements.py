@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.proposals.candidates import Offer, Offers
+from calibration_core.diagnosis.proposals.choose import Offer, Offers
 from calibration_core.diagnosis.result.finding import ProposedMeasurement
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of

@@ -22,12 +22,11 @@ from calibration_core.fleet.next_robot.prior import PooledJoint, finding_odds, p
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.identified.calibrated import ValidRange, range_of
 from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.given import GivenModel, read_given
-from calibration_core.model.identified.model_file import model_text
+from calibration_core.model.identified.model_file import GivenModel, model_text, read_given
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.observe import observe
-from calibration_core.outcomes.improved import improved_files, with_losses
 from calibration_core.outcomes.inputs import as_anomalies, blocked, look, refuse_fitted, with_model_note, with_unit_note
+from calibration_core.outcomes.simulation import improved_files, with_losses
 from calibration_core.planning.plans.plan_file import plan_text
 from calibration_core.report.document import Items, Paragraph, Section, cleaned
 from calibration_core.report.results.diagnosis import diagnosis_dict

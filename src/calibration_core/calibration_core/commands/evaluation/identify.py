@@ -12,19 +12,18 @@ from calibration_core.cell import Cell
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.commands.shared.several import look_at_all, prepared_from, read_recordings
-from calibration_core.diagnosis.bias import with_bias
 from calibration_core.diagnosis.diagnose import diagnose
+from calibration_core.diagnosis.model_estimate import with_bias
 from calibration_core.diagnosis.result.finding import Diagnosis
 from calibration_core.engine.command_line import refuse_without_effect
 from calibration_core.errors import InputError, quoted
-from calibration_core.identification.checks.exclusion_anomalies import with_own_outliers
+from calibration_core.identification.checks.noise_audit import with_own_outliers
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
+from calibration_core.identification.stiffness.fit import Key, keys_of
 from calibration_core.identification.stiffness.loaded import Options
-from calibration_core.identification.stiffness.outlier_rejection import Key, keys_of
 from calibration_core.model.identified.calibrated import ValidRange, range_of
-from calibration_core.model.identified.given import GivenModel, read_given
-from calibration_core.model.identified.model_file import model_text
+from calibration_core.model.identified.model_file import GivenModel, model_text, read_given
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import as_anomalies, blocked, look, refuse_fitted, with_model_note, with_unit_note

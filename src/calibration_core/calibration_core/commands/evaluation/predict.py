@@ -13,12 +13,11 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.shared.common import report_line, report_progress
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.commands.shared.several import dated
-from calibration_core.model.identified.given import GivenModel, read_given
+from calibration_core.model.identified.model_file import GivenModel, read_given
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import blocked, look, refuse_lengths, with_model_note, with_unit_note
-from calibration_core.outcomes.prediction import Prediction, predict
-from calibration_core.outcomes.prediction_check import only_positions
+from calibration_core.outcomes.prediction import Prediction, only_positions, predict
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.result import recording_record, result_json
 from calibration_core.report.results.traffic_light import light_of, with_light

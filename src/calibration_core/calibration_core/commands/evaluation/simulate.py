@@ -11,7 +11,7 @@ import numpy as np
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.planning.plan import PLAN, plan_files
 from calibration_core.commands.shared.common import report_line, report_progress, typed
-from calibration_core.model.identified.given import read_given
+from calibration_core.model.identified.model_file import read_given
 from calibration_core.outcomes.inputs import digest_of, refuse_lengths
 from calibration_core.outcomes.simulation import BAG, TABLE, Simulated, as_stated, for_streams, simulate
 from calibration_core.planning.plans.plan_file import read_plan

@@ -24,7 +24,7 @@ from calibration_core.errors import InputError, OutputError, RecordingError, sho
 from calibration_core.files.regular import read_regular
 from calibration_core.files.written import json_bytes
 from calibration_core.model.robot import chain_of
-from calibration_core.model.urdf.bodies import MESHES, SHOWN, mesh_file, mesh_place
+from calibration_core.model.urdf.reading import MESHES, SHOWN, mesh_file, mesh_place
 from calibration_core.outcomes.inputs import digest_of
 from calibration_core.recording.bags.bag import read_contents
 from calibration_core.recording.bags.files import bag_files

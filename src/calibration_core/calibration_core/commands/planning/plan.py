@@ -45,8 +45,7 @@ from calibration_core.diagnosis.proposals.protocol import PROTOCOLS, Worth
 from calibration_core.errors import InputError, quoted
 from calibration_core.fleet.next_robot.planning import FEWEST
 from calibration_core.identification.result.estimate import OperatingSpace
-from calibration_core.model.identified.given import GivenModel, read_given
-from calibration_core.model.identified.model_file import read_calibrated
+from calibration_core.model.identified.model_file import GivenModel, read_calibrated, read_given
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulation.simulate import Schedule

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.choose import Offer
 from calibration_core.diagnosis.proposals.protocol import PROTOCOLS, Pace, Worth, worth_of
 from calibration_core.model.effects.words import effect_words
 from calibration_core.model.parameters import ModelParameters

@@ -10,7 +10,7 @@ from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.checks.space import operating_space
 from calibration_core.input_checks.anomaly import InputAnomaly
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.report.results.refused import refused_result, refused_summary

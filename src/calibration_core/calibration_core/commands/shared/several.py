@@ -11,9 +11,9 @@ from calibration_core.cell import Cell
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.errors import InputError
 from calibration_core.identification.result.estimate import Anomaly
-from calibration_core.identification.several.members import cells_of, members_of
+from calibration_core.identification.several.merge import cells_of, members_of
 from calibration_core.identification.stiffness.loaded import Options
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.observations.observe import observe
 from calibration_core.outcomes.inputs import as_anomalies, blocked, look, with_model_note, with_unit_note
 from calibration_core.timeseries import Readings

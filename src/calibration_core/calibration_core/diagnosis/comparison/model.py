@@ -11,14 +11,14 @@ from calibration_core.diagnosis.comparison.points import rigid
 from calibration_core.diagnosis.comparison.result import Reproduction
 from calibration_core.diagnosis.comparison.steps import UNLOADED
 from calibration_core.errors import EquilibriumError
-from calibration_core.identification.statistics.offsets import normal_equations, without_offsets
+from calibration_core.identification.statistics import normal_equations, without_offsets
 from calibration_core.identification.stiffness.fit import fit_compliance
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.identification.stiffness.problem import LoadedProblem, build_problem
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.observations.kinds import is_loaded
 from calibration_core.policy import FEWEST_READINGS
 from calibration_core.timeseries import Float1D, Readings

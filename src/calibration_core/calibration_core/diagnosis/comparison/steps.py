@@ -7,7 +7,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.points import Placed, rigid
 from calibration_core.diagnosis.comparison.result import PartDifference, StepByStep
-from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.timeseries import Bool1D, Float2D, Readings
 
 UNLOADED = 0.02  # share of the largest force below which nothing is seen of it

@@ -14,8 +14,7 @@ from calibration_core.estimation.hypotheses import WAVE
 from calibration_core.estimation.shifts import FAMILY, around
 from calibration_core.identification.checks.noise_audit import rigid_triangle
 from calibration_core.identification.result.estimate import Anomaly
-from calibration_core.identification.statistics.distributions import FINEST, beyond_noise
-from calibration_core.identification.statistics.sizes import rms_length
+from calibration_core.identification.statistics import FINEST, beyond_noise, rms_length
 from calibration_core.model.effects.candidate import number_of
 from calibration_core.model.effects.words import listed_location
 from calibration_core.timeseries import Bool1D, Readings, in_time

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design, build_design
-from calibration_core.diagnosis.evidence.selection import LoadedSelection
-from calibration_core.estimation.likelihood.small_effects import MOST, shared_power
+from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Choice, Design, LoadedSelection, build_design
+from calibration_core.estimation.alternatives import STRUCTURE, fuller_form, instead, left_open, neglected, shares
+from calibration_core.estimation.likelihood.gains import MOST_TYPICAL, shared_power
 from calibration_core.estimation.noise.strata import sensor_lag, sensor_mounting
 from calibration_core.identification.geometry.frames import FrameFit
-from calibration_core.identification.statistics.offsets import Rows, without_offsets
+from calibration_core.identification.statistics import Rows, whitened, without_offsets
 from calibration_core.identification.stiffness.problem import LoadedProblem
+from calibration_core.model.chain import Chain
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.effects.candidate import Candidate, Parameter
 from calibration_core.model.effects.possible import nearest
-from calibration_core.model.effects.recorded_state import recorded_state
 from calibration_core.model.effects.recordings import each_recording
-from calibration_core.model.effects.state import State
+from calibration_core.model.effects.state import State, recorded_state
+from calibration_core.model.effects.structure.gravity_compensator import carriers
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
@@ -275,7 +276,7 @@ def estimates(design: Design, accepted: tuple[int, ...], share: Float1D | float 
     weights = np.zeros(len(design.prior))
     if np.any(share):
         each = np.repeat(np.broadcast_to(share, len(design.blocks)), [b.stop - b.start for b in design.blocks])
-        weights[: design.discrepancy.start] = np.minimum(each * _unit(design, gram), MOST / PRIOR_WIDTH)
+        weights[: design.discrepancy.start] = np.minimum(each * _unit(design, gram), MOST_TYPICAL / PRIOR_WIDTH)
     own = [c for i in accepted for c in range(design.blocks[i].start, design.blocks[i].stop)]
     for i in accepted:
         weights[design.chances[i]] = 1.0
@@ -357,3 +358,145 @@ def _frames(state: State, frames: FrameFit) -> Float3D:
         first = 3 * int(str(candidate.location["point"])[1:])
         points[:, :, first : first + 3] = candidate.columns(state) * std[6 + first : 9 + first]
     return np.concatenate([points, *(each_recording(one.columns, state) * turned for one in frame)], axis=2)
+
+
+# --- what loaded steps leave open about the structure that gives way, in the covariance of everything -----------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Fit:
+    """Compliances, accepted effects, and what instruments and chance do, by least squares.
+
+    Attributes:
+        columns: (r, q) whitened, of effects per standard deviation of the prior.
+        normal: (q, q) their products, with the precision of the priors.
+        value: (q,) the solution.
+        rest: (r,) what it leaves.
+        own: Candidate -> its columns.
+    """
+
+    columns: Float2D
+    normal: Float2D
+    value: Float1D
+    rest: Float1D
+    own: dict[int, slice]
+
+
+def with_alternatives(extended: ExtendedLoadedModel, selection: LoadedSelection) -> ExtendedLoadedModel:
+    """Return the model with a covariance that says what place and form of structural effects leave open.
+
+    Args:
+        extended: The model.
+        selection: What was accepted, and what does as well at other places.
+    """
+    design = extended.design
+    choices = [one for one in selection.choices if design.candidates[one.candidate].family == STRUCTURE]
+    if not choices:
+        return extended
+    fit = _fitted(design, extended.accepted)
+    ways = [way for choice in choices for way in (*_elsewhere(extended, fit, choice), *_unequal(extended, fit, choice))]
+    count = len(extended.covariance)
+    unit = np.concatenate([np.ones(design.n), *(design.prior[design.blocks[i]] for i in extended.accepted)])
+    more = np.column_stack([np.zeros((count, 0)), *(way[:count] * unit[:, None] for way in ways)])
+    return dataclasses.replace(extended, covariance=extended.covariance + more @ more.T)
+
+
+def _fitted(design: Design, accepted: tuple[int, ...]) -> _Fit:
+    own, start = {}, design.n
+    for index in accepted:
+        width = design.blocks[index].stop - design.blocks[index].start
+        own[index] = slice(start, start + width)
+        start += width
+    chances = [design.columns[:, design.chances[index]] for index in accepted]
+    columns = np.column_stack([design.fitted(accepted), design.columns[:, design.discrepancy], *chances])
+    normal = columns.T @ columns + np.diag(np.where(np.arange(columns.shape[1]) < design.n, 0.0, 1.0))
+    unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    value = np.linalg.pinv(normal / np.outer(unit, unit), hermitian=True) @ (columns.T @ design.residual / unit) / unit
+    return _Fit(columns, normal, value, design.residual - columns @ value, own)
+
+
+def _elsewhere(extended: ExtendedLoadedModel, fit: _Fit, choice: Choice) -> Iterator[Float2D]:
+    """Yield (q, c) for each place and form that does as well: what everything else may be off by, by its probability.
+
+    Of one at another place no form is known: the fullest freedom that it may have is taken.
+    """
+    candidates, own = extended.design.candidates, fit.own[choice.candidate]
+    moved = fit.columns[:, own] @ fit.value[own]
+    as_well = (*((index, nats - choice.log_bayes_factor) for index, nats in choice.equivalents), *choice.forms)
+    for (index, _), share in zip(as_well, shares([nats for _, nats in as_well]), strict=True):
+        if index in fit.own:
+            continue
+        other = fuller_form(candidates[index], candidates) or candidates[index]
+        columns = _white(extended, other) * (PRIOR_WIDTH * np.array([one.typical for one in other.parameters]))
+        ways = instead(
+            fit.normal,
+            np.arange(own.start, own.stop),
+            fit.columns.T @ moved,
+            fit.columns.T @ columns,
+            columns.T @ columns + np.eye(columns.shape[1]),
+            columns.T @ (moved + fit.rest),
+            1.0,
+        )
+        yield np.sqrt(share) * ways
+
+
+def _unequal(extended: ExtendedLoadedModel, fit: _Fit, choice: Choice) -> Iterator[Float2D]:
+    """Yield (q, c): what everything else may be off by where a form has more sizes in truth."""
+    design = extended.design
+    mine = design.candidates[choice.candidate]
+    fuller = fuller_form(mine, design.candidates)
+    if fuller is None:
+        return
+    value = fit.value[fit.own[choice.candidate]] * design.prior[design.blocks[choice.candidate]]
+    columns = neglected(_white(extended, mine), _white(extended, fuller), mine, fuller, value)
+    yield left_open(fit.normal, 1.0, fit.columns.T @ columns, columns.T @ columns, columns.T @ fit.rest)
+
+
+def _white(extended: ExtendedLoadedModel, candidate: Candidate) -> Float2D:
+    """Return the whitened columns of a candidate, (r, k), per unit of its parameters."""
+    return whitened(extended.rows, candidate.columns(extended.state), extended.used)[0]
+
+
+# --- what a recording of loads can never tell apart, in sentences that name the robot's own joints --------------------
+
+
+NEARLY = 1e-4  # m, or sine of an angle: less is rounding in a file
+
+
+def aliases(state: State, *, differences: bool) -> tuple[str, ...]:
+    """Return which causes act alike on the readings, whatever their sizes.
+
+    Args:
+        state: The null model, all readings.
+        differences: Whether differences to step 0 alone are used.  Absolute positions show the sag under the weight, on
+            which sensor and tracker have no share, and the torque of a compensator itself.
+    """
+    joints, everywhere = state.chain.joints, "" if state.setups is None else " in all recordings"
+    sentences: list[str] = []
+    if differences:
+        sentences = [
+            f"{cause}{everywhere} acts like all joints being softer by the same share."
+            for cause in ("A gain common to all axes of the force/torque sensor", "A wrong scale of the tracker")
+        ]
+    if not np.any(state.since_step_zero(state.q)):
+        sentences.append(
+            "A servo that gives way acts like its joint being softer: the joint angles are recorded alike at all steps "
+            "of a configuration."
+        )
+    if differences:
+        sentences += [
+            f"A gravity compensator of {joints[k]} acts like a stiffness and a zero of {joints[k]} that follow its "
+            "angle."
+            for k in carriers(state)
+        ]
+    if _turns_about_the_base(state.chain):
+        sentences.append(
+            f"Rocking of the base acts like an off-axis compliance of {joints[0]} at the origin of the base frame."
+        )
+    return tuple(sentences)
+
+
+def _turns_about_the_base(chain: Chain) -> bool:
+    """Say whether the first joint turns, about the z axis of the base frame."""
+    beside = np.concatenate([chain.rotation[0, :2, 2], chain.translation[0, :2]])
+    return not chain.prismatic[0] and float(np.abs(beside).max()) < NEARLY

@@ -14,8 +14,7 @@ from calibration_core.diagnosis.data_checks.noise import Scatter, claimed_along,
 from calibration_core.diagnosis.evidence.design import Design
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.result.finding import Rest
-from calibration_core.identification.statistics.distributions import FINEST, f_tail
-from calibration_core.identification.statistics.offsets import Rows
+from calibration_core.identification.statistics import FINEST, Rows, f_tail
 from calibration_core.identification.stiffness.problem import counted, relative
 from calibration_core.model.effects.possible import nearest
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings, numbers_in_time

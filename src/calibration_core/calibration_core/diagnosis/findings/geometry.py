@@ -22,14 +22,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.findings.building import found_parameters
-from calibration_core.diagnosis.result.finding import Alternative, Finding
+from calibration_core.diagnosis.result.finding import Alternative, Finding, found_parameters
 from calibration_core.estimation.leave_out import RIDGE
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.rows import null_columns, unweighted
-from calibration_core.estimation.springs.compensator_geometry import SPRING
+from calibration_core.estimation.springs import SPRING
 from calibration_core.identification.geometry.terms import CORRECTIONS, GeometryTerm, names_of
-from calibration_core.identification.statistics.sizes import rms_length
+from calibration_core.identification.statistics import rms_length
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.absolute.geometry_error import VARIANTS, frame_error
 from calibration_core.model.effects.absolute.joint_zero_offset import EFFECT, zero_offset

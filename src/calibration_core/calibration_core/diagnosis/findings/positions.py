@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration_core.diagnosis.findings.building import confounded_with, found_parameters, opening, separating
-from calibration_core.diagnosis.findings.causes import FROM_WHERE, LEFT, causes
 from calibration_core.diagnosis.result.finding import (
     OF_ANY_LAW,
     UNSETTLED,
@@ -15,19 +13,90 @@ from calibration_core.diagnosis.result.finding import (
     Finding,
     FoundParameter,
     by_size,
+    confounded_with,
     evidence_words,
+    found_parameters,
+    opening,
+    separating,
 )
-from calibration_core.estimation.alternatives.equivalents import LISTED, equivalents, other_places
+from calibration_core.estimation.alternatives import BY_ANGLE, CONFOUNDED_SHARE, LISTED, equivalents, other_places
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
 from calibration_core.estimation.shifts import FAMILY
-from calibration_core.estimation.springs.compensator_geometry import SPRING
-from calibration_core.identification.statistics.sizes import rms_length
-from calibration_core.model.effects import sizes_are_relative
-from calibration_core.model.effects.candidate import number_of
+from calibration_core.estimation.springs import SPRING
+from calibration_core.identification.statistics import rms_length
+from calibration_core.model.effects import effects_with, sizes_are_relative
+from calibration_core.model.effects.absolute import approach_direction
+from calibration_core.model.effects.candidate import Trait, number_of
 from calibration_core.model.effects.structure.gravity_compensator import OPEN
 from calibration_core.timeseries import Float1D, Float2D
+
+LOW = 8  # orders of waves that are a gear's, whatever else its joint does
+FROM_WHERE = approach_direction.EFFECT.name
+LEFT = frozenset({BY_ANGLE, WAVE, FROM_WHERE})
+
+
+def causes(hypotheses: Sequence[Hypothesis], gained: Mapping[int, float]) -> list[list[int]]:
+    """Join accepted hypotheses to causes.
+
+    Args:
+        hypotheses: All that were offered.
+        gained: Index of every accepted one that is physics -> what it gains beside the others, nats.
+    """
+    lags = effects_with(Trait.LAG)
+    lagging = {hypotheses[i].location.get("joint") for i in gained if hypotheses[i].effect in lags} - {None}
+    groups: dict[object, list[int]] = {}
+    for index in gained:
+        one = hypotheses[index]
+        joint = one.location.get("joint")
+        way = one.effect == FROM_WHERE or _is_high(one)
+        law = joint is not None and (one.family == LAW or (way and joint in lagging))
+        cause = (LAW, joint) if law else _arrival(hypotheses, gained, index) or one.place
+        groups.setdefault(cause, []).append(index)
+    return _with_what_is_left(hypotheses, gained, list(groups.values()))
+
+
+def _is_high(one: Hypothesis) -> bool:
+    """Say whether a hypothesis is a single wave of high order.
+
+    A joint that lags under changing loads lags on the way to a posture, too: it stands elsewhere by the direction from
+    which it came, and posture by posture elsewhere, which such waves take up.
+    """
+    return one.effect == WAVE and isinstance(one.shape, int) and one.shape > LOW
+
+
+def _arrival(hypotheses: Sequence[Hypothesis], gained: Mapping[int, float], index: int) -> object:
+    """Return the place of a far stronger direction of approach of the joint whose high wave this is; None: none is."""
+    one = hypotheses[index]
+    if not _is_high(one):
+        return None
+    there = [i for i in gained if hypotheses[i].effect == FROM_WHERE and hypotheses[i].location == one.location]
+    return next((hypotheses[i].place for i in there if gained[index] < CONFOUNDED_SHARE * gained[i]), None)
+
+
+def _with_what_is_left(
+    hypotheses: Sequence[Hypothesis], gained: Mapping[int, float], groups: list[list[int]]
+) -> list[list[int]]:
+    """Join to the law of a joint, or to a spring beside it, what it leaves there because its shape is another.
+
+    Such a thing is far weaker than the law itself, as of loaded steps (`evidence/selection.py`).
+    """
+    score = {tuple(group): sum(gained[i] for i in group) for group in groups}
+    laws = [group for group in score if any(hypotheses[i].family == LAW for i in group)]
+    hosts = laws + [group for group in score if hypotheses[group[0]].effect == SPRING]
+    joined = {group: list(group) for group in score}
+    for group, own in score.items():
+        one = hypotheses[group[0]]
+        at_joint = [g for g in hosts if hypotheses[g[0]].location.get("joint") == one.location.get("joint")]
+        stronger = [g for g in at_joint if own < CONFOUNDED_SHARE * score[g]]
+        if stronger and group not in laws and one.effect in LEFT and not one.everywhere:
+            joined[stronger[0]] += joined.pop(group)
+    return list(joined.values())
+
+
+# --- from accepted hypotheses to findings in words --------------------------------------------------------------------
+
 
 PRELOAD = (
     " At rest a zero offset of {joint} moves the points as the mean torque of a spring does: the two hide each other."

@@ -3,20 +3,226 @@
 Every offer is judged by what is expected of it (see `information`); its gain is stated beside that of an offer taken at
 random.  What a recording tells, and what offers would show of it, comes from `Knowledge`: loaded steps (`loaded.py`) or
 postures (`postures.py`).
+
+What a recording, and measurements that are only imagined yet, tell about a hypothesis.
+
+A hypothesis is a linear model y = X theta + noise of unit variance with a normal prior on theta; X holds the null
+model, the effects that are not in question, the structured discrepancy and the effect in question.  The prediction of a
+measurement not yet made is then normal, and so is the expected log Bayes factor between two hypotheses:
+
+    D(h, g) = (tr(S_g^-1 S_h) - d + (m_g - m_h)' S_g^-1 (m_g - m_h) + log det S_g - log det S_h) / 2,
+
+with mean m and covariance S of the predictions.  All parameters, those of the null model too, are refitted in it.
+Source: Box and Hill 1967; Atkinson and Fedorov 1975 (T-optimality).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy.linalg import cholesky
+from scipy.linalg.lapack import dtrtri
 
-from calibration_core.diagnosis.proposals.candidates import Offer
-from calibration_core.diagnosis.proposals.information import HypothesisPosterior, expected_log_bayes_factor
+from calibration_core.cell import Cell
 from calibration_core.diagnosis.result.finding import ProposedMeasurement, odds_words
-from calibration_core.timeseries import Float1D, Float3D
+from calibration_core.model.parameters import ModelParameters
+from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings, read_only
+
+FREE = 1e-9  # prior precision of the null model's columns, these being of length one
+LEAST_SCALE = 1e-2  # of the longest of these: a shorter one counts as so long, one that no load has shown as any other
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Predictions:
+    """Means (k, d) and covariances (k, d, d) of k measurements not yet made, noise included."""
+
+    mean: Float2D
+    covariance: Float3D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class HypothesisPosterior:
+    """Posterior of one hypothesis.
+
+    Attributes:
+        scale: (p,) by which columns are divided.
+        matrix: (p, p) posterior precision of the scaled parameters.
+        vector: (p,) its product with the mean.
+    """
+
+    scale: Float1D
+    matrix: Float2D
+    vector: Float1D
+
+    @staticmethod
+    def of(columns: Float2D, residual: Float1D, free: int) -> HypothesisPosterior:
+        """Learn from a recording.
+
+        Args:
+            columns: (r, p) whitened, the first `free` without a prior, the others per standard deviation of theirs.
+            residual: (r,).
+            free: How many have no prior.
+        """
+        return HypothesisPosterior.from_products(columns.T @ columns, columns.T @ residual, free)
+
+    @staticmethod
+    def from_products(matrix: Float2D, vector: Float1D, free: int) -> HypothesisPosterior:
+        """Learn the same from the products of the columns with each other, (p, p), and with the residual, (p,)."""
+        length = np.sqrt(np.diag(matrix))
+        length[:free] = np.maximum(length[:free], LEAST_SCALE * length[:free].max(initial=0.0))
+        scale = np.where(length > 0, length, 1.0)
+        prior = 1 / scale**2
+        prior[:free] = FREE
+        return HypothesisPosterior(scale, matrix / np.outer(scale, scale) + np.diag(prior), vector / scale)
+
+    @functools.cached_property
+    def mean(self) -> Float1D:
+        """(p,) in the units of the columns."""
+        return np.asarray(self._root.T @ (self._root @ self.vector) / self.scale)
+
+    @functools.cached_property
+    def covariance(self) -> Float2D:
+        """(p, p) in the units of the columns."""
+        root = self._root / self.scale
+        return np.asarray(root.T @ root)
+
+    @functools.cached_property
+    def _root(self) -> Float2D:
+        """(p, p) R with R'R the inverse of the matrix."""
+        return np.asarray(dtrtri(cholesky(self.matrix, lower=True), lower=True, overwrite_c=True)[0])
+
+    def after(self, columns: Float2D, values: Float1D) -> HypothesisPosterior:
+        """Return what is known after a measurement with these columns, (d, p), and values, (d,)."""
+        scaled = columns / self.scale
+        return HypothesisPosterior(self.scale, self.matrix + scaled.T @ scaled, self.vector + scaled.T @ values)
+
+    def predict(self, columns: Float3D) -> Predictions:
+        """Predict k measurements with columns (k, d, p)."""
+        spread = self._spread(columns) @ columns.transpose(0, 2, 1)
+        return Predictions(columns @ self.mean, spread + np.eye(columns.shape[1]))
+
+    def variances_after(self, columns: Float3D, chosen: list[int]) -> Float2D:
+        """Return (k, c) the variances of the chosen parameters after each of k measurements with columns (k, d, p)."""
+        d, p = columns.shape[1:]
+        if d > p:
+            scaled = columns / self.scale
+            known = self.matrix + scaled.transpose(0, 2, 1) @ scaled
+            found = np.linalg.solve(known, np.eye(p)[:, chosen])
+            return np.asarray(found[:, chosen, np.arange(len(chosen))] / self.scale[chosen] ** 2)
+        spread = self._spread(columns)
+        response = spread[:, :, chosen]  # (k, d, c)
+        whole = spread @ columns.transpose(0, 2, 1) + np.eye(d)
+        gained = np.einsum("kdc,kdc->kc", response, np.linalg.solve(whole, response))
+        return np.asarray(np.diag(self.covariance)[chosen] - gained)
+
+    def _spread(self, columns: Float3D) -> Float3D:
+        """Return the columns, (k, d, p), times the covariance, in one product: one by one it would be read k times."""
+        return np.asarray(columns.reshape(-1, columns.shape[2]) @ self.covariance).reshape(columns.shape)
+
+
+def expected_log_bayes_factor(truth: Predictions, other: Predictions) -> Float1D:
+    """Return (k,) nats by which each measurement is expected to favour the truth over the other hypothesis."""
+    d = truth.mean.shape[1]
+    inverse = np.linalg.inv(other.covariance)
+    apart = other.mean - truth.mean
+    _, log_other = np.linalg.slogdet(other.covariance)
+    _, log_truth = np.linalg.slogdet(truth.covariance)
+    trace = np.einsum("kij,kji->k", inverse, truth.covariance)
+    distance = np.einsum("ki,kij,kj->k", apart, inverse, apart)
+    return np.asarray(0.5 * (trace - d + distance + log_other - log_truth))
+
+
+# --- what could be measured next --------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Offer:
+    """One configuration with the loads of its steps.
+
+    Attributes:
+        number: As it would be counted.
+        q: (n,) rad.
+        steps: (k, 6) N and N*m, base axes, at the wrench point; the first unloaded.
+    """
+
+    number: int
+    q: Float1D
+    steps: Float2D
+
+    def __post_init__(self) -> None:
+        """Copy to read-only arrays."""
+        object.__setattr__(self, "q", read_only(self.q))
+        object.__setattr__(self, "steps", read_only(self.steps))
+
+    @property
+    def full(self) -> Float1D:
+        """(6,) N and N*m, the largest load."""
+        return np.asarray(self.steps[int(np.argmax(np.linalg.norm(self.steps[:, :3], axis=1)))])
+
+    @functools.cached_property
+    def alternating(self) -> Offer:
+        """The offer with as many steps, that after the first go to and fro between its extreme loads.
+
+        What grows with the load shows most between extremes, what depends on its path or size in between does not:
+        which of the two tells more has to be judged.
+        """
+        levels = self.steps[:, :3] @ self.full[:3]
+        highest, lowest = self.steps[int(np.argmax(levels))], self.steps[int(np.argmin(levels))]
+        turns = np.arange(1, len(self.steps)) % 2 == 1
+        return dataclasses.replace(self, steps=np.vstack([self.steps[:1], np.where(turns[:, None], highest, lowest)]))
+
+
+Expected = Callable[[Sequence[Offer], ModelParameters], Readings]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Offers:
+    """What could be measured next in one set-up.
+
+    Attributes:
+        each: The offers; none where no posture is fit to be measured.
+        expected: (offers, model) -> the readings of these offers that the model expects, without noise, with points and
+            frames as those of the recording that they would be added to; configurations counted from 1.
+    """
+
+    each: tuple[Offer, ...]
+    expected: Expected
+
+    @staticmethod
+    def of(each: Sequence[Offer], readings: Readings, cell: Cell) -> Offers:
+        """Return offers that would be added to a recording.
+
+        Args:
+            each: The offers.
+            readings: The recording; its points are measured at every step.
+            cell: The cell file.
+        """
+
+        def expected(several: Sequence[Offer], parameters: ModelParameters) -> Readings:
+            numbered = [dataclasses.replace(offer, number=k) for k, offer in enumerate(several, start=1)]
+            loaded = any(np.any(offer.steps) for offer in several)
+            model = parameters if loaded else parameters.replace(wrench_point=None)
+            return _of_points(simulate_plan(numbered, cell, model), readings)
+
+        return Offers(tuple(each), expected)
+
+
+def _of_points(readings: Readings, recorded: Readings) -> Readings:
+    """Return the rows of the points that the recording holds, numbered as there."""
+    present = [recorded.points[k] for k in np.unique(recorded.point)]
+    kept = np.array([readings.points[k] in present for k in readings.point])
+    some = readings.select(kept)
+    index = np.array([recorded.points.index(readings.points[k]) for k in some.point])
+    return dataclasses.replace(some, points=recorded.points, point=index)
+
+
+# --- which measurement would separate what is confounded now, and if nothing is ambiguous, sharpen what ---------------
+
 
 PROPOSED = 3
 JUDGED = 24  # offers that are judged in full

@@ -23,7 +23,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design, build_design
 from calibration_core.diagnosis.evidence.extended import loaded_state, structured_discrepancy
-from calibration_core.diagnosis.proposals.candidates import Offer
+from calibration_core.diagnosis.proposals.choose import Offer
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects import candidates

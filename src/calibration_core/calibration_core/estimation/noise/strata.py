@@ -13,12 +13,12 @@ from calibration_core.estimation.noise.whitening import Strata, Whitening, white
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.model.effects import effect_named
+from calibration_core.model.effects.applied import largest
 from calibration_core.model.effects.candidate import number_of, typical
 from calibration_core.model.effects.joint_law.hysteresis import stop
 from calibration_core.model.effects.recordings import each_recording
-from calibration_core.model.effects.springs import largest
 from calibration_core.model.effects.state import State
-from calibration_core.observations.covariance import wrench_covariance
+from calibration_core.observations.average import wrench_covariance
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, in_time
 
 SHARED = (0.0, 0.5, 1.0, 1.5)  # of the own noise: slow tracker noise, common to the points of a step

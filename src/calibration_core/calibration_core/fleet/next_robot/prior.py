@@ -21,7 +21,7 @@ from calibration_core.fleet.findings import effect_name
 from calibration_core.fleet.next_robot.population_file import TypePopulation
 from calibration_core.fleet.plant import LEVEL
 from calibration_core.fleet.recordings.rows import LARGEST_RELATIVE
-from calibration_core.identification.statistics.distributions import normal_quantile
+from calibration_core.identification.statistics import normal_quantile
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.identified.gaussian import GaussianEstimate
 

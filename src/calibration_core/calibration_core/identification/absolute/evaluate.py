@@ -7,28 +7,47 @@ import dataclasses
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.absolute.gross_errors import GrossErrorRejection, reject_gross_errors
+from calibration_core.identification.absolute.gross_errors import (
+    GrossErrorRejection,
+    audit_absolute,
+    compare_neighbours,
+    reject_gross_errors,
+)
 from calibration_core.identification.absolute.prediction_error import folds
-from calibration_core.identification.absolute.residual_noise import audit_absolute, compare_neighbours
 from calibration_core.identification.absolute.staged_selection import (
     SelectionCase,
     StagedSelection,
     select_stages,
 )
-from calibration_core.identification.checks.exclusion_anomalies import anomalies_of, exclusion, overstated
-from calibration_core.identification.checks.noise_audit import rigid_triangle, window_scatter
-from calibration_core.identification.checks.preconditions import check_preconditions
+from calibration_core.identification.checks.conditions import check_preconditions
+from calibration_core.identification.checks.noise_audit import (
+    anomalies_of,
+    exclusion,
+    overstated,
+    rigid_triangle,
+    window_scatter,
+)
 from calibration_core.identification.checks.space import operating_space
-from calibration_core.identification.geometry.fit import AbsoluteProblem, GeometryFit
+from calibration_core.identification.geometry.fit import (
+    AbsoluteProblem,
+    GeometryFit,
+    absolute_problem,
+    nominal_with_tracker,
+    start_parameters,
+)
 from calibration_core.identification.geometry.identifiability import (
     ParameterSelection,
     candidates,
     select_frames,
     select_identifiable,
 )
-from calibration_core.identification.geometry.named_estimate import COMPLIANCE, named_estimate
-from calibration_core.identification.geometry.parameter_table import Uncertainty, parameter_table, uncertainty_of
-from calibration_core.identification.geometry.problem import absolute_problem, nominal_with_tracker, start_parameters
+from calibration_core.identification.geometry.parameter_table import (
+    COMPLIANCE,
+    Uncertainty,
+    named_estimate,
+    parameter_table,
+    uncertainty_of,
+)
 from calibration_core.identification.geometry.terms import AXES, Term, names_of
 from calibration_core.identification.result.estimate import (
     Exclusion,
@@ -40,9 +59,8 @@ from calibration_core.identification.result.estimate import (
     Unidentified,
 )
 from calibration_core.identification.result.observability import stiffness_table
-from calibration_core.identification.statistics.sizes import rms
-from calibration_core.identification.statistics.solve import Solution, column_scale
-from calibration_core.identification.stiffness.outlier_rejection import Key
+from calibration_core.identification.statistics import Solution, column_scale, rms
+from calibration_core.identification.stiffness.fit import Key
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects.candidate import typical
 from calibration_core.model.kinematics import posture
@@ -50,7 +68,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import gravity_torque, load_torque
-from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Note, Readings
 
 UNLOADED_TORQUE = 1e-6  # N*m

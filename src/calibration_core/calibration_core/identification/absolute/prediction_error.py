@@ -25,7 +25,7 @@ from calibration_core.identification.geometry.fit import (
     weighed,
 )
 from calibration_core.identification.geometry.terms import Term, names_of
-from calibration_core.identification.statistics.distributions import student_quantile
+from calibration_core.identification.statistics import student_quantile
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float2D, Int1D, in_time
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.circle_point.circle import Circle, fit_circle
-from calibration_core.identification.circle_point.coaxial import fit_coaxial
+from calibration_core.identification.circle_point.circle import Circle, fit_circle, fit_coaxial
 from calibration_core.model.chain import Chain, rotation_vector, rpy_of
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of

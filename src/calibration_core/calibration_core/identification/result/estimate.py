@@ -4,15 +4,225 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Literal
 
-from calibration_core.identification.result.phase import Decoupled, PhaseEstimate, StandardGeometry
+import numpy as np
+
+from calibration_core.identification.circle_point.joint_axes import AxisGeometry, BaseFrame
 from calibration_core.identification.result.tested import TestResult
-from calibration_core.identification.result.together import Together
+from calibration_core.identification.wrist import WristCentre
 from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Note, Readings
+
+BASE_FRAME, GEOMETRY, WRIST_CENTRE, POINTS, STIFFNESS = (
+    "base_frame", "geometry", "wrist_centre", "points", "stiffness"
+)  # fmt: skip
+ANGLES = {"alpha", "theta", "beta", "rx", "ry", "rz"}
+CLAUSES = {BASE_FRAME: "7.1", GEOMETRY: "7.2", WRIST_CENTRE: "7.3", POINTS: "7.4, 7.5", STIFFNESS: "7.6"}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhaseEstimate:
+    """Values with their full covariance, as they stood when the phase was over.
+
+    Attributes:
+        phase: `base_frame`, `geometry`, `wrist_centre`, `points` or `stiffness`.
+        readings: Number of readings that belong to this phase.
+        names: (p,) what was estimated: `tracker x` ... `yaw` (m and rad, pose in the base frame), corrections to the
+            geometry (m, rad), `wrist centre x` ..., `mp1 x` ... (m, flange frame), `C joint_1` ... (rad/(N*m)).
+        values: (p,) SI units.
+        covariance: (p, p), SI units: this phase's readings and all that earlier phases left uncertain.
+        scale: Factor by which residuals exceeded the instruments' claim and the covariance was widened (1: not).
+        remarks: What limits the result, one sentence each.
+    """
+
+    phase: str
+    readings: int
+    names: tuple[str, ...]
+    values: Float1D
+    covariance: Float2D
+    scale: float = 1.0
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def clause(self) -> str:
+        """Clause of CWA 17384."""
+        return CLAUSES[self.phase]
+
+    @property
+    def std(self) -> Float1D:
+        """(p,) one standard deviation, SI units."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def unit(self, index: int) -> str:
+        """Return the unit of one value: m, rad or rad/(N*m)."""
+        name = self.names[index]
+        if name.startswith("C "):
+            return "rad/(N*m)"
+        angle = name.split()[-1] in {"roll", "pitch", "yaw"} or name.split("_")[0] in ANGLES
+        return "rad" if angle else "m"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Decoupled:
+    """Stiffnesses of arm and wrist identified apart, and compared with those identified together.
+
+    Attributes:
+        joints: Names.
+        arm: Number of joints of the arm; the others are the wrist.
+        compliance: (n,) rad/(N*m), arm and wrist apart; not bounded.
+        covariance: (n, n) of `compliance`.
+        together: (n,) rad/(N*m), identified together from the same displacements of the tool.
+        difference_std: (n,) one standard deviation by which the two may differ by chance.
+        chi2: Of the differences, all their correlations taken into account.
+        freedom: Its degrees of freedom.
+        limit: What it exceeds by chance in 1 % of cases.
+        wrist_centre: (3,) m, flange frame.
+        measured: Whether the wrist centre was measured, or follows from the geometry.
+    """
+
+    joints: tuple[str, ...]
+    arm: int
+    compliance: Float1D
+    covariance: Float2D
+    together: Float1D
+    difference_std: Float1D
+    chi2: float
+    freedom: int
+    limit: float
+    wrist_centre: Float1D
+    measured: bool
+
+    @property
+    def std(self) -> Float1D:
+        """(n,) of `compliance`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def agree(self) -> bool:
+        """Whether the two identifications differ by no more than chance (1 % level)."""
+        return self.chi2 <= self.limit
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StandardGeometry:
+    """Results of the standard's methods, each where the recording follows its protocol.
+
+    Attributes:
+        base: Base coordinate system by circle points; None if joints 1 and 2 were not swept alone.
+        axes: Joint axes by circle points; None if no joint beyond the second was swept as well.
+        wrist: Wrist centre by spheres; None if the wrist was not moved while the arm stood.
+        points_fitted: Whether the wrist centre stands on points that this recording determined, not on nominal ones.
+        reasons: `base_frame`, `joint_axes`, `wrist_centre` -> why there is none.
+    """
+
+    base: BaseFrame | None
+    axes: AxisGeometry | None
+    wrist: WristCentre | None
+    points_fitted: bool
+    reasons: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        """Freeze the mapping."""
+        object.__setattr__(self, "reasons", MappingProxyType(dict(self.reasons)))
+
+
+# --- what several recordings of one robot contribute to a common identification, and whether they agree ---------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Contribution:
+    """What one of several recordings that are evaluated together contributes.
+
+    Attributes:
+        file: The recording, as its user named it.
+        number: From 1; its points are called POINT@NUMBER.
+        cell: Its cell file.
+        cell_sha256: Digest of that file.
+        kind: What it holds: `loaded` or `absolute`.
+        configurations: Number of its configurations.
+        numbers: First and last number that they have beside those of the others.
+        first_number: What was added to the numbers that they have in their own file.
+        steps: Number of its steps.
+        readings: Number of its readings.
+        excluded: Number of those that were not used.
+        points: Its measurement points, as in its own file.
+        noise: Standard deviation of one coordinate that its instrument claims, m.
+        scale: Factor on it with which it stands beside the others (>= 1): where its own audit shows more noise.
+        rms: Root mean square per coordinate of what the common model leaves of it, m.
+        tracker: (6,) x, y, z (m), roll, pitch, yaw (rad) of its tracker in the base frame; None for displacements.
+        stiffness: Joint -> (value, standard deviation) that it shows by itself, N*m/rad (N/m where the joint slides).
+        sha256: File -> SHA-256 of its files.
+    """
+
+    file: str
+    number: int
+    cell: str
+    cell_sha256: str
+    kind: str
+    configurations: int
+    numbers: tuple[int, int]
+    first_number: int
+    steps: int
+    readings: int
+    excluded: int
+    points: tuple[str, ...]
+    noise: float
+    scale: float
+    rms: float
+    tracker: tuple[float, ...] | None
+    stiffness: Mapping[str, tuple[float, float]]
+    sha256: Mapping[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Disagreement:
+    """A parameter of the robot that one recording shows otherwise than the others.
+
+    Attributes:
+        file: The recording.
+        parameter: Name, as in the model file.
+        location: Its joint.
+        change: Against the others: of a stiffness relative, else in `unit`.
+        low: Lower end of its 95 % interval.
+        high: Upper end.
+        unit: Of the change.
+        or_else: Joints whose change would explain nearly as much.
+    """
+
+    file: str
+    parameter: str
+    location: str
+    change: float
+    low: float
+    high: float
+    unit: str
+    or_else: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Together:
+    """Several recordings of one robot, and whether they agree.
+
+    Attributes:
+        contributions: One for each recording, in the order in which they were named.
+        compared: Parameters that were compared between recordings.
+        disagreements: What a recording shows otherwise than the others; empty where they agree.
+        taken_off: What was taken off the readings of recordings that differ, so that the common values are those of the
+            others; empty where nothing was.
+    """
+
+    contributions: tuple[Contribution, ...]
+    compared: tuple[str, ...]
+    disagreements: tuple[Disagreement, ...]
+    taken_off: tuple[Disagreement, ...] = ()
+
+
+# --- what an identification says --------------------------------------------------------------------------------------
+
 
 DECLARED_RIGID = "declared rigid in the cell file: not asked for"  # the reason of a joint of which nothing is asked
 

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from calibration_core.identification.result.estimate import DECLARED_RIGID, JointStiffness, Unidentified
-from calibration_core.identification.statistics.distributions import normal_quantile, student_quantile
-from calibration_core.identification.statistics.solve import Solution
+from calibration_core.identification.statistics import Solution, normal_quantile, student_quantile
 from calibration_core.timeseries import Float1D
 
 DETERMINED = 2.0  # standard deviations that a compliance must exceed

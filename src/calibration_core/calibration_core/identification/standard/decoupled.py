@@ -14,18 +14,16 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.result.phase import Decoupled
-from calibration_core.identification.statistics.distributions import LEVEL, chi2_limit
-from calibration_core.identification.statistics.offsets import Rows
+from calibration_core.identification.result.estimate import Decoupled, Identification
+from calibration_core.identification.statistics import LEVEL, Rows, chi2_limit
+from calibration_core.identification.stiffness.fit import as_poses
 from calibration_core.identification.stiffness.loaded import (
     Options,
     PreparedLoaded,
     identify_prepared,
     prepare_loaded,
 )
-from calibration_core.identification.stiffness.poses import as_poses
-from calibration_core.identification.wrist.centre import WRIST
+from calibration_core.identification.wrist import WRIST
 from calibration_core.model.chain import Chain
 from calibration_core.model.kinematics import Posture, cross, posture
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D, Readings

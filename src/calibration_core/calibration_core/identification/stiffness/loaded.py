@@ -8,14 +8,18 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import EquilibriumError, IdentificationError
-from calibration_core.identification.checks.exclusion_anomalies import anomalies_of
-from calibration_core.identification.checks.noise_audit import audit, rigid_triangle, window_scatter, zero_return
-from calibration_core.identification.checks.preconditions import check_preconditions
+from calibration_core.identification.checks.conditions import check_preconditions
+from calibration_core.identification.checks.noise_audit import (
+    anomalies_of,
+    audit,
+    rigid_triangle,
+    window_scatter,
+    zero_return,
+)
 from calibration_core.identification.checks.space import operating_space
 from calibration_core.identification.geometry.frames import FrameFit, fit_frames
-from calibration_core.identification.geometry.named_estimate import loaded_estimate
-from calibration_core.identification.geometry.parameter_table import frame_table
-from calibration_core.identification.geometry.setups import fit_each
+from calibration_core.identification.geometry.identifiability import fit_each
+from calibration_core.identification.geometry.parameter_table import frame_table, loaded_estimate
 from calibration_core.identification.result.estimate import (
     Fit,
     Identification,
@@ -23,16 +27,18 @@ from calibration_core.identification.result.estimate import (
     Residuals,
 )
 from calibration_core.identification.result.observability import stiffness_table, weak_directions
-from calibration_core.identification.statistics.sizes import rms
+from calibration_core.identification.statistics import rms
 from calibration_core.identification.stiffness.fit import (
     CONVERGED,
     NEARLY,
     Deflections,
+    Key,
     LoadedFit,
+    OutlierRejection,
     fit_compliance,
     held_out_compliance,
+    reject_outliers,
 )
-from calibration_core.identification.stiffness.outlier_rejection import Key, OutlierRejection, reject_outliers
 from calibration_core.identification.stiffness.predict import from_step_zero
 from calibration_core.identification.stiffness.problem import (
     LoadedProblem,
@@ -48,9 +54,9 @@ from calibration_core.model.effects.candidate import typical
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.model.statics import load_of
+from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.observations.kinds import loaded_configurations
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Int1D, Readings
 

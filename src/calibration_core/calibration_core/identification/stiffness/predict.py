@@ -7,11 +7,11 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.errors import ModelFileError, RecordingError
 from calibration_core.model.effects.applied import applied_shift
-from calibration_core.model.effects.recorded_state import recorded_state
+from calibration_core.model.effects.state import recorded_state
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import load_of
 from calibration_core.observations.kinds import references_alone
 from calibration_core.timeseries import Bool1D, Float2D, Readings
 

@@ -10,16 +10,15 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.statistics.offsets import Rows, without_offsets
+from calibration_core.identification.statistics import Rows, without_offsets
 from calibration_core.identification.stiffness.predict import from_step_zero, references
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects.state import wrench_response
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import by_axis, linear_jacobian, posture
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.recorded_load import load_of
-from calibration_core.model.statics import Load, load_torque
-from calibration_core.observations.covariance import position_covariance, wrench_covariance
+from calibration_core.model.statics import Load, load_of, load_torque
+from calibration_core.observations.average import position_covariance, wrench_covariance
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, in_time
 
 KEPT = 3  # equilibria and linearisations that a problem remembers: the diagnosis comes back to a few compliances

@@ -15,17 +15,21 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
-from calibration_core.identification.geometry.fit import AbsoluteProblem, fit
+from calibration_core.identification.geometry.fit import (
+    AbsoluteProblem,
+    fit,
+    problem_of,
+    require_positions,
+    start_parameters,
+)
 from calibration_core.identification.geometry.identifiability import select_frames
-from calibration_core.identification.geometry.problem import problem_of, require_positions, start_parameters
 from calibration_core.identification.result.tested import PartKind, TestPart, TestResult
-from calibration_core.identification.statistics.offsets import without_offsets
-from calibration_core.identification.statistics.sizes import rms
+from calibration_core.identification.statistics import rms, without_offsets
 from calibration_core.identification.stiffness.predict import require_points, shift_by_effects
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.robot import chain_of
-from calibration_core.observations.covariance import coordinate_std, position_covariance
+from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.timeseries import Bool1D, Float2D, Readings
 
 Models = tuple[ModelParameters, ModelParameters]

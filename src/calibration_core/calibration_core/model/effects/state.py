@@ -8,13 +8,14 @@ from collections.abc import Callable, Hashable
 
 import numpy as np
 
+from calibration_core.cell import Cell
 from calibration_core.model.chain import Chain
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.kinematics import Posture, cross, linear_jacobian, turned
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.statics import Load, gravity_torque, load_torque
 from calibration_core.model.virtual_joints import ExternalWrench, VirtualJoints
-from calibration_core.timeseries import Float1D, Float2D, Float3D, FloatND, Int1D, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, FloatND, Int1D, Readings, in_time
 
 UNLOADED = 1e-6  # N*m: a joint that carries less carries nothing
 
@@ -339,3 +340,46 @@ def wrench_response(answer: Float3D, at: Posture, load: Load) -> Float3D:
 
 def _identity(m: int) -> Float3D:
     return np.ascontiguousarray(np.broadcast_to(np.eye(3)[:, :, None], (3, 3, m)))
+
+
+# --- what effects depend on, for the readings of a recording ----------------------------------------------------------
+
+
+def recorded_state(
+    readings: Readings,
+    cell: Cell,
+    chain: Chain,
+    parameters: ModelParameters,
+    load: Load | None,
+    rest: Equilibrium | None = None,
+) -> State:
+    """Return the state of all m readings, in their order.
+
+    Args:
+        readings: The recording.
+        cell: For the rated load.
+        chain: The robot, geometry corrected.
+        parameters: Compliances, points and tracker.
+        load: External load of every reading; None without one.
+        rest: The equilibrium, where it is known already; None: it is solved here.
+
+    Raises:
+        EquilibriumError: The compliances do not carry the loads.
+    """
+    return state_of(
+        chain,
+        readings.q,
+        parameters.compliance,
+        load,
+        np.stack([parameters.points[name] for name in readings.points])[readings.point].T,
+        point_index=readings.point,
+        wrench=None if load is None else readings.wrench,
+        configuration=in_time(readings.configuration),
+        step=readings.step,
+        time=readings.time,
+        temperature=readings.temperature,
+        tracker=parameters.tracker,
+        rated_load=cell.robot.rated_load,
+        rest=rest,
+        setups=setups_of(readings, parameters),
+    )

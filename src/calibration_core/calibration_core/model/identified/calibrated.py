@@ -18,8 +18,8 @@ from calibration_core.cell import Cell
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.kinematics import cross, posture
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.model.recorded_load import recorded_load
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import recorded_load
 from calibration_core.timeseries import Float1D, Float2D, Readings, read_only
 
 MARGIN = 1e-6  # rad, m, K and share of the load: what rounding puts outside is inside

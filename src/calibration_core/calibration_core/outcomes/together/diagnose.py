@@ -7,28 +7,33 @@ from collections.abc import Sequence
 
 from calibration_core.diagnosis.diagnose import diagnose, with_given_effects
 from calibration_core.diagnosis.evidence.extended import loaded_state
-from calibration_core.diagnosis.findings.registration import registration
+from calibration_core.diagnosis.findings.loaded import registration
 from calibration_core.diagnosis.loaded import FRAMES_SPOILED
-from calibration_core.diagnosis.proposals.candidates import Offer, Offers
+from calibration_core.diagnosis.proposals.choose import Offer, Offers
 from calibration_core.diagnosis.result.finding import Alternative, Diagnosis, Finding, Verdict, by_size
-from calibration_core.identification.result.estimate import Anomaly
-from calibration_core.identification.result.together import Disagreement
+from calibration_core.identification.result.estimate import Anomaly, Disagreement
 from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.kinds import holds_both, is_loaded
-from calibration_core.outcomes.together.agreement import agreement, as_anomalies
-from calibration_core.outcomes.together.by_themselves import by_themselves, effects_in, without_changes
+from calibration_core.outcomes.together.agreement import (
+    agreement,
+    as_anomalies,
+    by_themselves,
+    effects_in,
+    without_changes,
+)
 from calibration_core.outcomes.together.evaluate import (
     answered,
     estimate_of_first,
+    factors_of,
     located_anomalies,
     of_first,
+    widened,
     with_recording,
 )
 from calibration_core.outcomes.together.prepare import Prepared
-from calibration_core.outcomes.together.wider import factors_of, widened
 from calibration_core.timeseries import Note, Readings
 
 EFFECTS = "effects."

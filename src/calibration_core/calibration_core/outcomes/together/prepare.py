@@ -8,10 +8,9 @@ from collections.abc import Mapping, Sequence
 
 from calibration_core.cell import Cell
 from calibration_core.identification.identify import fit_freed
-from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.result.together import Disagreement
-from calibration_core.identification.several.members import Member
+from calibration_core.identification.result.estimate import Disagreement, Identification
 from calibration_core.identification.several.merge import (
+    Member,
     Merged,
     merge,
     placed,
@@ -19,12 +18,11 @@ from calibration_core.identification.several.merge import (
     with_readmitted,
     wrench_reference,
 )
-from calibration_core.identification.stiffness.end_effector import accounted
-from calibration_core.identification.stiffness.known_effects import without_effects
+from calibration_core.identification.stiffness.end_effector import accounted, without_effects
+from calibration_core.identification.stiffness.fit import Key
 from calibration_core.identification.stiffness.loaded import Options
-from calibration_core.identification.stiffness.outlier_rejection import Key
 from calibration_core.model.identified.gaussian import GaussianEstimate
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.observations.kinds import is_loaded

@@ -14,8 +14,7 @@ from calibration_core.compensation.deflection import TOOL
 from calibration_core.compensation.robot import CalibratedRobot
 from calibration_core.identification.result.estimate import OperatingSpace
 from calibration_core.model.simulation.simulate import Schedule
-from calibration_core.outcomes.compensation import Applied
-from calibration_core.outcomes.deflection import Deflected
+from calibration_core.outcomes.compensation import Applied, Deflected
 from calibration_core.outcomes.inputs import Inputs
 from calibration_core.outcomes.spaces import scheduled_space
 from calibration_core.report.document import (

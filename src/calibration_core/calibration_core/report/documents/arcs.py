@@ -10,7 +10,7 @@ from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.model.simulation.simulate import tracker_covariance
-from calibration_core.observations.covariance import coordinate_std
+from calibration_core.observations.average import coordinate_std
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.report.arcs import describe_arc
 from calibration_core.timeseries import Float2D

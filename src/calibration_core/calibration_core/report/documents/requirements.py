@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.identification.checks.preconditions import (
+from calibration_core.identification.checks.conditions import (
     MIN_CONFIGURATIONS,
     NEAR_SINGULAR,
     TEST_UNCERTAINTY_RATIO,
@@ -13,7 +13,7 @@ from calibration_core.identification.checks.preconditions import (
 from calibration_core.identification.result.estimate import OperatingSpace, Precondition
 from calibration_core.model.chain import pose_matrix
 from calibration_core.model.simulation.simulate import tracker_covariance
-from calibration_core.observations.covariance import coordinate_std
+from calibration_core.observations.average import coordinate_std
 from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 from calibration_core.planning.route import WORKING_DAY
 from calibration_core.report.rounding import counted, spread

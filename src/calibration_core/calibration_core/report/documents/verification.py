@@ -11,7 +11,7 @@ import numpy as np
 from calibration_core.acceptance.decision import COVERAGE, PROBABILITY, WORDS, guard_factor
 from calibration_core.acceptance.verification import SOURCES, Source, Verification
 from calibration_core.cell import Cell
-from calibration_core.identification.checks.preconditions import day_of
+from calibration_core.identification.checks.conditions import day_of
 from calibration_core.identification.result.estimate import OperatingSpace
 from calibration_core.outcomes.verification import error_sizes, places, remarks
 from calibration_core.report.content import date_of_test

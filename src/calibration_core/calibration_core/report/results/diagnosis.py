@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.bias import without_compliance
 from calibration_core.diagnosis.comparison.result import Comparison, ImprovedSimulation
 from calibration_core.diagnosis.location import Located
+from calibration_core.diagnosis.model_estimate import without_compliance
 from calibration_core.diagnosis.result.finding import Diagnosis, Finding
 from calibration_core.identification.result.estimate import Identification, JointStiffness
 from calibration_core.identification.result.observability import joint_stiffness

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.result.phase import PhaseEstimate
+from calibration_core.identification.result.estimate import Identification, PhaseEstimate
 
 
 def phases_dict(result: Identification) -> list[dict[str, Any]]:

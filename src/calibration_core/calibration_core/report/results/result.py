@@ -11,7 +11,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.files.written import json_bytes
 from calibration_core.identification.result.estimate import Anomaly, Identification, JointStiffness
-from calibration_core.model.identified.given import GivenModel
+from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.observations.kinds import postures_at_rest
 from calibration_core.report.results.phases import decoupled_dict, phases_dict
 from calibration_core.report.results.provenance import digests, software

@@ -12,7 +12,7 @@ from calibration_core.identification.circle_point.joint_axes import AxisGeometry
 from calibration_core.identification.geometry.identifiability import candidates
 from calibration_core.identification.geometry.parameter_table import UNITS
 from calibration_core.identification.geometry.terms import AXES
-from calibration_core.identification.result.phase import StandardGeometry
+from calibration_core.identification.result.estimate import StandardGeometry
 from calibration_core.model.chain import xyz_rpy
 from calibration_core.model.identified.named_values import POSE
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from calibration_core.identification.result.together import Contribution, Together
+from calibration_core.identification.result.estimate import Contribution, Together
 
 
 def together_dict(together: Together) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.statistics.distributions import beyond_noise
+from calibration_core.identification.statistics import beyond_noise
 
 MODEL_FREE = frozenset({"rigid triangle", "window scatter"})
 """Ways of seeing the noise that neither the model nor hysteresis and creep of the robot can spoil."""

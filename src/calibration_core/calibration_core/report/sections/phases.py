@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from calibration_core.identification.circle_point.joint_axes import BaseFrame
-from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.result.phase import (
+from calibration_core.identification.result.estimate import (
     BASE_FRAME,
     GEOMETRY,
     POINTS,
     STIFFNESS,
     WRIST_CENTRE,
     Decoupled,
+    Identification,
     PhaseEstimate,
 )
-from calibration_core.identification.standard.standard_geometry import frame_of
+from calibration_core.identification.standard.kinematic_phases import frame_of
 from calibration_core.report.arcs import describe_arc
 from calibration_core.report.document import Block, Column, Items, Paragraph, Section, Table
 from calibration_core.report.rounding import STIFFNESS as UNIT

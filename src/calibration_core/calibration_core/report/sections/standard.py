@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calibration_core.cell import Cell
-from calibration_core.identification.result.phase import StandardGeometry
+from calibration_core.identification.result.estimate import StandardGeometry
 from calibration_core.report.document import Block, Column, Items, Table
 from calibration_core.report.results.standard import standard_rows
 from calibration_core.report.rounding import decimals, fixed, padded

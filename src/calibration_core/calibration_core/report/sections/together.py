@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from calibration_core.identification.result.estimate import JointStiffness
-from calibration_core.identification.result.together import Contribution, Together
+from calibration_core.identification.result.estimate import Contribution, JointStiffness, Together
 from calibration_core.report.document import Block, Column, Items, Paragraph, Table
 from calibration_core.report.rounding import COVERAGE, DASH, STIFFNESS, counted, decimals, fixed, shortened, spread
 

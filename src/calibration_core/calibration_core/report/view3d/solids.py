@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration_core.cell import Cell
 from calibration_core.model.chain import Chain
-from calibration_core.model.urdf.bodies import Body, Form, lost_meshes, urdf_shapes
+from calibration_core.model.urdf.reading import Body, Form, lost_meshes, urdf_shapes
 from calibration_core.timeseries import Float1D, Float2D, Int2D
 
 MOST_FACES = 1200

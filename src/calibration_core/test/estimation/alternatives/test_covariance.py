@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration_core.estimation.alternatives.covariance import (
+from calibration_core.estimation.alternatives import (
     UNEQUAL,
     fuller_form,
     instead,

@@ -18,8 +18,8 @@ from calibration_core.model.effects.candidate import Trait
 from calibration_core.model.effects.state import State, state_of
 from calibration_core.model.effects.structure.gravity_compensator import Triangle, spring, triangle_of
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.recorded_load import load_of
 from calibration_core.model.robot import chain_of
+from calibration_core.model.statics import load_of
 from calibration_core.timeseries import Readings
 
 SINCE_THE_BEGINNING = {"creep", "tracker_drift", "wrench_drift"}  # of a recording, which a part lacks

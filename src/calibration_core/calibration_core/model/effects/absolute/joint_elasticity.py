@@ -15,8 +15,8 @@ from functools import partial
 
 import numpy as np
 
+from calibration_core.model.effects.applied import stacked
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, Trait, typical
-from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.kinematics import cross, dot
 from calibration_core.model.statics import gravity_torque

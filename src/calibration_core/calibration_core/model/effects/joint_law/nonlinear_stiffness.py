@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 
+from calibration_core.model.effects.applied import stacked
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, Trait, typical
-from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float1D, Float3D
 

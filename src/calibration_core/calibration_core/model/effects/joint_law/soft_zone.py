@@ -11,9 +11,9 @@ from functools import partial
 
 import numpy as np
 
+from calibration_core.model.effects.applied import stacked
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, Trait, typical
 from calibration_core.model.effects.joint_law.nonlinear_stiffness import acting_torque, all_torques, torques
-from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calibration_core.model.effects.applied import stacked
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, Trait, typical
-from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.timeseries import Float3D
 

@@ -12,8 +12,8 @@ from functools import partial
 
 import numpy as np
 
+from calibration_core.model.effects.applied import sliding, stacked, tilting, turning
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, typical
-from calibration_core.model.effects.springs import sliding, stacked, tilting, turning
 from calibration_core.model.effects.state import State
 from calibration_core.model.virtual_joints import before_joint
 from calibration_core.timeseries import Float2D, Float3D

@@ -19,8 +19,8 @@ from functools import partial
 
 import numpy as np
 
+from calibration_core.model.effects.applied import stacked
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, Trait, typical
-from calibration_core.model.effects.springs import stacked
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.structure.pose_dependent_stiffness import modulated
 from calibration_core.model.parameters import AppliedEffect

@@ -15,8 +15,8 @@ from functools import partial
 
 import numpy as np
 
+from calibration_core.model.effects.applied import along_link, stacked, tilting, turning
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, link_name, typical
-from calibration_core.model.effects.springs import along_link, stacked, tilting, turning
 from calibration_core.model.effects.state import State
 from calibration_core.model.kinematics import cross
 from calibration_core.timeseries import Float2D, Float3D

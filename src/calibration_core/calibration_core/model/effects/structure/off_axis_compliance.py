@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
+from calibration_core.model.effects.applied import stacked, tilting
 from calibration_core.model.effects.candidate import Candidate, Effect, Parameter, typical
-from calibration_core.model.effects.springs import stacked, tilting
 from calibration_core.model.effects.state import State
 from calibration_core.model.virtual_joints import before_joint, behind_joint
 from calibration_core.timeseries import Float3D

@@ -1,1 +1,0 @@
-"""Empirical laws for what no physics of the catalogue explains."""

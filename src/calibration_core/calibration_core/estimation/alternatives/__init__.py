@@ -1,1 +1,0 @@
-"""Places and forms that a recording cannot tell from those that were accepted, and what they leave open."""

@@ -1,1 +1,0 @@
-"""Springs beside joints: the shape of one, and where one is asked about."""

@@ -1,1 +1,0 @@
-"""Distributions, least squares with free offsets, solutions that are not negative."""

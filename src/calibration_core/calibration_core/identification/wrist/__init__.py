@@ -1,1 +1,0 @@
-"""The wrist centre point by spheres (CWA 17384, 7.3)."""
