@@ -355,12 +355,7 @@ class Cell(Strict):
         return np.asarray((0.0 if self.end_effector is None else self.end_effector.mass) * self.gravity)
 
     def missing(self, place: str, purpose: str) -> CellError:
-        """Return the error for an optional field that this recording makes necessary.
-
-        Args:
-            place: The field.
-            purpose: What it is needed for.
-        """
+        """Return the error for an optional field that this recording makes necessary."""
         return CellError(self.path, place, "nothing", f"a value, needed for {purpose}")
 
 

@@ -145,10 +145,6 @@ def with_bias(found: Identification, searched: Diagnosis) -> Identification:
     Nothing changes where the search knows no covariance of the compliances, at joints that neither model determines or
     that are declared rigid, and for positions at rest of which nothing is left out: there both models
     fit every stated stiffness.
-
-    Args:
-        found: What the standard's model says of a recording.
-        searched: What the search for missing physics says of the same one.
     """
     covariance = searched.compliance_covariance
     holds = found.kind == "absolute" and searched.verdict == "consistent"

@@ -72,11 +72,6 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
 
     What is far more probable than the finding is none of them: the search tried it, and refused it.
 
-    Args:
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-        members: Accepted hypotheses of one finding.
-
     Returns:
         Hypothesis and its log Bayes factor, nats; at most five, nearest first.
     """
@@ -108,11 +103,6 @@ def equivalents(search: Search, selection: Selection, members: Sequence[int]) ->
 def other_places(search: Search, selection: Selection, index: int) -> tuple[tuple[int, float], ...]:
     """Return single other places that do as well as an accepted hypothesis, or would had its fit been the truth.
 
-    Args:
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-        index: An accepted hypothesis.
-
     Returns:
         Hypothesis and its log Bayes factor, nats: one for every place, nearest first.
     """
@@ -135,11 +125,6 @@ def resembling(search: Search, selection: Selection, index: int) -> tuple[tuple[
     """Return single other places that would explain the data as well had the accepted hypothesis's fit been the truth.
 
     Between exact aliases the sizes that are usual decide alone, which the recording knows nothing of.
-
-    Args:
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-        index: An accepted hypothesis.
 
     Returns:
         Hypothesis and its log Bayes factor, nats: that of the accepted one less what would be lost.
@@ -185,14 +170,7 @@ SEEN = 1e-9  # of the squared length of a form's columns: what is left of less i
 def with_alternatives(
     extended: Extended, search: Search, selection: Selection, members: Mapping[int, Sequence[int]]
 ) -> Extended:
-    """Return the extended model with a covariance that says what place and form of structural effects leave open.
-
-    Args:
-        extended: The model.
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-        members: Hypothesis accepted -> indices of its parts in the model.
-    """
+    """Return the extended model with a covariance that says what place and form of structural effects leave open."""
     hypotheses = search.field.offered.hypotheses
     ways = [np.zeros((len(extended.length), 0))]
     for index in selection.accepted:
@@ -377,11 +355,6 @@ def are_confounded(first: Candidate, second: Candidate, joints: Sequence[str]) -
 
     Joint laws: the same joint, both with memory or both without.  Structure: the same or neighbouring parts.  Load
     chain and point chain: always.  What a law with memory leaves goes on in time, as a drift does.
-
-    Args:
-        first: A candidate.
-        second: Another.
-        joints: Names of the robot's joints, from the base on.
     """
     effects, memory = {first.effect, second.effect}, effects_with(Trait.MEMORY)
     if effects & memory and effects & effects_with(Trait.DRIFT):
@@ -440,14 +413,7 @@ def parts(location: Mapping[str, str | tuple[str, ...]], joints: Sequence[str]) 
 
 
 def lent(search: Search, accepted: Accepted, index: int, joints: Sequence[str]) -> Float1D:
-    """Return the signal-to-noise ratios, (c,), that an accepted hypothesis lends to what is confounded with it.
-
-    Args:
-        search: Rows, hypotheses and what was asked of them.
-        accepted: What was accepted.
-        index: The hypothesis, one of these.
-        joints: Names of the robot's joints, from the base on.
-    """
+    """Return the signal-to-noise ratios, (c,), that an accepted hypothesis lends to what is confounded with it."""
     others = tuple(i for i in accepted if i != index)
     without_small_effects = search.fitted(others)[:1]
     seen = visible(without_small_effects, search.field.blocks((index,))[0])[1]
@@ -463,13 +429,7 @@ SELDOM = 0.05  # probability below which a level is no part of a 95 % interval
 
 
 def with_unnamed(extended: Extended, search: Search, selection: Selection) -> Extended:
-    """Return the extended model with a covariance that says what small effects leave open.
-
-    Args:
-        extended: The model.
-        search: Rows, hypotheses and what was asked of them.
-        selection: What was accepted.
-    """
+    """Return the extended model with a covariance that says what small effects leave open."""
     offered, small = search.field.offered, _small(search, selection)
     unit = shared_power(np.diag(search.field.gram.matrix), offered.candidates, offered.blocks)
     of_laws = _of_laws(search, selection, extended.parameters.joints)

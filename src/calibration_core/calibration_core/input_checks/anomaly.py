@@ -146,12 +146,6 @@ def torques_apart(motion: Motion, given: Reading, facts: CellSizes, factor: floa
     Either the torques are wrong, or the forces by the reciprocal: the springs fit alike.  Where both have a unit of
     that name, what is right lets the robot give way as its stated stiffness says, or as robots of its rated load
     usually do.
-
-    Args:
-        motion: The motion under load.
-        given: How the wrench is read.
-        facts: What the cell file tells about sizes.
-        factor: One of `apart`.
     """
     ways = []
     if torque_unit := _named(TORQUE_UNITS, factor):

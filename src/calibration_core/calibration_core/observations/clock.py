@@ -262,10 +262,6 @@ def without_faults(recording: Streams, cell: Cell) -> Streams:
 
     Trackers report 0, 0, 0 where they see no target; no measured position is that to the bit.
 
-    Args:
-        recording: What was recorded.
-        cell: The cell it was recorded in.
-
     Raises:
         RecordingError: A topic carries messages of two publishers, or nothing but zeros.
     """
@@ -311,10 +307,6 @@ def _jumps_to_and_fro(series: TimeSeries, least: float) -> bool:
 
 def refuse_frozen(readings: Readings, cell: Cell) -> None:
     """Refuse readings that stay the same, to the last digit, while what they measure changes.
-
-    Args:
-        readings: The readings, one row per configuration, step and point.
-        cell: The cell.
 
     Raises:
         RecordingError: A target, the joint angles or the wrench stand still; it says where.

@@ -69,11 +69,7 @@ class PredictionCheck:
 
 
 def only_positions(*, nominal: bool) -> tuple[str, str]:
-    """Return what it means that deflections agree and positions do not, and what to do then.
-
-    Args:
-        nominal: Whether the model's geometry is as the cell file states it.
-    """
+    """Return what it means that deflections agree and positions do not, and what to do then."""
     text = "the deflections under load agree within noise and intervals, the positions do not: "
     measure = "measure postures without load (calibration plan --for geometry)"
     if nominal:
@@ -84,11 +80,6 @@ def only_positions(*, nominal: bool) -> tuple[str, str]:
 
 def check_prediction(readings: Readings, cell: Cell, model: CalibratedModel) -> PredictionCheck:
     """Judge the error of a prediction; of a long recording, by configurations evenly taken from it.
-
-    Args:
-        readings: The recording.
-        cell: The cell.
-        model: The identified model.
 
     Raises:
         RecordingError: The recording has a point that the model does not know.

@@ -169,14 +169,7 @@ def with_losses(found: Diagnosis, cell: Cell) -> Diagnosis:
 
 
 def improved_files(found: Diagnosis, recorded: Readings, cell: Cell, folder: Path) -> Mapping[str, Content]:
-    """Return the files of the improved simulation, name -> content; none where there is none.
-
-    Args:
-        found: The diagnosis, with its losses.
-        recorded: The recording.
-        cell: The cell file.
-        folder: Where the files will stand.
-    """
+    """Return the files of the improved simulation, name -> content; none where there is none."""
     compared = next(iter(found.comparisons), None)
     if compared is None or compared.improved is None:
         return {}

@@ -383,12 +383,7 @@ class _Fit:
 
 
 def with_alternatives(extended: ExtendedLoadedModel, selection: LoadedSelection) -> ExtendedLoadedModel:
-    """Return the model with a covariance that says what place and form of structural effects leave open.
-
-    Args:
-        extended: The model.
-        selection: What was accepted, and what does as well at other places.
-    """
+    """Return the model with a covariance that says what place and form of structural effects leave open."""
     design = extended.design
     choices = [one for one in selection.choices if design.candidates[one.candidate].family == STRUCTURE]
     if not choices:

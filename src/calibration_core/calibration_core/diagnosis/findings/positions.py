@@ -38,12 +38,7 @@ LEFT = frozenset({BY_ANGLE, WAVE, FROM_WHERE})
 
 
 def causes(hypotheses: Sequence[Hypothesis], gained: Mapping[int, float]) -> list[list[int]]:
-    """Join accepted hypotheses to causes.
-
-    Args:
-        hypotheses: All that were offered.
-        gained: Index of every accepted one that is physics -> what it gains beside the others, nats.
-    """
+    """Join accepted hypotheses to causes."""
     lags = effects_with(Trait.LAG)
     lagging = {hypotheses[i].location.get("joint") for i in gained if hypotheses[i].effect in lags} - {None}
     groups: dict[object, list[int]] = {}

@@ -195,13 +195,7 @@ class Offers:
 
     @staticmethod
     def of(each: Sequence[Offer], readings: Readings, cell: Cell) -> Offers:
-        """Return offers that would be added to a recording.
-
-        Args:
-            each: The offers.
-            readings: The recording; its points are measured at every step.
-            cell: The cell file.
-        """
+        """Return offers that would be added to a recording."""
 
         def expected(several: Sequence[Offer], parameters: ModelParameters) -> Readings:
             numbered = [dataclasses.replace(offer, number=k) for k, offer in enumerate(several, start=1)]

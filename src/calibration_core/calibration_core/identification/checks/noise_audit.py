@@ -239,13 +239,7 @@ def overstated(noise: NoiseAudit) -> tuple[Anomaly, ...]:
 
 
 def anomalies_of(noise: NoiseAudit, exclusions: Sequence[Exclusion], readings: Readings) -> tuple[Anomaly, ...]:
-    """Return understated noise, excluded readings and unsettled plateaus.
-
-    Args:
-        noise: Claimed against seen.
-        exclusions: Readings not used, in the order of time.
-        readings: With the notes of what was set aside before.
-    """
+    """Return understated noise, excluded readings and unsettled plateaus."""
     found = []
     if noise.understated:
         seen = noise.seen_without_model or noise.claimed * noise.scale

@@ -379,10 +379,6 @@ def learn(problem: AbsoluteProblem, known: GaussianPrior) -> GaussianPrior:
     Where their residuals are larger than the instrument's claim explains (1 % level), the readings count less, by the
     factor of the residuals over the claim, squared.
 
-    Args:
-        problem: The readings.
-        known: What is known already; the terms that are fitted.
-
     Raises:
         EquilibriumError: The compliances do not carry the robot's own weight.
     """

@@ -62,10 +62,6 @@ class Member:
 def members_of(recordings: Sequence[Readings], cells: Sequence[Cell]) -> tuple[Member, ...]:
     """Return the recordings in the order of their numbers.
 
-    Args:
-        recordings: Two or more.
-        cells: One for each.
-
     Raises:
         InputError: The robots differ, or a recording is named twice.
     """
@@ -86,11 +82,6 @@ def members_of(recordings: Sequence[Readings], cells: Sequence[Cell]) -> tuple[M
 
 def cells_of(paths: Sequence[Path], count: int, command: str) -> tuple[Cell, ...]:
     """Read the cell files of several recordings: one for all, or one for each.
-
-    Args:
-        paths: As named.
-        count: Number of recordings.
-        command: For messages.
 
     Raises:
         InputError: Neither one nor as many as recordings, or one cannot be used.

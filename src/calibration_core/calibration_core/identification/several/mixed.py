@@ -80,12 +80,6 @@ class Standing:
 def identify_mixture(readings: Readings, cell: Cell, options: Options, test: Readings | None = None) -> Identification:
     """Identify stiffness from the loaded steps, on the geometry that the positions at rest show.
 
-    Args:
-        readings: Of one set-up, or of several that were merged.
-        cell: The cell file.
-        options: How to evaluate.
-        test: A second recording, predicted but not fitted.
-
     Raises:
         InputError: As `prepare_loaded` and `evaluate_absolute`.
     """

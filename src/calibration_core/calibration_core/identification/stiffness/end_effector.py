@@ -91,11 +91,6 @@ def in_own_set_up(given: GivenModel, readings: Readings, cell: Cell) -> GivenMod
     A model file has tracker, points and sensor as they stood when it was made.  Where they were set up anew since, the
     cell file says where they stand, and the recording is clearly nearer to that; else those of the model are better.
 
-    Args:
-        given: The model.
-        readings: The recording.
-        cell: Its cell file.
-
     Raises:
         EquilibriumError: The load is beyond what the joints of the model can carry.
     """
@@ -116,11 +111,6 @@ def _distance(readings: Readings, cell: Cell, model: ModelParameters) -> float:
 
 def without_effects(readings: Readings, cell: Cell, given: GivenModel) -> Readings:
     """Return the readings less what the effects of a given model move the points, with a note that says so.
-
-    Args:
-        readings: The recording.
-        cell: The cell file.
-        given: The model.
 
     Raises:
         RecordingError: The recording has a point that the model does not know.

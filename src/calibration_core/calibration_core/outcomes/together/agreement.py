@@ -247,11 +247,6 @@ def by_themselves(prepared: Prepared, found: ModelParameters | None = None) -> t
 def effects_in(effects: tuple[AppliedEffect, ...], prepared: Prepared, k: int) -> tuple[AppliedEffect, ...]:
     """Return the effects of all recordings together that one of them has: those of the robot, and of its set-up.
 
-    Args:
-        effects: Of all; those of a set-up name its recording.
-        prepared: The recordings.
-        k: Index of the one.
-
     Returns:
         Each at the place that it has in that recording by itself, whose points are counted among its own.
     """
