@@ -400,7 +400,7 @@ def test_words_of_a_variant_are_read_in_files_alone() -> None:
     taken_apart = re.compile(
         r"variant(\.\w+with|\.remove\w+|\.r?split|\.r?partition|\[)|\bin \w*\.?variant\b|match\(\w*\.?variant"
     )
-    readers = {"absolute/transmission_error.py", "point_chain/tracker_drift.py", "structure/gravity_compensator.py"}
+    readers = {"absolute/transmission_error.py", "effects/point_chain.py", "structure/gravity_compensator.py"}
     found = {
         f"{path.parent.name}/{path.name}"
         for name, path in python_files()

@@ -14,16 +14,13 @@ Source: Bayesian model averaging (Hoeting, Madigan, Raftery and Volinsky 1999); 
 
 Which hypotheses are forms of one cause: the same family at the same joint, or at neighbouring parts.
 
-The law of what was accepted is known to a share only, and what is confounded with it may hold the rest.
-
-What small effects that were not named leave open, in the covariance of everything beside them.
+What small effects that were not named leave open is in the covariance of everything beside them, too.
 
 Every robot bends a little everywhere.  Each place by itself may be too small to be named, and yet together they move
 the compliances of the joints by more than the noise does.  How much of it there is, the recording says: all structural
 places have the same signal-to-noise ratio, each of those that are tried with its probability w_l; that there is nothing
 is beforehand as probable as that there is something.  And the law of a joint that was accepted is known to a share
-only: other laws of that joint may hold the rest.  (What place and form of a structural effect leave open is in
-`covariance.py`.)
+only: other laws of that joint may hold the rest.
 
     C + sum_l w_l gain (C_b + b b') gain',  b and C_b the mean and the covariance of the small effects of level l, given
     what is left

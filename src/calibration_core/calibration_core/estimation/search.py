@@ -5,7 +5,7 @@ of all gains in one per cent of recordings without it (parametric bootstrap of t
 1993), predicts blocks left out in time and in posture better, and passes the controls of its kind.  One cause is
 preferred to two: where another form or place instead of an accepted one gains as much as the proposal beside it, it is
 swapped and nothing is added.  After each acceptance all sizes are fitted together.  What is accepted is swapped or
-dropped where others make it needless.  Where small effects are part of the noise (`likelihood/small_effects.py`), a
+dropped where others make it needless.  Where small effects are part of the noise (`likelihood/gains.py`), a
 proposal must stand out from them, too.
 """
 

@@ -24,7 +24,7 @@ from calibration_core.timeseries import Float2D, Readings
 
 HEAD = """# Catalogue of effects
 
-What `calibration diagnose` can find beyond one linear spring per joint. One effect is one file in
+What `calibration diagnose` can find beyond one linear spring per joint. Effects stand by family in
 `calibration_core/model/effects`, and this page is made from these files. The pictures show what an effect of
 **typical size** does to the first measurement point of the example robot ({robot}). Under load: left along the load
 steps of one configuration, right the size of its motion in every configuration. Without load: left while one joint

@@ -14,7 +14,7 @@ from calibration_core.cell import Cell, load_cell
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.model.effects.state import State
 from calibration_core.model.nominal import nominal_parameters
-from calibration_core.model.simulation.streams import as_recording
+from calibration_core.model.simulation.simulate import as_recording
 from calibration_core.observations.observe import observe_recording
 from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Readings, TimeSeries
 

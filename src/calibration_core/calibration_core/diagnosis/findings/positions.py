@@ -75,7 +75,7 @@ def _with_what_is_left(
 ) -> list[list[int]]:
     """Join to the law of a joint, or to a spring beside it, what it leaves there because its shape is another.
 
-    Such a thing is far weaker than the law itself, as of loaded steps (`evidence/selection.py`).
+    Such a thing is far weaker than the law itself, as of loaded steps (`evidence/design.py`).
     """
     score = {tuple(group): sum(gained[i] for i in group) for group in groups}
     laws = [group for group in score if any(hypotheses[i].family == LAW for i in group)]

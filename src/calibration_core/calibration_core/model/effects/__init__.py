@@ -1,4 +1,4 @@
-"""Physics beyond the joint springs: one effect is one file in its family's folder, and adding the file registers it."""
+"""Physics beyond the joint springs: effects stand in files by family, and adding a file registers those in it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,11 @@ from calibration_core.model.effects.state import State
 
 @functools.cache
 def catalogue() -> tuple[Effect, ...]:
-    """Return every effect that a file of a family's folder defines as `EFFECT`, by name."""
-    found = []
-    for module in sorted(info.name for info in pkgutil.walk_packages(__path__, f"{__name__}.")):
-        effect = getattr(importlib.import_module(module), "EFFECT", None)
-        if isinstance(effect, Effect):
-            found.append(effect)
-    return tuple(sorted(found, key=lambda effect: effect.name))
+    """Return every effect that a file of this folder or below defines, by name."""
+    names = [info.name for info in pkgutil.walk_packages(__path__, f"{__name__}.")]
+    every = (value for name in names for value in vars(importlib.import_module(name)).values())
+    found = {effect.name: effect for effect in every if isinstance(effect, Effect)}
+    return tuple(found[name] for name in sorted(found))
 
 
 def effect_named(name: str) -> Effect:

@@ -78,6 +78,11 @@ class Parameter:
         return math.isfinite(self.reach) or math.isfinite(self.most)
 
 
+def along_axes(name: str, unit: str, size: float, *, positive: bool = False) -> tuple[Parameter, ...]:
+    """Return one parameter of a typical size for each of x, y and z."""
+    return tuple(Parameter(f"{name}_{axis}", unit, size, positive) for axis in "xyz")
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Candidate:
     """One hypothesis.
@@ -150,7 +155,7 @@ def number_of(one: _Formed) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """An entry of the catalogue; one file defines one.
+    """An entry of the catalogue.
 
     Attributes:
         name: Its name in the catalogue.

@@ -104,7 +104,7 @@ def _uncertainty_ratio(cell: Cell, space: OperatingSpace) -> tuple[Precondition,
     points = (np.concatenate(list(space.points.values())) - pose[:3, 3]) @ pose[:3, :3]
     sigma = coordinate_std(tracker_covariance(cell, points))
     size = float(np.sqrt(np.mean(np.sum(space.deflection**2, axis=1))))
-    ratio = size / (2 * np.sqrt(2 * 3) * sigma)  # as in `preconditions`
+    ratio = size / (2 * np.sqrt(2 * 3) * sigma)  # as in `conditions`
     found = f"1:{ratio:.0f} (expected deflection {spread(1e3 * size)} mm rms under the full pull)"
     met = bool(ratio >= TEST_UNCERTAINTY_RATIO)
     return (Precondition("5.3", "test uncertainty ratio not lower than 1:5", found, met),)
