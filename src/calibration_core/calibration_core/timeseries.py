@@ -152,9 +152,7 @@ class Override:
     """Who let a measurement go on although a condition of the standard was violated, and why.
 
     Attributes:
-        condition: Name of the condition.
         operator: Who answers for it.
-        reason: Why.
     """
 
     condition: str

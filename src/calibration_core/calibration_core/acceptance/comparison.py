@@ -38,7 +38,6 @@ class Measurement:
     """One of the measurements.
 
     Attributes:
-        label: How it is called.
         date: When, UTC; None where it is not known.
         configurations: Number of measured configurations.
         compliance: Compliances of the joints, named `compliance.JOINT`.
@@ -61,7 +60,6 @@ class QuantityChange:
             `hysteresis`, or an effect's parameter.
         location: Joint, or where the effect is.
         first: Value of the first measurement, SI.
-        second: Of the other.
         unit: Of both.
         change: Relative change of a stiffness, absolute one of all others (in `unit`).
         low: Lower end of its 95 % interval.

@@ -282,12 +282,7 @@ class Measurements(Strict):
 
 
 class Cell(Strict):
-    """A robot cell: everything about it that a recording does not say; m, rad, N, N*m, kg, degrees Celsius.
-
-    Attributes:
-        path: The file it was read from.
-        sha256: Digest of that file.
-    """
+    """A robot cell: everything about it that a recording does not say; m, rad, N, N*m, kg, degrees Celsius."""
 
     name: Name
     source: str = ""

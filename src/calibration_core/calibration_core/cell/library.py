@@ -19,9 +19,6 @@ class LibraryRobot:
     """One robot of the library.
 
     Attributes:
-        key: Its name on the command line.
-        name: What its maker calls it.
-        maker: Who makes it.
         rated_load: kg.
         reach: m, from the axis of joint 1 to the wrist centre, or as the maker states it.
         source: Where its kinematics are published.

@@ -35,8 +35,6 @@ class SerialChain:
 
     Attributes:
         name: Name of the robot; empty where the URDF states none.
-        base_link: Base.
-        flange: Flange.
         joints: Moving joints from base to flange, without those that mimic others.
         masses: Sum of the masses that the URDF states, kg; 0 where it states none.
         remarks: What somebody should know who takes this chain: a further arm, an unusual flange.

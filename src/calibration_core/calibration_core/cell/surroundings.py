@@ -23,7 +23,6 @@ class Box(Strict):
     """A box that the robot must not touch and the tracker cannot see through.
 
     Attributes:
-        name: As messages call it.
         xyz: m, its centre in the base frame.
         rpy: rad, its orientation there, fixed axes.
         size: m, its edge lengths along its own axes.

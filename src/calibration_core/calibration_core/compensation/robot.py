@@ -52,8 +52,6 @@ class CalibratedRobot:
     """A calibrated robot with its tool.
 
     Attributes:
-        cell: The cell.
-        parameters: The model.
         chain: With corrected geometry and the payload.
         tool: (4, 4) pose of the tool in the flange frame.
         point: Measurement point that the tool's origin is, and whose uncertainty is therefore its own; None: none.

@@ -51,8 +51,6 @@ class Within:
     """What changes within a configuration.
 
     Attributes:
-        joint: Index of the joint that gives way.
-        words: What it follows.
         deflection: (m,) rad for a coefficient of one.
     """
 
@@ -71,7 +69,6 @@ class DictionaryTerm:
 
     Attributes:
         within: Index of its function within a configuration.
-        joint: Index of the joint that gives way.
         words: What the joint follows, for a person.
         names: Its one or two functions of the angles; their coefficients are the term's parameters.
         factors: (c, k) value of those functions in every configuration.
@@ -201,7 +198,6 @@ class LawTerm:
     """An accepted term.
 
     Attributes:
-        term: Entry of the dictionary.
         coefficient: (k,) shares of the joint's deflection at its largest torque.
         std: (k,).
         log_bayes_factor: Beside the others, nats.
@@ -239,7 +235,6 @@ class Rival:
     """The term that describes best what accepted candidates stand for.
 
     Attributes:
-        term: Entry of the dictionary.
         log_bayes_factor: Of the term in place of the candidates, nats.
         own: Of the candidates by the same measure, nats.
     """
@@ -254,7 +249,6 @@ class _Rest:
     """The recording as the search sees it, r whitened rows in c configurations.
 
     Attributes:
-        extended: The extended model.
         value: (r,) measured - null model.
         known: (r, p) columns that the law stands beside: null model, accepted effects, structured discrepancy.
         precision: (p,) prior precision of their coefficients.

@@ -36,7 +36,6 @@ class JointShare:
     """How well turns about one joint explain the residual.
 
     Attributes:
-        joint: Its name.
         any_axis: Share of the residual's squares explained by turns about any line through the joint's origin.
         own_axis: The same about its own axis alone.
     """

@@ -63,10 +63,7 @@ class Estimate:
     """Everything about one recording.
 
     Attributes:
-        null: The null model, refitted.
-        extended: The same with everything accepted.
         search: Rows, hypotheses and all that was asked of them.
-        selection: What was accepted there.
         members: Hypothesis accepted -> indices of its parts in `extended`.
     """
 

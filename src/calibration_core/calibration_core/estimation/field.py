@@ -33,7 +33,6 @@ class Field:
         residual: (r,) whitened.
         wide: (r, f + p) whitened columns: of the null model, of length one, then of all candidates, per typical size.
         flat_scale: (f,) lengths by which the null model's columns were divided.
-        offered: What they are.
         partitions: Of the readings, into blocks.
         basis: (r, b) orthonormal columns that span those of the null model.
         in_flat: (b, p) what the columns of candidates have in them.
@@ -230,7 +229,6 @@ class Trial:
     """A hypothesis beside accepted ones.
 
     Attributes:
-        field: Rows and hypotheses.
         accepted: The ones before it.
         index: The hypothesis.
         sizes: Of all of them, its own last.

@@ -38,10 +38,8 @@ class Hypothesis:
     """Candidates that share one size.
 
     Attributes:
-        effect: Name in the catalogue of effects.
         family: Family in the catalogue of effects.
         location: Where; `{"joints": "all"}` for every joint.
-        variant: Form of the law.
         members: Indices of its candidates.
         columns: Indices of their columns, those of chance among them.
         chance: Indices of the columns of what they leave to chance in each configuration.
@@ -87,9 +85,7 @@ class Offered:
     """Candidates, the hypotheses made of them, and where their columns stand.
 
     Attributes:
-        candidates: Each once.
         blocks: Their columns.
-        hypotheses: Single ones and families.
     """
 
     candidates: tuple[Candidate, ...]

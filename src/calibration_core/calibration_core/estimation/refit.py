@@ -48,7 +48,6 @@ class Part:
     """One candidate in the model.
 
     Attributes:
-        candidate: What it is.
         size: Standard deviation of its parameters' prior, typical sizes.
     """
 
@@ -67,7 +66,6 @@ class Extended:
 
     Attributes:
         model: Frames, geometry and compliances at the solution.
-        whitening: Of all readings.
         parts: The effects in the model.
         value: (p,) their parameters.
         held: (p,) which of it the model's compliances hold already: sag acts on the deformed robot.

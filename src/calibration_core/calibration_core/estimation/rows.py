@@ -33,7 +33,6 @@ class NullModel:
 
     Attributes:
         readings: The recording, m rows in the order of time.
-        cell: The cell file.
         problem: The same readings as positions.
         parameters: Frames, geometry and compliances, at which everything is linear.
         terms: Frames and identifiable geometry, refitted beside every hypothesis.

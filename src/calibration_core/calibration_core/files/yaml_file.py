@@ -35,9 +35,7 @@ class YamlFile:
     """What a YAML file holds.
 
     Attributes:
-        path: The file.
         data: Its content: dictionaries with text as keys, lists, and plain values; None for an empty file.
-        raw: Its bytes.
     """
 
     path: Path

@@ -22,7 +22,6 @@ class Series:
     """One quantity of one robot over its dates.
 
     Attributes:
-        robot: Its name.
         years: (d,) dates in the order of time, years.
         value: (d,) ln(N*m/rad) of a stiffness, rad of a backlash or hysteresis.
         std: (d,) standard deviations.
@@ -39,9 +38,7 @@ class Quantity:
     """One quantity of all robots of a type.
 
     Attributes:
-        type: The type.
         kind: `stiffness`, `backlash` or `hysteresis`.
-        joint: Name of the joint.
         series: One per robot that has it, by name of the robot.
         repeatability: Factor on the stated standard deviations that the scatter between dates asks for, at least 1.
     """

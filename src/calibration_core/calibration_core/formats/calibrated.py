@@ -30,10 +30,8 @@ class ExportedRobot:
     """What is exported.
 
     Attributes:
-        cell: The cell.
         nominal: The chain of the cell file.
         chain: The calibrated chain: geometry, zero offsets and frame errors of the model are in it.
-        parameters: The model.
         folded: Effects of the model that became part of the chain.
         further: Its other effects.
         notes: What must be stated of the model.
@@ -70,7 +68,6 @@ class Exported:
     """One format.
 
     Attributes:
-        files: Name -> content.
         held: Effects of the model that the format holds beside those that were folded into the chain.
         deviations: What was written against the model.
         notes: What its reader has to know, a sentence each.

@@ -54,7 +54,6 @@ class Springs:
 
     Attributes:
         base: At the origin of the base frame, base axes.
-        links: One entry per joint.
         flange: At the flange, its axes.
         coupled: Pairs of joints with the compliance between them, rad/(N*m).
         held: The effects that these are.

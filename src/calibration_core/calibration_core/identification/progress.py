@@ -33,7 +33,6 @@ class Progress:
 
     Attributes:
         configuration: The one measured last.
-        joints: Names.
         stiffness: (n,) N*m/rad; NaN where nothing is determined yet, infinite where the joint may be rigid.
         interval: (n, 2) N*m/rad, 95 %.
         accuracy: (n,) half of the 95 % interval of the compliance over its value, now; infinite where undetermined.

@@ -282,7 +282,6 @@ class WristCentre:
         trilaterated: (3,) m, flange frame, by spheres and trilateration alone: where the fit of all readings began.
         spread: m, root mean square distance of the sphere centres from `position`: how far the wrist is from spherical,
             and how well the points determine it.
-        warnings: What limits the result.
     """
 
     position: Float1D

@@ -32,12 +32,9 @@ class InputAnomaly:
     Attributes:
         kind: One of the kinds, e.g. `wrench_sign`.
         text: One sentence: what is seen, with the figures as recorded and with the fault put right.
-        remedy: What to do, in words.
         magnitude: Share of the motion that the recording as it stands leaves unexplained, or the size of what is wrong.
         unit: Its unit.
         factor: What to multiply with, where it is a unit.
-        joints: The joints concerned.
-        points: The measurement points concerned.
         axes: What to read the wrench in, where it is a frame.
         place: Where it is; empty: what the kind says.
         recording: Of several recordings, the file of the one that it concerns; empty: one alone.
@@ -113,7 +110,6 @@ class CellSizes:
     Attributes:
         rated_load: kg.
         stiffness: N*m/rad per joint, where the cell file states it.
-        joints: Names.
         positions: Whether the recording holds positions, which say more of points and zeros than deflections do.
         base_claimed: Whether the messages say that the wrench is in base axes, against the cell file.
         tracker: (3, 3) axes of the tracker in the base frame, where the cell file states them.

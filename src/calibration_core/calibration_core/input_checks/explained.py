@@ -29,13 +29,11 @@ class Motion:
     """Motion under load: m readings in groups (one configuration, one point), of which only differences count.
 
     Attributes:
-        chain: The robot.
         q: (m, n) rad.
         force: (m, 3) N, as recorded.
         torque: (m, 3) N*m, as recorded.
         point: (m,) index of the measurement point of each reading.
         points: (k, 3) m, the points, flange frame.
-        names: Names of the points.
         moved: (m, 3) m, base axes, what the encoders do not explain, mean of its group taken off.
         group: (m,) index of the group.
         sigma: Claimed standard deviation of a coordinate, m.

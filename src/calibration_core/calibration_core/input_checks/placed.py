@@ -32,12 +32,10 @@ class PositionRecording:
     """Positions of one recording.
 
     Attributes:
-        chain: The robot.
         q: (m, n) rad.
         position: (m, 3) m, tracker frame.
         point: (m,) index of the measurement point.
         points: (k, 3) m, where the cell file has them, flange frame.
-        names: Names of the points.
         loaded: Whether the recording holds loads, so that its geometry is taken from the robot file.
         tracker: (3, 3) orientation of the tracker in the base frame as the cell file states it; None: it does not.
     """
@@ -270,7 +268,6 @@ class JointZero:
     """The zero of one joint that explains a recording best.
 
     Attributes:
-        joint: Index.
         offset: What is to be added to the recorded angle, rad.
         rest: Sum of squares that stays, m^2.
     """

@@ -30,14 +30,12 @@ class Mimic:
     """One mimic joint, in the form of `Chain`.
 
     Attributes:
-        name: Its name.
         behind: Number of the robot's own joints that stand before it in the chain.
         driver: Index of the robot's own joint that moves it.
         multiplier: Its rad, m where it slides, per rad of the driver, m where that slides.
         offset: rad, m where it slides: where it stands while its driver stands at zero.
         rotation: (3, 3) orientation of the frame before it in the body frame of the link before, z along its axis.
         translation: (3,) m, the origin of that frame there.
-        prismatic: Whether it slides.
         mass: kg, of the link that it carries; None where the masses are not known.
         com: (3,) m, centre of gravity of that link in its body frame; None as `mass`.
     """
@@ -65,7 +63,6 @@ class Chain:
     """A serial chain of n joints.
 
     Attributes:
-        joints: Names, base to flange.
         rotation: (n, 3, 3) orientation of the frame before joint i in the body frame of link i-1.
         translation: (n, 3) m, its origin there.
         offset: (n,) rad, added to the angle of a revolute joint; the angle at which a prismatic one stands.

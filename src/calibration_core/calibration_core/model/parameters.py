@@ -16,7 +16,6 @@ class AppliedEffect:
     """An effect of the catalogue that the model contains.
 
     Attributes:
-        effect: Its name.
         location: Where, e.g. {"joint": "joint_2"}.
         variant: Which form of its law, as the catalogue calls it.
         parameters: Name -> value, SI units.

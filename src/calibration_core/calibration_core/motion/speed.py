@@ -33,7 +33,6 @@ class Monitored:
     """The robot's points whose speed matters.
 
     Attributes:
-        chain: The robot.
         names: Of all points: the joints' origins (`origin of joint_1`), then the points on the flange.
         points: (p, 3) m, the points on the flange, in its frame.
         lever: (k, n) m/rad, no point k ever moves faster per unit rate of joint j: no distance from the joint's origin

@@ -30,8 +30,6 @@ class CheckedCell:
     """What was found out about a cell file, and about a recording beside it.
 
     Attributes:
-        cell: The cell.
-        chain: The robot.
         words: What the file means: label and sentence.
         unusual: What is unusual, but can be.
         topics: How the recording's topics match; empty for a table or none.

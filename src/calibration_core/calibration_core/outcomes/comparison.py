@@ -54,7 +54,6 @@ class Compared:
 
     Attributes:
         measurements: In the order of the command line.
-        differences: Per measurement after the first.
         trends: Over time; empty for fewer than three.
         cells: One per measurement.
         digests: Measurement and file -> SHA-256 of every recording and model.

@@ -26,7 +26,6 @@ class Applied:
     """A compensated task with what must be known of it.
 
     Attributes:
-        task: The task.
         robot: The robot with its payload.
         found: The compensation.
         model: The model with its covariance and range.
@@ -156,7 +155,6 @@ class Deflected:
     """What a load does, with what the report says of it.
 
     Attributes:
-        task: Places and wrenches.
         robot: The robot with its payload.
         q: (m, n) rad.
         found: The deflections.

@@ -173,12 +173,9 @@ class Prediction:
     """A recording beside its prediction.
 
     Attributes:
-        readings: What was measured.
         kind: `loaded` where positions are deflections (differences to step 0), else `absolute`.
-        parameters: The identified model.
         predicted: (m, 3) m, tracker frame.
         residuals: The same in base axes; nothing was fitted, so nothing was left out.
-        space: The operating space.
         error: Of the positions; where they are differences, reference steps, zero by definition, are not counted.
         before: The same with the cell file's model; None where it states no tracker pose.
         deflection: Error of the differences to step 0, with the model and with the cell file's; None for single steps,

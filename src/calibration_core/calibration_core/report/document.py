@@ -85,7 +85,6 @@ class Figure:
         key: Short stable name.
         caption: What it shows, without the number.
         alt: The same for those who cannot see it.
-        svg: The drawing, SVG.
         turnable: Whether the HTML shows the 3-D scene in its place.
         number: Number in the report, given by `numbered`.
     """
@@ -109,7 +108,6 @@ class Section:
     Attributes:
         heading: Its title.
         clause: What of the standard it answers, e.g. `8 d)`; empty if nothing.
-        blocks: Its content.
     """
 
     heading: str
@@ -138,7 +136,6 @@ class Document:
 
     Attributes:
         number: Report number.
-        title: Title of the report.
         subtitle: The standard it answers to.
         facts: Identification of robot, recording and dates.
         verdict: The box on the first page.

@@ -42,9 +42,6 @@ class Diagnosed:
     """A diagnosis with its files.
 
     Attributes:
-        cell: The cell.
-        readings: The recording.
-        diagnosis: What was found.
         population: What is known of robots of this type; None: nothing.
         covers: What the recordings covered; None: what the readings show.
     """

@@ -41,9 +41,6 @@ class Identified:
     """An identification, with what a search for missing physics says.
 
     Attributes:
-        cell: The cell.
-        readings: The recording.
-        identification: What was identified.
         searched: The search; None where it could not work on the recording.
         covers: What the recordings covered; None: what the readings show.
     """

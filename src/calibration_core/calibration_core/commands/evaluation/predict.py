@@ -53,7 +53,6 @@ class PredictedRecording:
     """A prediction as the command answers it.
 
     Attributes:
-        cell: The cell.
         found: Readings, predicted points and errors.
     """
 

@@ -21,9 +21,6 @@ class Answers:
     """What is known of a cell; None: not known yet, a usual value is written and marked.
 
     Attributes:
-        name: Name of the cell.
-        robot: Name of the robot.
-        source: Where its kinematics come from.
         rated_load: kg.
         tracker: x y z (m) and roll pitch yaw (rad) in the base frame.
         sensor: The force/torque sensor in the flange frame, likewise.

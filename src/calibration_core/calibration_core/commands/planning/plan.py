@@ -77,8 +77,6 @@ class Planned:
 
     Attributes:
         plan: Configurations, loads and order.
-        cell: The cell that it was made for.
-        space: Its operating space.
         seed: Seed of the search.
         inputs: Role -> file -> SHA-256 of input files besides the cell's.
         protocols: What other load steps would reveal.

@@ -24,10 +24,6 @@ class Refusal:
     """The answer where the input is not what it claims to be: nothing is identified.
 
     Attributes:
-        command: Which command refuses.
-        cell: The cell.
-        readings: The recording.
-        found: What is wrong, the worst first.
         inputs: Role -> file -> SHA-256 of input files besides recording and cell.
     """
 

@@ -22,7 +22,6 @@ class Link:
     """One recorded joint in terms of a simulated one: recorded = sign * unit * simulated + zero.
 
     Attributes:
-        joint: Index of the simulated joint.
         sign: 1 or -1.
         unit: Key of `UNITS`.
         zero: rad.

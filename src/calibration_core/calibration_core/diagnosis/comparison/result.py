@@ -42,7 +42,6 @@ class Difference:
         location: What it concerns, as in a finding.
         side: Which of the two disagrees with the cell file; `either` where that cannot be determined.
         magnitude: Its size.
-        unit: Of the size.
         text: One sentence.
         spoils: Whether deflections cannot be compared, and the side's physics not be trusted, because of it.
         remedy: How to put right the one that is at fault, in words; the recording where it may be either.
@@ -257,7 +256,6 @@ class FormatLoss:
     """What the files for one kind of simulator cannot hold of the improved model.
 
     Attributes:
-        files: Their names.
         effects: What they leave out, in words.
         costs: m per coordinate that this adds to what the whole model leaves, squares added.
     """
@@ -289,9 +287,6 @@ class Comparison:
     """Two recordings of one measurement, one of them simulated.
 
     Attributes:
-        recording: The recording's file.
-        simulation: The simulation's file.
-        sha256: Of its files, by name.
         readings: How many readings correspond.
         configurations: How many configurations correspond.
         reproduction: Whether the core's model is the simulation's.

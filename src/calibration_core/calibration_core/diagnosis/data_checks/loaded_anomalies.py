@@ -349,7 +349,6 @@ class Checked:
     """What was found, and what physics may be searched in.
 
     Attributes:
-        anomalies: What was found.
         sound: (m,) readings that physics may use.
     """
 
@@ -396,8 +395,6 @@ class Shifts:
     """Where a target or the tracker stands elsewhere than in most of a recording.
 
     Attributes:
-        anomalies: What was found.
-        shape: The residuals as a table.
         target: (m,) readings of a target that moved, in the configurations before or after it: the fewer.
         tracker: (m,) readings before or after the tracker moved: the fewer.
     """

@@ -57,7 +57,6 @@ class Design:
         null: (r, n) columns of the null model's parameters.
         columns: (r, p) columns of all candidates, per standard deviation of the prior, of the discrepancy, of chance.
         configuration: (r,) index of the configuration of every row.
-        candidates: The hypotheses.
         blocks: Their columns.
         prior: (p,) standard deviation of every parameter, in its unit.
         discrepancy: Columns of the structured discrepancy.
@@ -205,7 +204,6 @@ class LoadedSelection:
     """What was accepted.
 
     Attributes:
-        choices: In the order of evidence.
         accepted: All accepted candidates, refinements included.
         level: Signal-to-noise ratio of the small effects that remain, each.
         unsure: For each accepted candidate the (c,) signal-to-noise ratios that it lends to every candidate's place:

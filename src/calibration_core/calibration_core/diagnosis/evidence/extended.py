@@ -38,7 +38,6 @@ class ExtendedLoadedModel:
     """The extended model at its own compliances.
 
     Attributes:
-        problem: All readings.
         used: Indices of the readings used.
         state: Null model at the final compliances, all readings.
         rows: Grouping and noise as seen, of the readings used.

@@ -161,7 +161,6 @@ class Jumps:
     """What jumps along with one joint.
 
     Attributes:
-        joint: Its index.
         rms: m, of the points' movement along the joint's line, the noise taken off.
         share: Of the power of all jumps, that the joint's line holds.
     """

@@ -76,7 +76,6 @@ class GeometryFault:
     """One frame, or one zero, that is wrong.
 
     Attributes:
-        candidate: Its entry of the catalogue.
         rows: Which of the 6 n errors it has.
     """
 

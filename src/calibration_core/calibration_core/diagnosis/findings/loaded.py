@@ -162,14 +162,7 @@ def _bias(changes: dict[str, float], findings: int) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RejectedCandidate:
-    """An effect that was accepted and is outdone.
-
-    Attributes:
-        choice: What was accepted.
-        candidate: The effect.
-        rival: What outdoes it.
-        nats: By how much.
-    """
+    """An effect that was accepted and is outdone."""
 
     choice: Choice
     candidate: Candidate

@@ -246,7 +246,6 @@ class OfferTable:
     """Columns of k offers with d rows each, in units of the noise.
 
     Attributes:
-        offers: The offers.
         null: (k, d, n) of the null model.
         own: Hypothesis -> (k, d, p), per standard deviation of its prior.
         always: (k, d, a) of what is always a little wrong, likewise.

@@ -54,7 +54,6 @@ class Known:
     """What the recording tells, as the search left it.
 
     Attributes:
-        field: Rows and hypotheses.
         sizes: Hypothesis -> standard deviation of its prior, typical sizes; of the accepted ones and of their rivals.
         accepted: Hypotheses in the model.
         equivalents: Accepted hypothesis -> what explains the data as well: (index, log Bayes factor).

@@ -42,7 +42,6 @@ class MeasurementProtocol:
     """How every configuration is loaded.
 
     Attributes:
-        name: As it is selected.
         text: What is done.
         levels: Fractions of the full pull, one per step; negative: pulled the other way.
         hold: s, how long full and zero load are held in the configurations that are held; 0: not at all.
@@ -88,7 +87,6 @@ class Worth:
     """What a protocol costs and buys.
 
     Attributes:
-        protocol: Which.
         minutes: How long it takes.
         evidence: Effect -> expected log Bayes factor at its typical size, nats; of the places that it may have, the
             middle one, each by its best variant.

@@ -32,10 +32,8 @@ class FoundParameter:
     """One parameter of a finding.
 
     Attributes:
-        name: As in the catalogue.
         value: In its unit.
         std: Standard deviation; zero for what is no estimate.
-        unit: Of both.
         least: The smallest value that physics allows.
     """
 
@@ -56,9 +54,6 @@ class Alternative:
     """Another hypothesis that the recording cannot tell from the finding.
 
     Attributes:
-        effect: Its name.
-        family: Its family.
-        location: Where.
         log_bayes_factor: nats, beside that of the finding.
     """
 
@@ -73,8 +68,6 @@ class Finding:
     """One effect that is missing in the model.
 
     Attributes:
-        effect: Name in the catalogue of effects.
-        family: Family.
         location: Where; a joint or link is left open (empty) where too many come into question.
         variant: Form of the law, as in the catalogue.
         parameters: With 95 % = 1.96 std intervals.

@@ -27,7 +27,6 @@ class Needed:
     """How many configurations one joint needs.
 
     Attributes:
-        joint: Its name.
         alone: Configurations without a population; None where `MOST` are not enough.
         together: With it.
     """

@@ -25,9 +25,6 @@ class TypePopulation:
     """The population of one type, as its file has it.
 
     Attributes:
-        file: The file.
-        sha256: Of its bytes.
-        type: The type.
         joints: Joint -> population of ln stiffness, N*m/rad (N/m where a joint slides).
         effects: Effect and place -> share of the type's robots that show it.
         source: Of which robots and recordings it was made.

@@ -34,7 +34,6 @@ class PooledJoint:
     """One joint beside its sisters, N*m/rad (N/m where a joint slides).
 
     Attributes:
-        joint: Its name.
         raw, raw_std: From the recording alone; the standard deviation to first order.
         pooled, pooled_std: With the populations of the joints that belong to theirs.
         low, high: 95 % interval of `pooled`.

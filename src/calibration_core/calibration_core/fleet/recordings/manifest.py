@@ -30,7 +30,6 @@ class Entry:
 
     Attributes:
         type: Type of the robot: what its sisters share.
-        robot: Name of the robot within its type.
         date: Day of the measurement, ISO 8601.
         recording: Absolute path or URL that fsspec reads.
         cell: The same of its cell file.

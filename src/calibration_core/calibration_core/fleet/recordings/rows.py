@@ -21,10 +21,7 @@ class Row:
     """One recording, evaluated or not.
 
     Attributes:
-        recording: Path or URL.
         cell: The same of its cell file.
-        robot: Name of the robot.
-        type: Its type.
         date: ISO 8601.
         status: `measured` or `failed`.
         error: Why it failed, in one line; empty where it was measured.
@@ -34,14 +31,11 @@ class Row:
         verdict: Of the diagnosis.
         configurations: How many were measured.
         joints: n names.
-        units: Unit of each compliance.
         compliance: n values, rad/(N*m) (m/N where a joint slides), in the model with the findings.
         covariance: n x n, row after row; of (rad/(N*m))^2.
         law_names: `backlash.JOINT` and `hysteresis.JOINT`, as `calibration compare` measures them.
         law_values: Their sizes, rad (m where a joint slides).
         law_stds: Their standard deviations.
-        effects: Name of every finding.
-        locations: Where each is, in words.
         magnitudes: Its movement of the measured points, m.
         evidence: Its log Bayes factor.
         anomalies: Kinds.

@@ -47,7 +47,6 @@ class EvaluatedRecording:
     """What a worker hands back.
 
     Attributes:
-        row: The row of the data set.
         result: The bytes of result.json; empty where the recording failed.
     """
 

@@ -82,10 +82,8 @@ class Evaluated:
     Attributes:
         problem: All readings.
         nominal: What the cell file predicts (with the best tracker pose where it states none).
-        terms: Tracker pose and points.
         hidden: Point coordinates that stay nominal, and why.
         choice: Geometry that can be identified.
-        staged: The stages.
         used: (m,) readings used.
         rejection: The last search for gross errors; None without.
     """

@@ -38,7 +38,6 @@ class ElasticityVerdict:
         joints: Joints whose compliance improves held-out configurations clearly, counted from 0, best first.
         loaded: Joints that gravity loads.
         believed: Whether the claim survives both controls.
-        reason: Why, with figures.
         rms: 3-d root mean square of the linearised model with these compliances, m.
         held_out_rms: The same on configurations left out, m.
     """

@@ -165,7 +165,6 @@ class AxisGeometry:
     """Joint axes by the circle-point method (CWA 17384, 7.2).
 
     Attributes:
-        base: The base coordinate system.
         geometry: (n, 6) corrections x, y, z (m), rx, ry, rz (rad) of the frame before each joint; what circles do not
             show (position along an axis, joint zeros, joints that did not move) stays zero: nominal.
         std: (n, 6) one standard deviation; zero of what stays nominal.

@@ -47,7 +47,6 @@ class AbsoluteProblem:
         chain: The nominal robot.
         q: (m, n) rad, encoder angles.
         position: (3, m) m, tracker frame.
-        names: Measurement points.
         point: (m,) index into `names`; None where there is only one point.
         whitening: 1/sigma (1/m) if all coordinates have the same noise, else (3, 3, m) matrices W, tracker axes, with
             W^T W the inverse covariance of a reading.
@@ -148,7 +147,6 @@ class NormalEquations:
         matrix: (p, p) J^T J.
         gradient: (p,) J^T e.
         cost: e^T e.
-        readings: Number of readings.
     """
 
     matrix: Float2D
@@ -192,7 +190,6 @@ class GeometryFit:
     """The least-squares solution for a list of terms.
 
     Attributes:
-        parameters: All values, fitted or not.
         terms: What was fitted.
         normal: Whitened normal equations at the solution, the prior included.
         iterations: Gauss-Newton steps.

@@ -294,7 +294,6 @@ class ConsiderParameters:
     else depends on it, such as where the sensor sits, is then wrong.
 
     Attributes:
-        term: The parameters.
         across: (p, h) information between the parameters that are fitted and these.
         std: (h,) usual errors of nominal values, one standard deviation, m or rad.
     """

@@ -31,7 +31,6 @@ class TermContext:
 
     Attributes:
         chain: The chain with its geometry corrected.
-        parameters: Current values.
         at: The posture, deflected where the joints are elastic.
         target: (3, m) m, predicted point.
         measured: (3, m) m, measured point, brought into the base frame by the current tracker pose.
@@ -169,7 +168,6 @@ class GeometryTerm:
 
     Attributes:
         chosen: (joint, correction) pairs, both counted from 0, corrections in the order of `CORRECTIONS`.
-        labels: Their names.
     """
 
     chosen: tuple[tuple[int, int], ...]
@@ -217,7 +215,6 @@ class ElasticityTerm:
 
     Attributes:
         joints: Chosen joints, counted from 0.
-        labels: Their names.
         gravity: (3,) m/s^2 in base axes: torques from this gravity at the posture as it is, without the equilibrium.
             Such a term serves a linearised fit only (comparison with the negative control); None for the true one.
             External load is no part of them.

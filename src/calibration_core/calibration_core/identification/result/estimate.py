@@ -71,7 +71,6 @@ class Decoupled:
     """Stiffnesses of arm and wrist identified apart, and compared with those identified together.
 
     Attributes:
-        joints: Names.
         arm: Number of joints of the arm; the others are the wrist.
         compliance: (n,) rad/(N*m), arm and wrist apart; not bounded.
         covariance: (n, n) of `compliance`.
@@ -140,8 +139,6 @@ class Contribution:
     Attributes:
         file: The recording, as its user named it.
         number: From 1; its points are called POINT@NUMBER.
-        cell: Its cell file.
-        cell_sha256: Digest of that file.
         kind: What it holds: `loaded` or `absolute`.
         configurations: Number of its configurations.
         numbers: First and last number that they have beside those of the others.
@@ -183,9 +180,6 @@ class Disagreement:
     """A parameter of the robot that one recording shows otherwise than the others.
 
     Attributes:
-        file: The recording.
-        parameter: Name, as in the model file.
-        location: Its joint.
         change: Against the others: of a stiffness relative, else in `unit`.
         low: Lower end of its 95 % interval.
         high: Upper end.
@@ -289,10 +283,7 @@ class Exclusion:
     """A reading that was not used, and why.
 
     Attributes:
-        configuration: Its configuration.
         step: Its step.
-        point: Its measurement point.
-        reason: One sentence.
         size: Length of its residual when predicted from the others, m.
         times_sigma: The same in standard deviations.
     """
@@ -539,11 +530,7 @@ class Identification:
         noise: Claimed against seen.
         stages: Stages of the model selection of an absolute recording; empty for loaded ones.
         unidentified: What cannot be determined.
-        exclusions: Readings not used.
-        anomalies: Something wrong with the data.
         preconditions: The standard's demands, checked.
-        residuals: Row by row.
-        space: The operating space.
         model: The identified model, as `predict` uses it.
         test: Result on a second recording, if one was given.
         notes: Further remarks, those of the readings included.

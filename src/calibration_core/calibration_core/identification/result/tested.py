@@ -63,7 +63,6 @@ class TestResult:
     """How the identified model does on a second recording that was not used in the fit (`--test`).
 
     Attributes:
-        file: The second recording.
         readings: Number of readings.
         rms: Per coordinate, m, after the best offsets (loaded) or with the fitted frames (absolute); frames that only
             loaded steps have shown are fitted to postures at rest again.

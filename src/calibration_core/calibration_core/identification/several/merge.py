@@ -38,7 +38,6 @@ class Member:
 
     Attributes:
         readings: What was measured, numbered and named as in its own files.
-        cell: The cell that it was measured in.
         number: From 1, loaded recordings before those at rest, each kind in the order of time; where no dates are
             known, of the digests: it does not depend on the order in which the recordings were named.
         first_number: What is added to its configurations' numbers, so that no two recordings share one.
@@ -145,7 +144,6 @@ class Merged:
     """Several recordings as one.
 
     Attributes:
-        readings: All rows.
         cell: The cell of the first recording with the points of all, and the base frame as the frame of positions.
     """
 

@@ -68,7 +68,6 @@ class Standing:
 
     Attributes:
         rows: (m,) which readings of the recording they are.
-        case: Frames and geometry.
         found: The same in values and figures.
     """
 
@@ -225,13 +224,10 @@ class Parts:
     """A recording as two: its loaded configurations, and its postures at rest.
 
     Attributes:
-        readings: The recording, rows in its order.
-        cell: Its cell file.
         members: The parts.
         alone: What each shows by itself.
         merged: Both together, the loaded configurations first.
         order: (m,) row of `merged` for every row of the recording.
-        options: How to evaluate these.
     """
 
     readings: Readings

@@ -49,7 +49,6 @@ class LoadedProblem:
     """Everything that the fit of a loaded recording needs, independent of the compliances.
 
     Attributes:
-        chain: The robot.
         readings: The m readings.
         parameters: Frames and points (their compliances are not used here).
         load: External load of every reading.

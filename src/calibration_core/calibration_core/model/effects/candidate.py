@@ -88,8 +88,6 @@ class Candidate:
     """One hypothesis.
 
     Attributes:
-        effect: Its name in the catalogue.
-        family: Its family in the catalogue.
         location: For example {"joint": "joint_2"}.
         variant: Which form of the effect's law or which choice of axes; part of the hypothesis, not of its name.
         parameters: k of them.
@@ -158,8 +156,6 @@ class Effect:
     """An entry of the catalogue.
 
     Attributes:
-        name: Its name in the catalogue.
-        family: Its family in the catalogue.
         equation: The law, in one line.
         source: Where it comes from.
         reveal: The measurement that would show it best.

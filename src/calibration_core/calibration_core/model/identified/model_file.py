@@ -384,9 +384,6 @@ class GivenModel:
     """An identified or extended model and the file it came from.
 
     Attributes:
-        parameters: The model, its effects included.
-        file: Its path as given.
-        sha256: Digest of the file.
         estimate: What it says of its numbers' uncertainty; None: nothing.
         valid_range: What its recording covered; None where it does not say.
         recordings: What it was identified from; empty where a file holds the model.

@@ -311,7 +311,6 @@ class Body:
     Attributes:
         link: 0 for the base, i for what moving joint i carries, those that mimic others counted (`Chain.whole`).
         name: Of the URDF's link, with a number where it has several bodies.
-        form: What it is.
         size: m: edges of a box, (3,); radius and length of a cylinder, (2,); radius of a sphere, (1,); the factors by
             which a mesh is scaled, (3,).
         mesh: The mesh as the URDF names it; empty for a primitive.

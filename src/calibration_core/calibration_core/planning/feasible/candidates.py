@@ -31,7 +31,6 @@ class Ground:
     """Where postures are looked for.
 
     Attributes:
-        cell: The cell.
         site: The robot in it.
         bodies: What may touch and what hides a target.
         rules: What makes a posture fit.

@@ -54,7 +54,6 @@ class Site:
     """What of a cell decides where the robot can be measured.
 
     Attributes:
-        chain: The robot.
         points: (p, 3) m, measurement points in the flange frame.
         other: (k, 3) m, further points in the flange frame that must stay clear (flange, wrench point, sensor).
         tracker: (3,) m, tracker in the base frame; None where its pose is not known.

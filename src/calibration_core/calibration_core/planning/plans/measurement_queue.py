@@ -55,7 +55,6 @@ class Item:
         steps: (k, 6) wrenches; empty: only drive there.
         first_step: Number of the first step (for the reference, of the visit).
         kind: `startup`, `reference` or `configuration`.
-        phase: Of a configuration.
     """
 
     number: int
@@ -77,7 +76,6 @@ class MeasurementQueue:
         visits: Visits to the reference so far.
 
     Attributes:
-        plan: What is planned.
         completed: Numbers of the configurations measured; likewise `given_up`.
         visits: Visits to the reference at which a reading was asked for, kept or not; the number of the next one.
         target: How many configurations are to be measured.

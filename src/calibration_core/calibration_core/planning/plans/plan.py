@@ -127,7 +127,6 @@ class Plan:
     """A plan for one robot.
 
     Attributes:
-        robot: Its name.
         joints: Names, in the order of q.
         configurations: To be measured, in order; the spares last, the most telling first.
         startup_cycle: (k, n) rad, driven through before measuring and again periodically (CWA 17384, 5.2).

@@ -32,7 +32,6 @@ class LiveTopic:
     """What a bag says of a topic.
 
     Attributes:
-        name: Name.
         type: `package/msg/Name`.
         definition: Its definition with those of the types in it (`ros2msg`), empty if unknown.
         type_hash: RIHS01 hash, empty if unknown.

@@ -31,7 +31,6 @@ class Imported:
 
     Attributes:
         readings: One row per configuration, step and point.
-        sources: The files, as they were read.
         account: Sentences that say how rows became configurations, steps and points, and how files were joined.
     """
 

@@ -39,7 +39,6 @@ class Poses:
     """Configurations of a robot program, in the order of the file.
 
     Attributes:
-        path: The file.
         language: Whose program it is.
         names: Of the positions, empty where the program names none.
         units: Axis, as the program calls it, -> unit in which it is stated; empty where the program does not say.

@@ -74,7 +74,6 @@ class Source:
     """One file.
 
     Attributes:
-        path: The file.
         form: Separator, decimal mark and encoding, or whose program it is.
         numbers: Meaning -> values (m,) in SI units.
         texts: `point`, `name` or `group` -> texts (m).

@@ -28,9 +28,7 @@ class Text:
     """A file's text.
 
     Attributes:
-        path: The file.
         lines: Without line ends; line 1 has index 0.
-        encoding: How it was read.
     """
 
     path: Path

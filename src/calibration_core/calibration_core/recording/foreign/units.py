@@ -23,7 +23,6 @@ class ForeignUnit:
     """A unit of measurement.
 
     Attributes:
-        name: As it is shown.
         dimension: What it measures.
         factor: SI value of one unit.
         offset: Added before the factor (degrees Fahrenheit, kelvin).

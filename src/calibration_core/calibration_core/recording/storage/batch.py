@@ -20,7 +20,6 @@ class Channel:
     """One topic as one publisher wrote it.
 
     Attributes:
-        topic: Name of the topic.
         type: Message type, e.g. `geometry_msgs/msg/PointStamped`.
         encoding: Serialisation of the messages; `cdr` is the only one in ROS 2.
         definition: Text of the message definition from the bag, empty if the bag has none.
@@ -41,7 +40,6 @@ class Batch:
     The buffer may be reused for the next batch: whoever needs more than views copies.
 
     Attributes:
-        channel: The channel of all the messages.
         buffer: (bytes,) uint8, holds the payloads.
         start: (n,) offset of each payload in the buffer.
         length: (n,) bytes of each payload, encapsulation header included.
