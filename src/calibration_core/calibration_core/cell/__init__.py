@@ -350,7 +350,12 @@ class Cell(Strict):
         return np.asarray((0.0 if self.end_effector is None else self.end_effector.mass) * self.gravity)
 
     def missing(self, place: str, purpose: str) -> CellError:
-        """Return the error for an optional field that this recording makes necessary."""
+        """Return the error for an optional field that this recording makes necessary.
+
+        Args:
+            place: The field.
+            purpose: What it is needed for.
+        """
         return CellError(self.path, place, "nothing", f"a value, needed for {purpose}")
 
 
