@@ -36,6 +36,7 @@ from calibration_core.model.effects.absolute import approach_direction
 from calibration_core.model.effects.applied import largest
 from calibration_core.model.effects.candidate import Candidate, Trait
 from calibration_core.model.effects.state import State
+from calibration_core.policy import EQUIVALENT, FALSE_ALARM
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
 
 HARMONICS = 3  # cycles per turn of a joint, at most
@@ -183,14 +184,12 @@ def _direction(share: Float2D) -> Float2D:
 
 MOST = 3  # terms
 SAMPLES = 500
-FALSE_ALARM = 0.01
 LEAST = 6.0  # nats: the threshold is never lower
 FEWEST = 5  # configurations, below which nothing is searched
 FOLDS = 20  # groups of whole configurations, at most, that are left out in turn
 LEAST_GAIN = 0.05  # of the squared error on configurations left out
 FREE = 1e-9  # prior precision of what has none, columns being of length one
 ALIASED = 1e-4  # of a column's square: less of it is left beside the model
-EQUIVALENT = 5.0  # nats of the best, to be called indistinguishable
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -36,7 +36,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from calibration_core.estimation.controls import EQUIVALENT
 from calibration_core.estimation.field import Accepted
 from calibration_core.estimation.hypotheses import LAW, Offered, typical_sizes
 from calibration_core.estimation.leave_out import RIDGE
@@ -55,11 +54,10 @@ from calibration_core.estimation.shifts import FAMILY
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.candidate import Candidate, Trait, link_name
 from calibration_core.model.effects.structure import pose_dependent_stiffness
+from calibration_core.policy import EQUIVALENT, LISTED, PLAUSIBLE
 from calibration_core.timeseries import Float1D, Float2D, Int1D
 
-LISTED = 5
 ASKED = 8  # alternatives that are refitted together with everything else
-PLAUSIBLE = 6.0  # typical sizes
 EXACT = 1e-6  # share of what is seen of an effect that an exact alias may leave: rounding errors
 ROUNDING = 1e-10  # of the largest eigenvalue
 

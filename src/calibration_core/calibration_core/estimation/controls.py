@@ -25,6 +25,7 @@ from calibration_core.model.effects.absolute.joint_elasticity import turned_colu
 from calibration_core.model.effects.candidate import Candidate, Trait, number_of
 from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
 from calibration_core.model.effects.structure.gravity_compensator import OPEN, OPEN_ORDERS
+from calibration_core.policy import EQUIVALENT
 from calibration_core.timeseries import Float2D, Int1D
 
 COLLAPSED = 1 / 3  # share of the gain that turned gravity may keep
@@ -34,7 +35,6 @@ SAVED = 2 / 3  # save less of their squares, follow the readings; other causes m
 EACH = 3.0  # nats each, on the average: waves that gain more are shown by more than a few readings
 LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
 CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
-EQUIVALENT = 5.0  # nats: hypotheses that gain as much as each other
 LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
 STEP_SHARE = 0.1  # of the squared residual on blocks left out, that a step must explain
 

@@ -18,13 +18,14 @@ from collections.abc import Callable
 import numpy as np
 
 from calibration_core.estimation.comparisons import POSITIONS, Comparisons, Demands
-from calibration_core.estimation.controls import EQUIVALENT, impossible
+from calibration_core.estimation.controls import impossible
 from calibration_core.estimation.field import Accepted, Field, Trial
 from calibration_core.estimation.hypotheses import LAW, Hypothesis
 from calibration_core.estimation.leave_out import LEAST_NATS, Proof
 from calibration_core.estimation.likelihood.gains import Grouped, likelihood_at, visible
 from calibration_core.estimation.likelihood.restricted import USUAL, Sizes
 from calibration_core.model.effects.structure.gravity_compensator import OPEN
+from calibration_core.policy import EQUIVALENT
 from calibration_core.timeseries import Float1D
 
 TRIED = 6  # proposals per round that may try

@@ -8,12 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design, field_of, select
+from calibration_core.diagnosis.evidence.design import Design, field_of, select
 from calibration_core.diagnosis.evidence.extended import estimates
 from calibration_core.diagnosis.evidence.residual import held_out_ratio, weighted_rest
 from calibration_core.estimation.alternatives import are_confounded
 from calibration_core.estimation.likelihood.gains import shared_power
 from calibration_core.model.effects.candidate import Candidate, Parameter
+from calibration_core.policy import PRIOR_WIDTH
 
 ROWS, CONFIGURATIONS = 120, 12
 

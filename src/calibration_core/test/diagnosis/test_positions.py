@@ -13,7 +13,7 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.diagnosis.positions import diagnose_still
 from calibration_core.diagnosis.result.finding import Diagnosis
-from calibration_core.estimation.alternatives import EQUIVALENT, equivalents
+from calibration_core.estimation.alternatives import equivalents
 from calibration_core.estimation.estimate import estimate
 from calibration_core.identification.absolute.evaluate import evaluate_absolute
 from calibration_core.identification.stiffness.predict import predict_readings
@@ -22,6 +22,7 @@ from calibration_core.model.effects.structure.gravity_compensator import Triangl
 from calibration_core.model.kinematics import posture
 from calibration_core.model.robot import chain_of
 from calibration_core.model.statics import gravity_torque
+from calibration_core.policy import EQUIVALENT
 from calibration_core.report.diagnosis_summary import diagnosis_summary
 from calibration_core.timeseries import Readings
 

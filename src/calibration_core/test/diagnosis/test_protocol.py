@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from calibration_core.cell import load_cell
-from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH
 from calibration_core.diagnosis.proposals.choose import Offer
 from calibration_core.diagnosis.proposals.protocol import PROTOCOLS, SHOWN, Pace, Worth, _log_bayes_factor, worth_of
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
+from calibration_core.policy import PRIOR_WIDTH
 
 CELL = load_cell(Path(__file__).parents[4] / "config" / "cells" / "demo.cell.yaml")
 

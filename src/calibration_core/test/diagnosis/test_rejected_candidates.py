@@ -11,11 +11,12 @@ from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis import loaded
-from calibration_core.diagnosis.empirical import EQUIVALENT, SIZE, rival
+from calibration_core.diagnosis.empirical import SIZE, rival
 from calibration_core.diagnosis.evidence.design import LoadedSelection
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.findings.loaded import RejectedCandidate
 from calibration_core.diagnosis.loaded import diagnose_loaded
+from calibration_core.policy import EQUIVALENT
 
 JOINT, SHARE, PHASE = 1, 0.3, 0.2
 

@@ -17,6 +17,7 @@ from calibration_core.identification.result.estimate import Anomaly
 from calibration_core.identification.statistics import FINEST, beyond_noise, rms_length
 from calibration_core.model.effects.candidate import number_of
 from calibration_core.model.effects.words import listed_location
+from calibration_core.policy import EQUIVALENT
 from calibration_core.timeseries import Bool1D, Readings, in_time
 
 MISSTATED = 1.5  # factor by which an instrument's claim may be wrong where nothing else shows the noise
@@ -104,7 +105,6 @@ def followed(found: Estimate) -> dict[str, float]:
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
-EQUIVALENT = 5.0  # nats
 NEAR = 3  # configurations within which two steps are one
 
 

@@ -42,9 +42,9 @@ from calibration_core.identification.statistics import Rows, whitened
 from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.candidate import Candidate, Trait
 from calibration_core.model.effects.state import State
+from calibration_core.policy import PRIOR_WIDTH
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
-PRIOR_WIDTH = 3.0  # standard deviations of the prior per typical size
 HELD = 1e30  # weight, 1/(rad/(N*m))^2, of a compliance that is zero by declaration
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Choice, Design, LoadedSelection, build_design
+from calibration_core.diagnosis.evidence.design import Choice, Design, LoadedSelection, build_design
 from calibration_core.estimation.alternatives import STRUCTURE, fuller_form, instead, left_open, neglected, shares
 from calibration_core.estimation.likelihood.gains import MOST_TYPICAL, shared_power
 from calibration_core.estimation.noise.strata import sensor_lag, sensor_mounting
@@ -25,6 +25,7 @@ from calibration_core.model.effects.recordings import each_recording
 from calibration_core.model.effects.state import State, recorded_state
 from calibration_core.model.effects.structure.gravity_compensator import carriers
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.policy import PRIOR_WIDTH
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 
 ROUNDS = 4

@@ -19,8 +19,6 @@ from calibration_core.identification.stiffness.problem import counted, relative
 from calibration_core.model.effects.possible import nearest
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Readings, numbers_in_time
 
-ODD = 1e-4  # chance that a clean recording holds any configuration that is called odd
-
 
 def what_remains(extended: ExtendedLoadedModel, seen: Scatter, claimed: float, readings: Readings) -> Rest:
     """Test the rest of the extended model against the noise, and say where it is largest.
@@ -44,33 +42,10 @@ def what_remains(extended: ExtendedLoadedModel, seen: Scatter, claimed: float, r
     }
     noise, noise_freedom = (size, seen.freedom) if trusted else (claimed, math.inf)  # nothing but the claim
     found = against_noise(size * float(np.sqrt(ratio)), freedom, noise, noise_freedom, per)
-    odd = odd_configurations(rest, design, seen) if trusted and not found.significant else []
-    if odd:
-        listed = ", ".join(str(numbers[k]) for k in odd)
-        text = (
-            f"Configurations {listed} do not agree with the model within the noise, the others do: repeat them; a "
-            "slip, a contact or a jump is more likely than physics of the robot."
-        )
-        found = dataclasses.replace(
-            found, significant=True, where={"configurations": [numbers[k] for k in odd]}, text=text
-        )
     if found.significant and not trusted:
         more = " Steps are too few to see the noise itself: it may be larger than claimed, or physics is missing."
         return dataclasses.replace(found, text=found.text + more)
     return found
-
-
-def odd_configurations(rest: Float1D, design: Design, seen: Scatter) -> list[int]:
-    """Return the indices of configurations whose rest is too large for the noise, by themselves, worst first."""
-    numbers = np.unique(design.configuration)
-    chances = {}
-    for k in numbers:
-        inside = design.configuration == k
-        used_up = design.n / len(numbers)
-        freedom = max(float(inside.sum()) - used_up, 1.0)
-        power = float(rest[inside] @ rest[inside]) / freedom
-        chances[int(k)] = f_tail(power, freedom, seen.freedom)
-    return sorted((k for k in chances if chances[k] * len(numbers) < ODD), key=lambda k: chances[k])
 
 
 def weighted_rest(extended: ExtendedLoadedModel) -> tuple[Float1D, float, int]:

@@ -35,20 +35,16 @@ from calibration_core.model.effects.absolute.joint_zero_offset import EFFECT, ze
 from calibration_core.model.effects.candidate import Candidate, typical
 from calibration_core.model.effects.words import listed_location
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.policy import EQUIVALENT, FALSE_ALARM, LISTED, PLAUSIBLE, PRIOR_WIDTH
 from calibration_core.timeseries import Float1D, Float2D, Int2D
 
 ZERO_OFFSET = EFFECT.name
-PRIOR_WIDTH = 3.0  # standard deviations of the prior per typical size
 STEPS = tuple(0.5 * 2.0**k for k in range(9))
 LEVELS = tuple(itertools.product(STEPS, STEPS))  # c and d
-FALSE_ALARM = 0.01
 LEAST = 5.0  # nats: the threshold is never lower
 SAMPLES = 500
 SEED = 17384
 MOST = 3  # joints
-EQUIVALENT = 5.0  # nats
-PLAUSIBLE = 6.0  # typical sizes
-LISTED = 5
 ZERO = 5  # which correction of a frame turns about its joint's axis
 
 

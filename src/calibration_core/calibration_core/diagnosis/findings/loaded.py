@@ -14,7 +14,7 @@ import dataclasses
 
 import numpy as np
 
-from calibration_core.diagnosis.empirical import EQUIVALENT, Rival, rival
+from calibration_core.diagnosis.empirical import Rival, rival
 from calibration_core.diagnosis.evidence.design import Choice, LoadedSelection
 from calibration_core.diagnosis.evidence.extended import ExtendedLoadedModel
 from calibration_core.diagnosis.result.finding import (
@@ -42,9 +42,9 @@ from calibration_core.model.effects.candidate import Candidate, typical
 from calibration_core.model.effects.state import State
 from calibration_core.model.effects.words import listed_location
 from calibration_core.observations.average import coordinate_std
+from calibration_core.policy import EQUIVALENT, LISTED
 from calibration_core.timeseries import Float1D, Float2D, Note, Readings
 
-LISTED = 5
 SEEN = 0.02  # relative change of a stiffness that is stated
 DETERMINED = 2.0  # standard deviations from zero, at which a compliance counts as known
 

@@ -19,7 +19,7 @@ from calibration_core.diagnosis.result.finding import (
     opening,
     separating,
 )
-from calibration_core.estimation.alternatives import BY_ANGLE, CONFOUNDED_SHARE, LISTED, equivalents, other_places
+from calibration_core.estimation.alternatives import BY_ANGLE, CONFOUNDED_SHARE, equivalents, other_places
 from calibration_core.estimation.estimate import Estimate
 from calibration_core.estimation.hypotheses import ALL, LAW, WAVE, Hypothesis
 from calibration_core.estimation.refit import Extended
@@ -30,6 +30,7 @@ from calibration_core.model.effects import effects_with, sizes_are_relative
 from calibration_core.model.effects.absolute import approach_direction
 from calibration_core.model.effects.candidate import Trait, number_of
 from calibration_core.model.effects.structure.gravity_compensator import OPEN
+from calibration_core.policy import LISTED
 from calibration_core.timeseries import Float1D, Float2D
 
 LOW = 8  # orders of waves that are a gear's, whatever else its joint does

@@ -21,7 +21,7 @@ from types import MappingProxyType
 import numpy as np
 
 from calibration_core.cell import Cell
-from calibration_core.diagnosis.evidence.design import PRIOR_WIDTH, Design, build_design
+from calibration_core.diagnosis.evidence.design import Design, build_design
 from calibration_core.diagnosis.evidence.extended import loaded_state, structured_discrepancy
 from calibration_core.diagnosis.proposals.choose import Offer
 from calibration_core.identification.stiffness.problem import build_problem
@@ -30,6 +30,7 @@ from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.parameters import ModelParameters
 from calibration_core.model.simulation.simulate import simulate_plan
+from calibration_core.policy import PRIOR_WIDTH
 from calibration_core.timeseries import Float1D, Float2D, Readings
 
 SHOWN = 5.0  # nats, from which an effect counts as shown: above what chance makes of the whole catalogue

@@ -39,12 +39,13 @@ from calibration_core.estimation.hypotheses import Offered
 from calibration_core.estimation.likelihood.restricted import LEAST, MOST, Gram, Sizes, basis_serves, fit_sizes, price
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.model.effects.candidate import Candidate
+from calibration_core.policy import FALSE_ALARM
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Int2D
 
 GRID = np.exp(np.linspace(np.log(LEAST), np.log(MOST), 36))
 SHOWN = 1e-7  # of the largest eigenvalue: directions below it are rounding errors
 BATCH = 100  # blocks at a time
-FALSE_ALARM, SEED = 0.01, 17384
+SEED = 17384
 TAIL = 0.25  # of the recordings drawn: those by which the threshold is extrapolated
 LEAST_LEFT = 1e-9  # share of the squared residual that a block may leave, against rounding errors
 DEPENDENT = 1e-8  # of the square of a column: one of which the others leave less depends on them
