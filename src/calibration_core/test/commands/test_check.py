@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from program import CELL, names, run
+from program import CELL, names, rewritten, run, scaled
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -172,14 +172,7 @@ def test_topics_without_a_message_are_named(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_a_table_of_another_robot_is_named(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lines = (simulated / "measurements.csv").read_text().splitlines()
-    at = lines[0].split(",").index("x")
-    moved = [lines[0]]
-    for line in lines[1:]:
-        cells = line.split(",")
-        cells[at : at + 3] = [str(1e3 * float(value)) for value in cells[at : at + 3]]
-        moved.append(",".join(cells))
-    (tmp_path / "mm.csv").write_text("\n".join(moved) + "\n")
+    rewritten(simulated / "measurements.csv", tmp_path / "mm.csv", lambda row: scaled(row, ("x", "y", "z"), 1e3))
     assert run("check", CELL, tmp_path / "mm.csv", "--out", tmp_path / "out") == 2
     assert "mm.csv" in capsys.readouterr().out
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import shutil
 from pathlib import Path
 
 import pytest
-from program import CELL, KEYS, result_of, run
+from program import CELL, KEYS, WRENCH, result_of, rewritten, run
 
 from calibration_core.files.yaml_file import read_yaml, yaml_text
-
-WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 @pytest.fixture(scope="module")
@@ -98,13 +95,10 @@ def test_a_folder_says_how_many_steps_were_measured(identified: Path, simulated:
 def test_recordings_at_rest_leave_nothing_to_compare(
     simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with (simulated / "measurements.csv").open(newline="") as stream:
-        rows = [row for row in csv.DictReader(stream) if row["step"] == "0"]
-    with (tmp_path / "rest.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, [name for name in rows[0] if name not in WRENCH],
-                                extrasaction="ignore")  # fmt: skip
-        writer.writeheader()
-        writer.writerows(rows)
+    rewritten(
+        simulated / "measurements.csv", tmp_path / "rest.csv",
+        lambda row: {k: v for k, v in row.items() if k not in WRENCH} if row["step"] == "0" else None,
+    )  # fmt: skip
     found, out = tmp_path / "found", tmp_path / "out"
     assert run("identify", tmp_path / "rest.csv", "--cell", CELL, "--no-report", "--out", found) == 0
     assert run("compare", found, found, "--cell", CELL, "--out", out) == 0

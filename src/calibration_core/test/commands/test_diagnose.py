@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from program import names, result_of, run
+from program import WRENCH, names, result_of, rewritten, run, scaled
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +36,12 @@ def test_a_report_names_options_that_its_command_takes(
     simulated: Path, cell_path: Path, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What is said of a reading that was not used can be done."""
-    with (simulated / "measurements.csv").open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    rows[40]["x"] = repr(float(rows[40]["x"]) + 3e-3)
-    with (tmp_path / "other.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+
+    def moved(row: dict[str, str]) -> dict[str, str]:
+        wrong = (row["configuration"], row["step"], row["point"]) == ("2", "4", "mp2")
+        return row | {"x": repr(float(row["x"]) + 3e-3 * wrong)}
+
+    rewritten(simulated / "measurements.csv", tmp_path / "other.csv", moved)
     assert run(command, tmp_path / "other.csv", "--cell", cell_path, "--out", tmp_path / "out") == 0
     _, _, section = (tmp_path / "out" / "report.html").read_text(encoding="utf-8").partition("Readings not used</")
     named = set(re.findall(r"--[a-z][a-z-]+", section.partition("</section>")[0]))
@@ -72,17 +69,7 @@ def test_a_recording_like_its_simulation_differs_by_noise(diagnosed: Path, clean
 def test_a_simulation_with_the_wrong_sign_is_named(
     simulated: Path, clean: Path, cell_path: Path, tmp_path: Path
 ) -> None:
-    head, *rows = (clean / "measurements.csv").read_text().splitlines()
-    columns = head.split(",")
-    wrench = [columns.index(name) for name in ("fx", "fy", "fz", "tx", "ty", "tz")]
-    table = tmp_path / "other.csv"
-    turned = []
-    for row in rows:
-        cells = row.split(",")
-        for k in wrench:
-            cells[k] = repr(-float(cells[k]))
-        turned.append(",".join(cells))
-    table.write_text("\n".join([head, *turned]) + "\n")
+    table = rewritten(clean / "measurements.csv", tmp_path / "other.csv", lambda row: scaled(row, WRENCH, -1.0))
     recording, out = simulated / "measurements.csv", tmp_path / "out"
     assert run("diagnose", recording, "--cell", cell_path, "--simulation", table, "--out", out, "--no-report") == 0
     content = result_of(out)
@@ -95,16 +82,6 @@ def test_a_simulation_with_the_wrong_sign_is_named(
     assert not turned_back["spoils"]
     steps = content["comparison"]["step_by_step"]
     assert steps["rms"] < steps["noise"]
-
-
-def rewritten(table: Path, out: Path, change: Callable[[dict[str, str]], dict[str, str] | None]) -> Path:
-    """Write a measurement table with every row changed, or left out where the change is None."""
-    with table.open(newline="") as source, out.open("w", newline="") as target:
-        reader = csv.DictReader(source)
-        writer = csv.DictWriter(target, reader.fieldnames or [])
-        writer.writeheader()
-        writer.writerows(row for row in map(change, reader) if row is not None)
-    return out
 
 
 def test_a_tracker_that_jumps_in_the_simulation_leaves_the_recording_usable(
@@ -173,15 +150,7 @@ def test_a_simulation_that_cannot_be_used_ends_with_one_line(
 def test_millimetres_in_a_simulation_are_named_and_put_right(
     simulated: Path, clean: Path, cell_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    head, *rows = (clean / "measurements.csv").read_text().splitlines()
-    columns = head.split(",")
-    place = [columns.index(name) for name in "xyz"]
-    table = tmp_path / "mm.csv"
-    scaled = [
-        ",".join(repr(1e3 * float(cell)) if k in place else cell for k, cell in enumerate(row.split(",")))
-        for row in rows
-    ]
-    table.write_text("\n".join([head, *scaled]) + "\n")
+    table = rewritten(clean / "measurements.csv", tmp_path / "mm.csv", lambda row: scaled(row, ("x", "y", "z"), 1e3))
     recording, out = simulated / "measurements.csv", tmp_path / "out"
     assert run("diagnose", recording, "--cell", cell_path, "--simulation", table, "--out", out) == 0
     assert "the simulation in mm" in capsys.readouterr().out

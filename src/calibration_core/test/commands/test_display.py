@@ -7,7 +7,6 @@ import io
 import json
 import os
 import pty
-import re
 import shlex
 import subprocess
 import sys
@@ -25,13 +24,6 @@ RECORDING = ROOT / "bags" / "small_loaded"
 CELL = ROOT / "config" / "cells" / "small.cell.yaml"
 
 
-@pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("identified") / "out"
-    assert main(["identify", str(RECORDING), "--cell", str(CELL), "--out", str(out), "--no-report", "-q"]) == 0
-    return out
-
-
 def test_quiet_prints_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["identify", str(RECORDING), "--cell", str(CELL), "--out", str(tmp_path / "out"), "--no-report"]
     assert main([*arguments, "--quiet"]) == 0
@@ -39,24 +31,6 @@ def test_quiet_prints_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main([*arguments, "--json"]) == 0
     printed = capsys.readouterr().out
     assert json.loads(printed) == json.loads((tmp_path / "out" / "result.json").read_text())
-
-
-def test_describe_says_what_a_result_says(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for place in (result, result / "result.json"):
-        assert main(["describe", str(place)]) == 0
-        printed = capsys.readouterr().out
-        assert re.search(r"joint_1 +1\.090 +1\.054 … 1\.128", printed)
-    assert main(["describe", str(result), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["command"] == "identify"
-
-
-@pytest.mark.parametrize(
-    "content", ["", "[]", "{}", '{"schema": 7}', "\x00", '{"schema": 1, "command": 3}', "[" * 100_000]
-)
-def test_what_is_no_result_is_refused(content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "result.json").write_text(content)
-    assert main(["describe", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize(("wrong", "right"), [("identfy", "identify"), ("imprt", "import"), ("describ", "describe")])

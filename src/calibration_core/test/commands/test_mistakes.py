@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import signal
@@ -10,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from program import CELL, names, run
+from program import CELL, WRENCH, names, rewritten, run
 
 from calibration_core.cli import main
 from calibration_core.errors import RecordingError
@@ -240,7 +239,13 @@ def test_a_task_from_a_spreadsheet_is_refused_by_its_separator(
             ("--tolerance", "0.1"),
             "verify: --tolerance: found 0.1 m, which is 100 mm, expected a length in m above zero",
         ),
-        (("--tolerance", "0"), "verify: --tolerance: found 0 m, expected a length in m above zero and below 0.01"),
+        *(
+            (
+                (f"--tolerance={text}",),
+                f"verify: --tolerance: found {text} m, expected a length in m above zero and below",
+            )
+            for text in ("0", "-0.0001", "nan", "inf")
+        ),
     ],
 )
 def test_a_tolerance_in_millimetres(
@@ -261,11 +266,8 @@ def test_a_centre_of_gravity_in_millimetres(
 
 def test_steps_without_a_wrench_are_readings_at_rest(simulated: Path, tmp_path: Path) -> None:
     """Where wrench columns are absent there is no external load, whatever the steps."""
-    with (simulated / "measurements.csv").open(newline="") as file:
-        rows = list(csv.reader(file))
-    kept = [k for k, name in enumerate(rows[0]) if name not in {"fx", "fy", "fz", "tx", "ty", "tz"}]
-    with (tmp_path / "rest.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([[row[k] for k in kept] for row in rows])
+    table = simulated / "measurements.csv"
+    rewritten(table, tmp_path / "rest.csv", lambda row: {k: v for k, v in row.items() if k not in WRENCH})
     for command in ("identify", "diagnose"):
         assert run(command, tmp_path / "rest.csv", "--cell", CELL, "--no-report", "--out", tmp_path / command) == 0
 

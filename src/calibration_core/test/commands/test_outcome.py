@@ -118,16 +118,23 @@ def heeds(process: subprocess.Popen[bytes], number: int) -> bool:
     return bool(int(caught, 16) >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals_end_with_one_line_and_leave_the_earlier_result(
-    out: Path, number: int, code: int, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """How long a diagnosis takes that nobody ends, s."""
     begun = time.monotonic()
     process = program("diagnose", BAG, "--cell", CELL, "--out", tmp_path_factory.mktemp("whole") / "out")
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 0, errors
-    whole = time.monotonic() - begun
-    for delay in (0.0, 0.2 * whole, 0.4 * whole):  # after the start: well before the end
+    return time.monotonic() - begun
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "shares"), [(signal.SIGINT, 130, (0.0, 0.4)), (signal.SIGTERM, 143, (0.2,))]
+)
+def test_signals_end_with_one_line_and_leave_the_earlier_result(
+    out: Path, number: int, code: int, shares: tuple[float, ...], whole: float
+) -> None:
+    for delay in (share * whole for share in shares):  # after the start: well before the end
         process = program("diagnose", BAG, "--cell", CELL, "--out", out)
         while process.poll() is None and not heeds(process, signal.SIGTERM):  # the program's own handler
             time.sleep(0.01)

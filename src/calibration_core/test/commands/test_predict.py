@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from program import names, result_of, run
+from program import names, of_displacements, result_of, rewritten, run
 
 
 @pytest.fixture(scope="module")
@@ -66,82 +66,6 @@ def test_a_cell_without_tracker_pose_has_no_error_before(
     assert "the cell file states no tracker pose" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
-MODELS = {
-    "missing": (None, "a readable model file"),
-    "empty": ("", "a mapping with the keys"),
-    "no YAML": ("schema: [", "YAML"),
-    "bytes": ("\x00", "YAML"),
-    "other schema": ("schema: 1", "expected 2"),
-    "unknown key": ("schema: 2\nsprings: 3", "an unknown key"),
-    "other joints": ("schema: 2\njoints: [a]", "the cell's joints"),
-    "joints of no kind": ("schema: 2\njoints: 7", "the cell's joints"),
-}
-
-
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("command", ["predict", "simulate"])
-def test_hostile_models_are_refused_in_one_line(
-    command: str,
-    name: str,
-    simulated: Path,
-    planned: Path,
-    cell_path: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    text, words = MODELS[name]
-    model = tmp_path / "model.yaml"
-    if text is not None:
-        model.write_text(text)
-    extra = (simulated / "measurements.csv",) if command == "predict" else ("--plan", planned / "plan.yaml")
-    assert run(command, *extra, "--cell", cell_path, "--model", model, "--out", tmp_path / "out") == 2
-    error = capsys.readouterr().err
-    assert error.startswith(str(model))
-    assert error.count("\n") == 1
-    assert words in error
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("compliance:", "stiffness_of:"),
-        ("mp1:", "mp9:"),
-        ("compliance: [8.", "compliance: [-8."),
-        ("xyz:", "xy:"),
-        ("x: 0.0", "x: .nan"),
-    ],
-)
-def test_damaged_models_are_refused_in_one_line(
-    old: str,
-    new: str,
-    simulated: Path,
-    identified: Path,
-    cell_path: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    model = tmp_path / "model.yaml"
-    text = (identified / "model.yaml").read_text()
-    assert old in text
-    model.write_text(text.replace(old, new, 1))
-    table = simulated / "measurements.csv"
-    assert run("predict", table, "--cell", cell_path, "--model", model, "--out", tmp_path / "out") == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def kept(table: Path, out: Path, keep: Callable[[dict[str, str]], bool], **values: str) -> Path:
-    """Write the rows of a measurement table that are to be kept, with these values; return the new table."""
-    with table.open(newline="") as stream:
-        rows = [{**row, **values} for row in csv.DictReader(stream) if keep(row)]
-    with out.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return out
-
-
 def once(row: dict[str, str]) -> bool:
     """Say whether a reading is one of those that are left where every point is read at a step of its own."""
     return row["point"] == f"mp{int(row['step']) + 1}"
@@ -156,11 +80,11 @@ def test_differences_of_reference_steps_alone_are_refused(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    cell, out, model = tmp_path / "cell.yaml", tmp_path / "out", identified / "model.yaml"
-    spherical = "{sigma_range: 8.0e-6, sigma_range_per_m: 4.0e-7, sigma_angle: 3.0e-6,"
-    text = cell_path.read_text().replace(spherical, "{sigma: 1.5e-5,")
-    cell.write_text(text + "measurements: {points: displacement}\n")
-    table = kept(simulated / "measurements.csv", tmp_path / "some.csv", keep, x="0", y="0", z="0")
+    cell, out, model = of_displacements(cell_path, tmp_path), tmp_path / "out", identified / "model.yaml"
+    still = {"x": "0", "y": "0", "z": "0"}
+    table = rewritten(
+        simulated / "measurements.csv", tmp_path / "some.csv", lambda row: row | still if keep(row) else None
+    )
     for command, *more in (("predict",), ("verify", "--tolerance", 1e-3)):
         assert run(command, table, "--cell", cell, "--model", model, *more, "--out", out) == 2
         error = capsys.readouterr().err
@@ -171,7 +95,7 @@ def test_differences_of_reference_steps_alone_are_refused(
 def test_points_that_are_read_once_each_have_no_deflection(
     simulated: Path, identified: Path, cell_path: Path, tmp_path: Path
 ) -> None:
-    table = kept(simulated / "measurements.csv", tmp_path / "some.csv", once)
+    table = rewritten(simulated / "measurements.csv", tmp_path / "some.csv", lambda row: row if once(row) else None)
     arguments = ("--cell", cell_path, "--model", identified / "model.yaml", "--no-report", "--out", tmp_path / "out")
     assert run("predict", table, *arguments) == 0
     content = result_of(tmp_path / "out")
@@ -180,10 +104,7 @@ def test_points_that_are_read_once_each_have_no_deflection(
 
 
 def test_reference_steps_of_differences_are_not_counted(planned: Path, cell_path: Path, tmp_path: Path) -> None:
-    cell, out = tmp_path / "cell.yaml", tmp_path / "out"
-    spherical = "{sigma_range: 8.0e-6, sigma_range_per_m: 4.0e-7, sigma_angle: 3.0e-6,"
-    text = cell_path.read_text().replace(spherical, "{sigma: 1.5e-5,")
-    cell.write_text(text + "measurements: {points: displacement}\n")
+    cell, out = of_displacements(cell_path, tmp_path), tmp_path / "out"
     assert (
         run("simulate", "--cell", cell, "--plan", planned / "plan.yaml", "--seed", 2, "--out", out, "--no-report") == 0
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from program import CELL, names, result_of, run
+from program import CELL, WRENCH, names, result_of, rewritten, run, scaled
 
 import calibration_core as cal
 from calibration_core.files.yaml_file import read_yaml, yaml_text
@@ -196,15 +196,12 @@ def test_a_fault_of_a_simulation_stands_beside_its_recording(
 def test_a_recording_that_is_mixed_up_is_named(
     command: str, simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    head, *rows = (later / "measurements.csv").read_text().splitlines()
-    force = [head.split(",").index(name) for name in ("fx", "fy", "fz", "tx", "ty", "tz")]
-    turned = [[str(-float(v)) if k in force else v for k, v in enumerate(row.split(","))] for row in rows]
-    other, out = tmp_path / "turned.csv", tmp_path / "out"
-    other.write_text("\n".join([head, *map(",".join, turned)]) + "\n")
+    out = tmp_path / "out"
+    other = rewritten(later / "measurements.csv", tmp_path / "turned.csv", lambda row: scaled(row, WRENCH, -1.0))
     arguments = (simulated / "measurements.csv", other, "--cell", CELL, "--no-report", "--out", out)
     assert run(command, *arguments) == 0
     result = result_of(out)
-    assert result["usable"] == "no"
+    assert (result["usable"], result["recording"]["file"], result["stiffness"]) == ("no", str(other), [])
     (anomaly,) = result["anomalies"]
     assert anomaly["location"] == {"sensor": "sensor", "recording": str(other)}
     assert f"not usable: in {other}, turn the sign of all forces" in capsys.readouterr().out
@@ -241,24 +238,3 @@ def test_as_many_cell_files_as_recordings_or_one(
     assert text in error
     assert "\n" not in error
     assert not (tmp_path / "out").exists()
-
-
-def test_a_blocked_recording_is_named(
-    simulated: Path, later: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows = (later / "measurements.csv").read_text().splitlines()
-    columns = rows[0].split(",")
-    turned = [rows[0]]
-    for row in rows[1:]:
-        cells = row.split(",")
-        for name in ("fx", "fy", "fz", "tx", "ty", "tz"):
-            cells[columns.index(name)] = str(-float(cells[columns.index(name)]))
-        turned.append(",".join(cells))
-    wrong = tmp_path / "turned.csv"
-    wrong.write_text("\n".join(turned) + "\n")
-    arguments = ("--cell", CELL, "--no-report", "--out", tmp_path / "out")
-    assert run("identify", simulated / "measurements.csv", wrong, *arguments) == 0
-    result = result_of(tmp_path / "out")
-    assert result["usable"] == "no"
-    assert result["recording"]["file"] == str(wrong)
-    assert result["stiffness"] == []
