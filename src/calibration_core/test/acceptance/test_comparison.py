@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from acceptance_cases import identified, measured, shares_of_one, small, softened
+from acceptance_cases import identified, measured, shares_of_one, small
 
 from calibration_core.acceptance.comparison import Measurement, QuantityChange, changes, compare, trends
 from calibration_core.acceptance.joint_laws import joint_laws, reference_torques
@@ -51,19 +51,6 @@ def test_a_change_is_found_and_noise_is_none() -> None:
         hits += compare([first, drawn(changed)], LAW)[0][joint].verdict == "changed"
     assert hits >= 900
     assert alarms <= 10
-
-
-@pytest.mark.parametrize("joint", [1, 4])
-def test_a_softer_joint_of_simulated_recordings(joint: int) -> None:
-    found, _ = identified()
-    share = max(6.5 * shares_of_one(found)[joint], 0.05)
-    later = identify(measured(softened(nominal_parameters(small()), joint, share), 61), small())
-    rows = compare([measurement(compliances(one.estimate)) for one in (found, later)], LAW)[0]
-    assert [one.location for one in rows if one.verdict == "changed"] == [f"joint_{joint + 1}"]
-    one = rows[joint]
-    assert one.change == pytest.approx(-share, abs=4 * share / 4.5)
-    assert one.low < one.change < one.high
-    assert one.unit == "N*m/rad"
 
 
 def test_the_compliances_of_a_rigid_joint_are_compared() -> None:

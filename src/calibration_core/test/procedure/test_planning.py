@@ -168,8 +168,6 @@ def test_operating_space(demo_cell: Cell) -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"configurations": 11}, r"^plan: --configurations: found 11, expected 12 to 200"),
-        ({"spares": -0.1}, r"^plan: --spares: found -0\.1, expected a share from 0 to 5"),
         ({"rules": PlanningRules(space=SpaceRules(dexterity=0.9), batches=2)}, "away from singularities"),
         ({"rules": PlanningRules(space=SpaceRules(tracker_range=(40.0, 60.0)), batches=2)}, "in the tracker's sight"),
     ],

@@ -7,7 +7,6 @@ arrival and standstill, ...) and fails as soon as one is broken.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -373,21 +372,6 @@ def test_startup_cycle_is_repeated_periodically(started: Started) -> None:
     first = next(i for i, record in enumerate(world.records) if record.kind is Kind.CONFIGURATION_STARTED)
     assert len([i for i in warm if i < first]) == 4
     assert len([i for i in warm if i > first]) >= 2
-
-
-def test_estimate_of_the_time_left(started: Started) -> None:
-    world = started()
-    assert math.isnan(world.sequence.seconds_left)
-    world.act("gain")
-    seen = []
-    while world.finish is None:
-        world.act("answer" if world.asked else "tick")
-        seen.append(world.sequence.seconds_left)
-    known = [x for x in seen if not math.isnan(x)]
-    total = world.now
-    halfway = known[len(known) // 2]
-    assert halfway == pytest.approx(total / 2, rel=0.5)
-    assert known[-1] == 0.0
 
 
 def test_stop_with_the_load_on_says_so(started: Started) -> None:

@@ -10,7 +10,7 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.chain import Chain
-from calibration_core.model.effects import candidates, catalogue
+from calibration_core.model.effects import candidates
 from calibration_core.model.effects.absolute.approach_direction import last_motion
 from calibration_core.model.effects.absolute.geometry_error import frame_error
 from calibration_core.model.effects.absolute.joint_elasticity import turned
@@ -152,11 +152,6 @@ def test_joint_elasticity_against_the_equilibrium(chain: Chain, q: np.ndarray, j
     assert np.allclose(columns, sag, atol=1e-4 * np.abs(sag).max())
 
 
-def test_gravity_does_not_load_the_first_joint(chain: Chain, q: np.ndarray) -> None:
-    loaded = [c.location["joint"] for c in candidates(make_state(chain, q)) if c.effect == "joint_elasticity"]
-    assert loaded == [f"joint_{k}" for k in range(2, 7)]
-
-
 def test_turned_gravity_is_perpendicular_and_of_the_same_size() -> None:
     gravity = np.array([1.0, -2.0, -9.5])
     for other in turned(gravity):
@@ -233,12 +228,6 @@ def test_what_a_recording_cannot_carry_is_refused(chain: Chain, q: np.ndarray) -
     blind = dataclasses.replace(state, temperature=np.full(M, np.nan))
     with pytest.raises(ValueError, match="thermal_growth"):
         restored(growth, blind)
-
-
-def test_every_absolute_effect_of_the_contract_has_a_file() -> None:
-    wanted = {"joint_zero_offset", "geometry_error", "transmission_error", "wrist_coupling", "joint_elasticity",
-              "thermal_growth", "approach_direction"}  # fmt: skip
-    assert wanted <= {effect.name for effect in catalogue() if effect.family == "absolute"}
 
 
 def test_a_compensator_pulls_as_the_slope_of_its_spring_energy() -> None:

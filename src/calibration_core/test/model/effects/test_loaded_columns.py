@@ -106,17 +106,6 @@ def spring(chain: Chain, q: Float1D, wrench: Float1D, turned: Callable[[float], 
 STIFF = np.full(N, 1e-16)  # so that the deformed and the nominal posture are the same
 
 
-@pytest.mark.parametrize("joint", range(N))
-def test_off_axis_springs_turn_the_frame_before_the_joint(chain: Chain, readings: tuple, joint: int) -> None:
-    q, wrench = readings
-    columns = chosen(state(chain, q, wrench, STIFF), "off_axis_compliance", "before", joint=f"joint_{joint + 1}")
-    seen = columns.columns(state(chain, q, wrench, STIFF))
-    for k, turn in enumerate((lambda a: rotation_rpy(a, 0, 0), lambda a: rotation_rpy(0, a, 0))):
-        for row in (1, 10, 26):
-            expected = spring(chain, q[row], wrench[row], lambda a, t=turn: hinged(chain, joint, t(a)), TIP)
-            np.testing.assert_allclose(seen[row, :, k], expected, rtol=1e-5, atol=1e-4)
-
-
 def test_principal_directions_that_are_turned_are_a_sum_of_the_three_columns(chain: Chain, readings: tuple) -> None:
     q, wrench = readings
     here = state(chain, q, wrench, STIFF)
@@ -152,21 +141,6 @@ def test_the_base_slides_along_its_own_axes_in_the_order_of_their_names(chain: C
         np.testing.assert_allclose(columns[f"translation_{axis}"], expected, atol=1e-6)
 
 
-def test_tool_springs_turn_the_flange(chain: Chain, readings: tuple) -> None:
-    q, wrench = readings
-    here = state(chain, q, wrench, STIFF)
-    columns = chosen(here, "tool_compliance", "six springs").columns(here)
-    for k, turn in enumerate((lambda a: rotation_rpy(a, 0, 0), lambda a: rotation_rpy(0, a, 0), rotation_z)):
-
-        def turned(a: float, t: Callable = turn) -> Chain:
-            return dataclasses.replace(chain, flange_rotation=chain.flange_rotation @ t(a))
-
-        expected = spring(chain, q[6], wrench[6], turned, TIP)
-        np.testing.assert_allclose(columns[6, :, k], expected, rtol=1e-5, atol=1e-4)
-    slides = columns[6, :, 3:].sum(axis=1)  # the same spring in all directions: along the force
-    np.testing.assert_allclose(slides, here.force[:, 6], rtol=1e-9)
-
-
 def test_a_tool_on_an_oblique_hinge_is_a_sum_of_six_columns(chain: Chain, readings: tuple) -> None:
     q, wrench = readings
     here = state(chain, q, wrench, STIFF)
@@ -196,67 +170,6 @@ def test_a_link_bends_as_a_beam_clamped_at_its_joint(chain: Chain, readings: tup
     pulled = dataclasses.replace(here, force=force, moment=np.zeros((3, M)), where=end, point=end)
     tube = chosen(here, "link_bending", "tube", link="link_2").columns(pulled)[:, :, 0]
     np.testing.assert_allclose(tube, (force * length**3 / 3).T, rtol=1e-9, atol=1e-6)
-
-
-def numeric(chain: Chain, q: Float2D, law: Callable[[Float2D], Float2D], wrench: Float2D) -> Float2D:
-    """Return the points with joints that deflect by C tau plus a law of the torques, solved to equilibrium."""
-    extra = np.zeros((N, M))
-    for _ in range(30):
-        rest = solve_equilibrium(chain, q + extra.T, COMPLIANCE, load(wrench))
-        extra = law(rest.torque)
-    return rest.at.point(np.tile(TIP[:, None], (1, M))).T
-
-
-@pytest.mark.parametrize(
-    ("effect", "variant", "joint", "law"),
-    [
-        ("nonlinear_stiffness", "load torque", 1, lambda t, r: -COMPLIANCE[1] * t * (t / r) ** 2),
-        ("soft_zone", "load torque, below 13 %", 4, lambda t, r: COMPLIANCE[4] * np.clip(t, -0.13 * r, 0.13 * r)),
-        ("backlash", "load torque, within 2 %", 0, lambda t, r: np.clip(t / (0.02 * r), -1, 1) / 2),
-    ],
-)
-def test_joint_laws_move_the_points_as_their_equilibrium_does(
-    chain: Chain, readings: tuple, effect: str, variant: str, joint: int, law: Callable
-) -> None:
-    q, wrench = readings
-    here = state(chain, q, wrench)
-    largest = float(np.abs(here.load_torque[joint]).max())
-    size = 1e-4 if effect != "backlash" else 1e-8
-
-    def extra(torque: Float2D) -> Float2D:
-        result = np.zeros((N, M))
-        result[joint] = size * law(torque[joint], largest)
-        return result
-
-    plain = numeric(chain, q, np.zeros_like, wrench)
-    expected = (numeric(chain, q, extra, wrench) - plain) / size
-    candidate = chosen(here, effect, variant, joint=f"joint_{joint + 1}")
-    seen = candidate.columns(here)[:, :, 0]
-    np.testing.assert_allclose(seen, expected, atol=2e-3 * np.abs(expected).max())
-    assert np.abs(expected).max() > 0
-
-
-def test_coupling_and_pose_dependence_move_the_points_as_their_equilibrium_does(chain: Chain, readings: tuple) -> None:
-    q, wrench = readings
-    here = state(chain, q, wrench)
-    plain = numeric(chain, q, np.zeros_like, wrench)
-
-    def coupled(torque: Float2D) -> Float2D:
-        result = np.zeros((N, M))
-        result[3], result[4] = 1e-9 * torque[4], 1e-9 * torque[3]
-        return result
-
-    def modulated(torque: Float2D) -> Float2D:
-        result = np.zeros((N, M))
-        result[2] = 1e-3 * np.sin(q[:, 2]) * COMPLIANCE[2] * torque[2]
-        return result
-
-    coupling = chosen(here, "joint_coupling", "symmetric", joints=("joint_4", "joint_5")).columns(here)[:, :, 0]
-    expected = (numeric(chain, q, coupled, wrench) - plain) / 1e-9
-    np.testing.assert_allclose(coupling, expected, atol=2e-3 * np.abs(expected).max())
-    sine = chosen(here, "pose_dependent_stiffness", "one turn", joint="joint_3").columns(here)[:, :, 1]
-    expected = (numeric(chain, q, modulated, wrench) - plain) / 1e-3
-    np.testing.assert_allclose(sine, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_a_coupling_is_no_larger_than_a_positive_compliance_matrix_allows(chain: Chain, readings: tuple) -> None:
@@ -313,20 +226,6 @@ def test_a_wrong_lever_arm_shows_by_the_rotation_of_the_tool(chain: Chain, readi
     expected = here.since_step_zero((other.point - here.point).T) / SMALL
     seen = chosen(here, "measurement_point_offset", "one point", point="#0").columns(here)[:, :, 1]
     np.testing.assert_allclose(seen, expected, atol=1e-5 * np.abs(expected).max() + 1e-9)
-
-
-def test_memory_opens_a_loop_between_loading_and_unloading_and_creep_goes_on(chain: Chain, readings: tuple) -> None:
-    here = state(chain, *readings)
-    friction = chosen(here, "hysteresis", "virgin start", joint="joint_2").columns(here)
-    up, down = np.arange(1, M, STEPS), np.arange(3, M, STEPS)  # the same load, before and after the largest
-    np.testing.assert_allclose(here.load_torque[1][up], here.load_torque[1][down], rtol=1e-3)
-    moved = np.linalg.norm((friction[down] - friction[up]).sum(axis=2), axis=1)
-    assert np.all(moved[np.abs(here.load_torque[1][up]) > 10] > 0)
-    creeping = chosen(here, "creep", "30 s", joint="joint_2").columns(here)[:, :, 0]
-    assert np.all(creeping[::STEPS] == 0)
-    last, turned = creeping[up], creeping[down]
-    loud = np.abs(here.load_torque[1][up]) > 0.1 * np.abs(here.load_torque[1]).max()
-    assert np.all(np.linalg.norm(turned, axis=1)[loud] > np.linalg.norm(last, axis=1)[loud])
 
 
 def test_nothing_but_compliances_and_clearances_is_held_positive(chain: Chain, readings: tuple) -> None:

@@ -11,6 +11,7 @@ from calibration_core.model.effects.possible import forbidden, nearest, out_of_b
 COMPLIANCE, BETWEEN = Parameter("x", "rad/(N*m)", 1e-7, positive=True), Parameter("xy", "rad/(N*m)", 1e-7)
 HINGE = (COMPLIANCE, COMPLIANCE, BETWEEN)
 THREE_AXES = (*HINGE, COMPLIANCE, BETWEEN, BETWEEN)
+PLACES = ((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2))  # of their parameters in a matrix
 STD = 1e-7
 
 
@@ -78,43 +79,29 @@ def test_a_parameter_is_no_larger_than_physics_allows(value: float, expected: bo
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_nearest_values_are_positive_and_none_is_nearer(seed: int) -> None:
+@pytest.mark.parametrize("hinge", [HINGE, THREE_AXES], ids=["two axes", "three axes"])
+def test_the_nearest_values_are_positive_and_none_is_nearer(hinge: tuple[Parameter, ...], seed: int) -> None:
     """Projection on a convex set: seen from the nearest point, everything allowed lies away from the estimate."""
     rng = np.random.default_rng(seed)
-    several = (HINGE, (COMPLIANCE,), HINGE, (BETWEEN,))
-    root = rng.standard_normal((8, 10)) * STD
-    covariance, mean = root @ root.T, rng.standard_normal(8) * 3e-7
-    found = nearest(several, mean, covariance)
-    hinges = [np.array([[v[0], v[2]], [v[2], v[1]]]) for v in (found.value[:3], found.value[4:7])]
+    k, places = len(hinge), PLACES[: len(hinge)]
+    root = rng.standard_normal((2 * k + 2, 2 * k + 4)) * STD
+    covariance, mean = root @ root.T, rng.standard_normal(2 * k + 2) * 3e-7
+    found = nearest((hinge, (COMPLIANCE,), hinge, (BETWEEN,)), mean, covariance)
+    axes = 1 + max(map(max, places))
+    for part in (found.value[:k], found.value[k + 1 : -1]):
+        matrix = np.zeros((axes, axes))
+        for (i, j), value in zip(places, part, strict=True):
+            matrix[i, j] = matrix[j, i] = value
+        assert np.linalg.eigvalsh(matrix)[0] >= -1e-12 * np.abs(matrix).max()
     assert found.nats > 0
-    assert found.value[3] >= 0
-    assert all(np.linalg.eigvalsh(one)[0] >= -1e-12 * np.abs(one).max() for one in hinges)
+    assert found.value[k] >= 0
     assert np.abs(found.held @ found.value).max() < 1e-6 * np.abs(found.value).max()
     away = np.linalg.solve(covariance, mean - found.value)
-    sides = rng.standard_normal((500, 2, 2, 2))
+    sides = rng.standard_normal((500, 2, axes, axes))
     matrices = sides @ sides.transpose(0, 1, 3, 2)
-    values = np.stack([matrices[:, :, 0, 0], matrices[:, :, 1, 1], matrices[:, :, 0, 1]], axis=2)
+    values = np.stack([matrices[:, :, i, j] for i, j in places], axis=2)
     others = np.abs(rng.standard_normal(500)), rng.standard_normal(500)
     allowed = np.column_stack([values[:, 0], others[0], values[:, 1], others[1]]) * 3e-7
-    assert ((allowed - found.value) @ away).max() < 1e-4 * (1 + found.nats)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_hinge_about_three_axes_is_positive_and_none_is_nearer(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    root = rng.standard_normal((7, 9)) * STD
-    covariance, mean = root @ root.T, rng.standard_normal(7) * 3e-7
-    found = nearest((THREE_AXES, (BETWEEN,)), mean, covariance)
-    xx, yy, xy, zz, xz, yz, _ = found.value
-    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    assert found.nats > 0
-    assert np.linalg.eigvalsh(matrix)[0] >= -1e-12 * np.abs(matrix).max()
-    assert np.abs(found.held @ found.value).max() < 1e-6 * np.abs(found.value).max()
-    away = np.linalg.solve(covariance, mean - found.value)
-    sides = rng.standard_normal((500, 3, 3))
-    m = sides @ sides.transpose(0, 2, 1)
-    places = ((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2))
-    allowed = np.column_stack([*(m[:, i, j] for i, j in places), rng.standard_normal(500)]) * 3e-7
     assert ((allowed - found.value) @ away).max() < 1e-4 * (1 + found.nats)
 
 
