@@ -22,5 +22,11 @@ def recording(cell: cal.Cell) -> cal.Recording:
 
 
 @pytest.fixture(scope="session")
+def plan(cell: cal.Cell) -> cal.PlanResult:
+    """Return configurations that several tests simulate."""
+    return cal.plan(cell, configurations=12, spares=0.0, seed=3, load_levels=(0.0, 0.5, 1.0, 0.0))
+
+
+@pytest.fixture(scope="session")
 def identified(recording: cal.Recording) -> cal.IdentificationResult:
     return cal.identify(recording)

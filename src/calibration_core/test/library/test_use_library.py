@@ -31,9 +31,9 @@ def folder(identified: cal.IdentificationResult, tmp_path_factory: pytest.TempPa
 
 
 @pytest.fixture(scope="module")
-def other(cell: cal.Cell, identified: cal.IdentificationResult) -> cal.Recording:
+def other(cell: cal.Cell, plan: cal.PlanResult, identified: cal.IdentificationResult) -> cal.Recording:
     """Another measurement of the identified robot."""
-    return cal.simulate(cell, model=identified, seed=5).recording
+    return cal.simulate(cell, plan=plan, model=identified, seed=5).recording
 
 
 def same(result: Any, folder: Path, *command: object) -> None:
@@ -92,16 +92,21 @@ def test_deflect(cell: cal.Cell, folder: Path, identified: cal.IdentificationRes
 
 
 def test_verify(
-    cell: cal.Cell, folder: Path, identified: cal.IdentificationResult, other: cal.Recording, tmp_path: Path
+    cell: cal.Cell,
+    folder: Path,
+    plan: cal.PlanResult,
+    written: Path,
+    identified: cal.IdentificationResult,
+    other: cal.Recording,
+    tmp_path: Path,
 ) -> None:
-    cal.simulate(cell, model=identified, seed=5).save(tmp_path, report=False)
-    table, model = tmp_path / "measurements.csv", folder / "model.yaml"
+    table, model = written, folder / "model.yaml"
     found = cal.verify(cal.load_recording(table, cell), model, 5e-3)
     same(found, tmp_path, "verify", table, "--model", model, "--tolerance", 5e-3)
     assert found.decision == "conforming"
     assert found.error.shape == found.uncertainty.shape == (len(other),)
     assert cal.verify(other, identified, 1e-6).decision == "undecided"
-    as_stated = cal.simulate(cell, seed=5).recording  # of a robot as stiff as the cell file says
+    as_stated = cal.simulate(cell, plan=plan, seed=5).recording  # of a robot as stiff as the cell file says
     assert cal.verify(as_stated, identified, 1e-6).decision == "not_conforming"
     assert found.plot()._repr_svg_().startswith("<?xml")
     with pytest.raises(cal.InputError, match="places that were not used for the model"):
@@ -118,16 +123,18 @@ def models(request: pytest.FixtureRequest, cell: cal.Cell, other: cal.Recording)
 
 
 @pytest.fixture(scope="module")
-def written(cell: cal.Cell, identified: cal.IdentificationResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(
+    cell: cal.Cell, plan: cal.PlanResult, identified: cal.IdentificationResult, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     """The readings of `other` as a table."""
     folder = tmp_path_factory.mktemp("written")
-    cal.simulate(cell, model=identified, seed=5).save(folder, report=False)
+    cal.simulate(cell, plan=plan, model=identified, seed=5).save(folder, report=False)
     return folder / "measurements.csv"
 
 
 @pytest.fixture(scope="module")
-def further(cell: cal.Cell, identified: cal.IdentificationResult) -> cal.Recording:
-    return cal.simulate(cell, model=identified, seed=6).recording
+def further(cell: cal.Cell, plan: cal.PlanResult, identified: cal.IdentificationResult) -> cal.Recording:
+    return cal.simulate(cell, plan=plan, model=identified, seed=6).recording
 
 
 @pytest.mark.parametrize("form", ["the same value", "table", "arrays"])

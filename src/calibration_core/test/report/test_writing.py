@@ -16,7 +16,6 @@ import typst
 from browser import dumped
 
 from calibration_core.cell import Cell
-from calibration_core.errors import OutputError
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.report import content
 from calibration_core.report.document import Document, Facts, Items, Paragraph, Table
@@ -25,8 +24,6 @@ from calibration_core.report.view3d.space import space_view
 from calibration_core.report.writing import identification_files as writing
 from calibration_core.report.writing import rendering
 from calibration_core.report.writing.html import render_html
-from calibration_core.report.writing.identification_files import identification_files
-from calibration_core.report.writing.output import write_files
 from calibration_core.report.writing.pdf import _data, render_pdf
 
 DAY = dt.date(2026, 3, 5)
@@ -82,12 +79,6 @@ def pages(
                 words.append(block.caption)
         out[name] = Page(render_html(document, space_view(answer.space, of))), words
     return out
-
-
-@pytest.fixture
-def drawn(documents: dict[str, Document], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Take the report of `loaded` as it was drawn before."""
-    monkeypatch.setattr(content, "build", lambda *_: documents["loaded"])
 
 
 @pytest.mark.parametrize("name", ["loaded", "hostile"])
@@ -147,44 +138,6 @@ def test_the_same_answer_gives_the_same_bytes(
     assert again == documents["loaded"]
     view = space_view(loaded.space, cell)
     assert rendering.rendered(again, view) == rendering.rendered(documents["loaded"], view)
-
-
-@pytest.mark.usefixtures("drawn")
-def test_everything_is_written_as_one_set(loaded: Identification, cell: Cell, tmp_path: Path) -> None:
-    write_files(tmp_path / "out", identification_files(loaded, cell, {"model.yaml": b"a: 1\n"}, DAY))
-    assert {item.name for item in (tmp_path / "out").iterdir()} == {
-        "result.json", "report.html", "report.pdf", "table1.csv", "table2.csv", "residuals.csv", "model.yaml",
-    }  # fmt: skip
-    assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF-")
-
-
-def test_a_result_can_do_without_a_report(loaded: Identification, cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(writing, "report_files", lambda *_: pytest.fail("a report is made"))
-    assert set(identification_files(loaded, cell, report=False)) == {
-        "result.json", "table1.csv", "table2.csv", "residuals.csv",
-    }  # fmt: skip
-
-
-@pytest.mark.usefixtures("drawn")
-def test_nothing_is_written_if_one_part_fails(
-    loaded: Identification, cell: Cell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(_: object) -> bytes:
-        raise RuntimeError("no typesetter")
-
-    monkeypatch.setattr(rendering, "render_pdf", broken)
-    with pytest.raises(RuntimeError, match="no typesetter"):
-        write_files(tmp_path / "out", identification_files(loaded, cell, {}, DAY))
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.usefixtures("drawn")
-def test_a_place_that_cannot_be_written_is_an_error_of_the_user(
-    loaded: Identification, cell: Cell, tmp_path: Path
-) -> None:
-    (tmp_path / "out").write_bytes(b"")
-    with pytest.raises(OutputError):
-        write_files(tmp_path / "out", identification_files(loaded, cell, {}, DAY))
 
 
 def test_large_recordings_give_reports_of_moderate_size(large: Case, large_document: Document) -> None:
