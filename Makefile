@@ -16,8 +16,8 @@ BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 DEMO := build/demo
 RECORD := build/record
+RESULTS := build/test
 STILL := test src/calibration_sim/test src/calibration_core/test
-CONCEALED := test/test_concealed.py
 INPUTS := test/test_fuzz.py test/test_absurd_inputs.py test/test_bias.py
 FLEET := test/test_fleet_proof.py test/test_fleet_speed.py
 USE := test/test_use.py test/test_real_use.py test/test_ageing.py
@@ -64,18 +64,19 @@ lint: packages
 
 # A test that runs a whole cell runs alone; the others share the cores, one process more than there are, for some wait
 # more than they compute.  One process takes a whole file, so that what its tests have in common is made once.  Files are
-# taken in the order given here (by itself xdist takes those of the fewest tests, which are the longest, last).  The
-# concealed effects are diagnosed by two processes of their own.
+# taken in the order given here (by itself xdist takes those of the fewest tests, which are the longest, last), the longest
+# among the first, so that no core waits for the last.  The last line says what was skipped, and why.
 # Drawn inputs are the same in every run (one tree, one answer); `make prove` draws them anew.
 # Lint and types need the packages alone: they are checked while the messages are built.
-test: PYTEST += --hypothesis-seed=0
+test: PYTEST += --hypothesis-seed=0 --junit-xml
 test: packages
 	@$(MAKE) --no-print-directory -j3 lint setup setup-fleet
-	@$(PYTEST) -n $(SHARING) $(BY_FILE) -m "not slow" $(STILL) --ignore=test/ros --ignore=$(CONCEALED)
-	@$(PYTEST) $(CONCEALED)
-	@$(PYTEST) -n $(SHARING) $(BY_FILE) -m "not slow and not alone" $(NODES)
-	@$(PYTEST) -m "alone and not slow" $(ALONE)
-	@$(PYTEST) -m "not slow" $(WHOLE)
+	@rm -rf $(RESULTS)
+	@$(PYTEST) $(RESULTS)/core.xml -n $(SHARING) $(BY_FILE) -m "not slow" $(STILL) --ignore=test/ros
+	@$(PYTEST) $(RESULTS)/nodes.xml -n $(SHARING) $(BY_FILE) -m "not slow and not alone" $(NODES)
+	@$(PYTEST) $(RESULTS)/alone.xml -m "alone and not slow" $(ALONE)
+	@$(PYTEST) $(RESULTS)/whole.xml -m "not slow" $(WHOLE)
+	@.ci/not_looked_at $(RESULTS)/*.xml
 
 prove: setup setup-fleet
 	@$(PYTEST) -n $(JOBS) -m "hypothesis and not slow" $(STILL) $(NODES)

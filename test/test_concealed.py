@@ -22,7 +22,7 @@ Table = Mapping[str, Mapping[str, Any]]
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> Table:
     out = tmp_path_factory.mktemp("concealed")
-    code = main(["--seed", str(SEED), "--count", str(COUNT), "--out", str(out), "--jobs", "2", "--batch"])
+    code = main(["--seed", str(SEED), "--count", str(COUNT), "--out", str(out), "--jobs", "1", "--batch"])
     assert code == 0
     rows = json.loads((out / "table.json").read_text())["measures"]
     return {row["text"]: row for row in rows}
