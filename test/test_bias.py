@@ -27,7 +27,7 @@ from calibration_core.timeseries import Readings
 from calibration_sim.scenarios.generate import generate
 from calibration_sim.scenarios.grid import Scenario, grid, second_grid
 
-FEW = ("off_axis_compliance", "hysteresis")
+FEW = ("off_axis_compliance",)
 SEED, MANY = 20262, int(os.environ.get("PROVE_COVERAGE", "200"))
 
 

@@ -41,13 +41,3 @@ def test_named_paths_are_there(document: Path) -> None:
     named = [name for name in QUOTED.findall(document.read_text("utf-8")) if not ELSEWHERE.fullmatch(name)]
     assert [name for name in named if not stands(name, there)] == []
     assert named or document.stem not in {"architecture", "clauses", "extending"}
-
-
-def test_what_is_not_there_is_seen() -> None:
-    there = {"src/a/model/chain.py", "src/a/model/chain", "src/a/model"}
-    assert stands("model/chain", there)
-    assert stands("model/chain.py", there)
-    assert stands("model", there)
-    assert not stands("odel/chain", there)
-    assert not stands("model/gone.py", there)
-    assert QUOTED.findall("`model/chain`, `x.y`, `chain.py`, `a b/c`") == ["model/chain", "chain.py"]

@@ -45,10 +45,11 @@ def identified(recorded: Path) -> dict[str, Path]:
     outputs = {}
     for source in ("bag", "table.csv"):
         out = recorded / "identified" / source
-        done = run("calibration", "identify", recorded / source, "--cell", CELL, "--out", out)
+        report = () if source == "bag" else ("--no-report",)
+        done = run("calibration", "identify", recorded / source, "--cell", CELL, "--out", out, *report)
         assert done.returncode == 0, done.stderr
         assert all(line.endswith("% done)") for line in done.stderr.splitlines())  # progress, where it takes long
-        assert str(out / "report.html") in done.stdout
+        assert (str(out / "report.html") in done.stdout) == (source == "bag")
         outputs[source] = out
     return outputs
 
@@ -68,9 +69,9 @@ def test_the_hidden_stiffness_is_found(recorded: Path, identified: dict[str, Pat
         # frames are refitted; sensor mounting and geometry stay wrong, so allow for more than the noise alone
         assert abs(joint["value"] - truth[joint["joint"]]) < 5 * joint["std"] + 0.01 * truth[joint["joint"]]
     assert result["fit"]["rms_after"] < 2.5e-5 < result["fit"]["rms_before"]
-    for name in ("report.html", "report.pdf", "table1.csv", "table2.csv", "model.yaml"):
+    for name in ("table1.csv", "table2.csv", "model.yaml"):
         assert (out / name).stat().st_size > 0
-    assert (out / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert source != "bag" or (out / "report.pdf").read_bytes().startswith(b"%PDF")
     with (out / "table2.csv").open() as file:
         assert len(list(csv.reader(file))) == 7
 
@@ -92,7 +93,7 @@ def test_the_identified_model_predicts_another_recording(
     assert done.returncode == 0, done.stderr
     done = run(
         "calibration", "predict", tmp_path / "bag", "--cell", CELL, "--model", identified["table.csv"] / "model.yaml",
-        "--out", tmp_path / "b",
+        "--out", tmp_path / "b", "--no-report",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     with (tmp_path / "b/predictions.csv").open() as file:
@@ -121,7 +122,7 @@ def test_a_bag_that_lost_its_end_is_read_as_far_as_it_goes(recorded: Path, tmp_p
     shutil.copytree(recorded / "bag", bag)
     (data,) = bag.glob("*.mcap")
     data.write_bytes(data.read_bytes()[: int(0.7 * data.stat().st_size)])
-    done = run("calibration", "identify", data, "--cell", CELL, "--out", tmp_path / "out")
+    done = run("calibration", "identify", data, "--cell", CELL, "--out", tmp_path / "out", "--no-report")
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "out/result.json").read_text())
     assert 6 <= result["recording"]["configurations"] < 12

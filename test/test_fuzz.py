@@ -1,7 +1,7 @@
 """A seeded fuzzer over every file that is read and every command that reads it.
 
 Each case changes one good input and runs one command.  Whatever comes out: exit code 0 or 2, one line on stderr or
-none, a whole result or the earlier one, in 10 s and 1 GB.  `make test` runs 150 cases, `make prove-input` 5,000.
+none, a whole result or the earlier one, in 10 s and 1 GB.  `make test` runs 75 cases, `make prove-input` 5,000.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fuzz_cases import OFTEN, READS, Case, call, good_files, make_case
 
 from calibration_core.commands import NAMES, WITHOUT_RESULT
 
-CASES = 150
+CASES = 75
 MANY = int(os.environ.get("PROVE_INPUT_CASES", "5000"))
 SEED, BATCH = 20261, 100
 SECONDS, MEGABYTES = 10.0, 1000

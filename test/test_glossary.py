@@ -82,13 +82,3 @@ def test_a_type_names_one_thing() -> None:
                 homes[node.name].append(path.relative_to(core).as_posix())
     assert len(homes) > 300
     assert {name: places for name, places in homes.items() if len(places) > 1} == {}
-
-
-def test_the_words_of_an_identifier() -> None:
-    assert words("StopLadder") == {"stop", "ladder"}
-    assert words("_arc_told") == {"arc", "told"}
-    assert words("HTTPServer") == {"http", "server"}
-    assert "retold" not in INSTEAD
-    assert words("retold") & set(INSTEAD) == set()
-    assert identifiers("told = 'ladder'  # rung") == {"told"}
-    assert identifiers('f"{rung.told:{climb}}"') == {"rung", "told", "climb"}

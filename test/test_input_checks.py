@@ -383,6 +383,7 @@ def test_a_robot_softer_or_stiffer_than_stated_is_no_matter_of_units(size: float
     assert unit_anomaly(8 * size, 1.0, stated=False) == []
 
 
+@pytest.mark.slow
 def test_the_light_is_the_same_where_few_loaded_configurations_stand_beside_many_others(tmp_path: Path) -> None:
     noise = Noise(1.0, False, 0.0, spherical_claim=False)
     played = generate(Scenario(0, "nothing", "light", "L2A40", 780, (), 0.0, noise))

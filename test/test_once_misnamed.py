@@ -54,11 +54,19 @@ def answered(number: int, folder: Path, seed: int = SEED) -> Answered:
             id="a spring, most of whose forms are impossible",
             marks=pytest.mark.slow,
         ),
-        pytest.param(140, "hysteresis", {"joint": "joint_6"}, id="a joint that lags on its way to a posture, too"),
+        pytest.param(
+            140,
+            "hysteresis",
+            {"joint": "joint_6"},
+            id="a joint that lags on its way to a posture, too",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             153, "backlash", {"joint": "joint_5"}, id="one joint, and no other a little", marks=pytest.mark.slow
         ),
-        pytest.param(130, "link_bending", {"link": "link_4"}, id="a link whose motors rest on its joint"),
+        pytest.param(
+            130, "link_bending", {"link": "link_4"}, id="a link whose motors rest on its joint", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_the_cause_is_named_alone(number: int, effect: str, place: dict[str, str], tmp_path: Path) -> None:
@@ -155,6 +163,7 @@ def test_friction_of_another_law_is_one_cause_with_an_open_law(tmp_path: Path) -
     assert "the form of its law is not" in finding.explanation
 
 
+@pytest.mark.slow
 def test_what_friction_of_another_law_leaves_at_its_joint_is_no_cause_of_its_own(tmp_path: Path) -> None:
     """The rest of its loops looks like a stiffness that follows the load, and one that follows the angle."""
     answer = answered(354, tmp_path)
@@ -194,7 +203,7 @@ def test_noise_that_lasts_is_no_cause(number: int, tmp_path: Path) -> None:
     ("number", "joint"),
     [
         pytest.param(275, 0, id="a law that is no physics of the catalogue"),
-        pytest.param(336, 0, id="a law of another form at its joint"),
+        pytest.param(336, 0, id="a law of another form at its joint", marks=pytest.mark.slow),
     ],
 )
 def test_the_stiffness_of_a_joint_is_as_uncertain_as_its_law_is_open(number: int, joint: int, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from calibration_core.recording.tables.table import read_table
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 UR10 = ("A", "B", "C", "D")
+IN_THE_GATE = [pytest.param(one, marks=[] if one == "A" else [pytest.mark.slow]) for one in UR10]
 GEOMETRY = {"A": 0.44e-3, "B": 0.44e-3, "C": 0.48e-3, "D": 0.40e-3}  # m, 3-d rms that geometry alone leaves, at least
 LEFT = {"A": 0.12e-3, "B": 0.18e-3, "C": 0.12e-3, "D": 0.15e-3}  # m, the same with what was found, at most
 HALF = 0.16e-3  # m, the same of half of series A
@@ -69,6 +70,7 @@ def test_ur5_all_gears_err_and_it_holds_on_unseen_poses() -> None:
     assert not found.anomalies
 
 
+@pytest.mark.slow
 def test_wam_is_left_where_it_came_from_and_not_elastic() -> None:
     found = _diagnose("wam", "wam_grid", "wam_random")
     assert found.findings[0].effect == "approach_direction"
@@ -78,7 +80,7 @@ def test_wam_is_left_where_it_came_from_and_not_elastic() -> None:
     assert all(after < 0.8 * before for before, after in found.blocks.values())
 
 
-@pytest.mark.parametrize("series", UR10)
+@pytest.mark.parametrize("series", IN_THE_GATE)
 def test_ur10_all_gears_err(series: str) -> None:
     found = _ur10(series)
     gears = _gears(found)
@@ -89,12 +91,14 @@ def test_ur10_all_gears_err(series: str) -> None:
     assert all(before > GEOMETRY[series] and after < LEFT[series] for before, after in found.blocks.values())
 
 
+@pytest.mark.slow
 def test_ur10_what_is_named_first_on_a_holds_on_the_others() -> None:
     first = {(_ur10(series).findings[0].effect, str(_ur10(series).findings[0].location)) for series in UR10}
     assert len(first) == 1
 
 
-@pytest.mark.parametrize("half", [pytest.param(0, marks=pytest.mark.slow), 1])
+@pytest.mark.slow
+@pytest.mark.parametrize("half", [0, 1])
 def test_ur10_half_of_a_recording_names_all_gears(half: int) -> None:
     """Every other one of ten blocks in time: gears save less of the postures left out, and are named all the same."""
     cell = load_cell(REAL / "ur10_A.cell.yaml")
@@ -106,6 +110,7 @@ def test_ur10_half_of_a_recording_names_all_gears(half: int) -> None:
     assert all(after < HALF for _, after in found.blocks.values())
 
 
+@pytest.mark.slow
 def test_ur10_what_is_found_on_one_predicts_another() -> None:
     """On another day, tracker pose and target fitted to it; of the robot, nothing is."""
     test = _ur10("B").test
@@ -115,7 +120,7 @@ def test_ur10_what_is_found_on_one_predicts_another() -> None:
     assert at_rest.mean < 0.6 * at_rest.mean_before
 
 
-@pytest.mark.parametrize("series", UR10)
+@pytest.mark.parametrize("series", IN_THE_GATE)
 def test_ur10_what_sags_is_its_second_link_and_no_joint(series: str) -> None:
     """No stiffness of a joint is claimed where the bending of a tube explains more."""
     found = _ur10(series)
@@ -127,6 +132,7 @@ def test_ur10_what_sags_is_its_second_link_and_no_joint(series: str) -> None:
     assert found.verdict == ("missing_physics" if series in SAGS else "partly_explained")
 
 
+@pytest.mark.slow
 def test_ma1400_the_part_that_stands_apart_is_an_anomaly_and_no_physics() -> None:
     found = _diagnose("motoman", "motoman")
     moved = next(a for a in found.anomalies if a.kind in {"target_moved", "tracker_moved"})

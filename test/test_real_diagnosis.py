@@ -69,7 +69,11 @@ def test_joints_that_are_coupled_give_way_together_as_springs_do(fanuc: Diagnosi
 
 
 @pytest.mark.parametrize(
-    ("recording", "cell", "least"), [("fanuc", "fanuc", 1), ("ur5_grid", "ur5", 3), ("wam_grid", "wam", 3)]
+    ("recording", "cell", "least"),
+    [
+        ("fanuc", "fanuc", 1),
+        *(pytest.param(f"{name}_grid", name, 3, marks=pytest.mark.slow) for name in ("ur5", "wam")),
+    ],
 )
 def test_what_is_confounded_is_within_five_nats_nearest_first(recording: str, cell: str, least: int) -> None:
     """What is far more probable than a finding was refused for what it predicts: it is no alternative either."""

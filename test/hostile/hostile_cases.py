@@ -73,29 +73,15 @@ def sparse(name: str, size: int, head: bytes = b"") -> Case:
     return make
 
 
-# Cell files
+# Cell files; what a single value may not be: src/calibration_core/test/test_cell.py
 GOOD = table(f"{HEADER}\n{ROW}\n")
 for name, old, new in [
-    ("a key twice", "rated_load: 10", "rated_load: 10\n  rated_load: 20"),
-    ("an unknown key", "rated_load: 10", "rated_load: 10\n  colour: orange"),
     ("a missing key", "  rated_load: 10\n", ""),
-    ("a number that is not finite", "rated_load: 10", "rated_load: .inf"),
-    ("not a number", "rated_load: 10", "rated_load: .nan"),
-    ("text for a number", "rated_load: 10", "rated_load: heavy"),
-    ("truth for a number", "rated_load: 10", "rated_load: true"),
     ("no load at all", "rated_load: 10", "rated_load: 0"),
-    ("two joints", "[j1, j2, j3]", "[j1, j2]"),
-    ("a joint twice", "[j1, j2, j3]", "[j1, j2, j2]"),
-    ("more limits than joints", "[-3, 3], [-3, 3]]", "[-3, 3], [-3, 3], [-3, 3]]"),
-    ("limits the wrong way round", "[[-3, 3]", "[[3, -3]"),
-    ("a URDF beside DH rows", "  joints:", "  urdf: robot.urdf\n  joints:"),
-    ("vector of two", "wrench_point: [0, 0, 0.1]", "wrench_point: [0, 0]"),
-    ("no points", "{mp1: [0.1, 0, 0], mp2: [0, 0.1, 0]}", "{}"),
     ("negative uncertainty", "sigma: 2.0e-5", "sigma: -2.0e-5"),
     ("uncertainty of zero", "sigma: 2.0e-5", "sigma: 0"),
     ("two kinds of uncertainty", "sigma: 2.0e-5", "sigma: 2.0e-5, sigma_range: 1.0e-5, sigma_angle: 1.0e-6"),
     ("a bracket that is never closed", "[j1, j2, j3]", "[j1, j2, j3"),
-    ("a choice that does not exist", "instruments:", "measurements: {points: relative}\ninstruments:"),
     ("code in YAML", "name: a cell", "name: !!python/object/apply:os.system ['true']"),
 ]:
     assert old in CELL
@@ -124,34 +110,14 @@ case("cell: larger than any", GOOD, CELL + "#" * (2 << 20))
 case("cell: zero bytes", GOOD, "\x00" * 100)
 case("cell: missing", GOOD, "missing")
 
-# Tables
+# Tables; what a single field may not be: src/calibration_core/test/recording/test_table.py
 for name, text in [
     ("empty", ""),
-    ("a header alone", HEADER),
     ("zero bytes", "\x00" * 4096),
-    ("columns twice", f"{HEADER},x\n{ROW},1\n"),
-    ("an unknown column", f"{HEADER},colour\n{ROW},red\n"),
-    ("a missing column", f"{HEADER.replace(',z', '')}\n{ROW}\n"),
-    ("half a wrench", f"{HEADER.replace(',tz', '')}\n{ROW}\n"),
-    ("joints of another robot", f"{HEADER.replace('q3', 'q3,q4')}\n{ROW.replace('0.3', '0.3,0.4')}\n"),
-    ("semicolons", f"{HEADER}\n{ROW}\n".replace(",", ";")),
     ("decimal commas", f"{HEADER}\n{ROW.replace('0.1', '0,1')}\n"),
-    ("a short row", f"{HEADER}\n{ROW}\n1,0,0.1\n"),
     ("text for a number", f"{HEADER}\n{ROW.replace('0.2', 'zero')}\n"),
     ("nan", f"{HEADER}\n{ROW.replace('0.2', 'nan')}\n"),
-    ("infinity", f"{HEADER}\n{ROW.replace('0.5', '-inf')}\n"),
-    ("too large for a number", f"{HEADER}\n{ROW.replace('0.5', '1e400')}\n"),
-    ("half a configuration", f"{HEADER}\n{ROW.replace('1,0', '1.5,0', 1)}\n"),
-    ("a step below zero", f"{HEADER}\n{ROW.replace('1,0', '1,-1', 1)}\n"),
-    ("a point of another cell", f"{HEADER}\n{ROW.replace('mp1', 'mp9')}\n"),
     ("a reading twice", f"{HEADER}\n{ROW}\n{ROW}\n"),
-    ("steps backwards", f"{HEADER}\n{ROW.replace('1,0', '1,1', 1)}\n{ROW}\n"),
-    ("millimetres", f"{HEADER}\n{ROW.replace('1.0,0.5', '1000.0,500.0')}\n"),
-    ("degrees", f"{HEADER}\n{ROW.replace('0.1,0.2', '45.0,90.0')}\n"),
-    ("more force than any robot carries", f"{HEADER}\n{ROW.replace('0,0,0,0,0,0', '2e5,0,0,0,0,0')}\n"),
-    ("torque in millimetres", f"{HEADER}\n{ROW.replace('0,0,0,0,0,0', '0,0,0,3e5,0,0')}\n"),
-    ("kelvin", f"{HEADER},temperature\n{ROW},293.15\n"),
-    ("time backwards", f"{HEADER},time\n{ROW},5\n{ROW.replace('mp1', 'mp2')},4\n"),
     ("a quotation that never ends", f'{HEADER}\n"{ROW}\n' + f"{ROW}\n" * 5000),
     ("a line without end", f"{HEADER}\n{'1,' * 100_000}\n"),
 ]:
