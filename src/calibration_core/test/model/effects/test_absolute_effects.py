@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from states import state_at
 
 from calibration_core.cell import Cell
 from calibration_core.identification.stiffness.predict import predict_readings
@@ -17,7 +18,7 @@ from calibration_core.model.effects.absolute.joint_elasticity import turned
 from calibration_core.model.effects.absolute.transmission_error import HIGHEST, distinguishable_orders, harmonic
 from calibration_core.model.effects.applied import applied, applied_shift, restored
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.state import State
 from calibration_core.model.effects.structure.gravity_compensator import spring_torque
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.identified.model_file import model_text, read_model
@@ -61,12 +62,8 @@ def q() -> np.ndarray:
 
 def make_state(chain: Chain, q: np.ndarray, compliance: float = 0.0) -> State:
     m = len(q)
-    return state_of(
-        chain, q, np.full(6, compliance), None, np.tile(POINT[:, None], m),
-        point_index=np.zeros(m, dtype=np.int64), wrench=None,
-        configuration=np.arange(m), step=np.zeros(m, dtype=np.int64),
-        time=np.full(m, np.nan), temperature=np.linspace(18, 27, m), tracker=np.eye(4), rated_load=100.0,
-    )  # fmt: skip
+    warm = {"time": np.full(m, np.nan), "temperature": np.linspace(18, 27, m)}
+    return state_at(chain, q, compliance, point=POINT, rated_load=100.0, **warm)
 
 
 def at(chain: Chain, q: np.ndarray) -> np.ndarray:

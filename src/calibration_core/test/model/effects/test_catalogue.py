@@ -5,11 +5,12 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from states import state_at
 
 from calibration_core.model import effects
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects import catalogue
-from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.state import State
 
 VOCABULARY = {
     "structure": {"off_axis_compliance", "link_bending", "base_compliance", "tool_compliance", "joint_coupling",
@@ -28,13 +29,7 @@ TRACKER = np.array([3.0, -1.0, 1.5])
 def state(chain: Chain, m: int = 12) -> State:
     pose = np.eye(4)
     pose[:3, 3] = TRACKER
-    rng = np.random.default_rng(5)
-    return state_of(
-        chain, rng.uniform(-1, 1, (m, chain.n)), np.zeros(chain.n), None, np.tile([[0.1], [0.0], [0.2]], m),
-        point_index=np.zeros(m, dtype=np.int64), wrench=None,
-        configuration=np.arange(m), step=np.zeros(m, dtype=np.int64),
-        time=np.arange(m, dtype=float), temperature=np.full(m, 20.0), tracker=pose, rated_load=100.0,
-    )  # fmt: skip
+    return state_at(chain, np.random.default_rng(5).uniform(-1, 1, (m, chain.n)), 0.0, tracker=pose)
 
 
 def test_an_effect_stands_where_its_family_does() -> None:

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from states import COMPLIANCE, TIP, an_arm, state_at
 
-from calibration_core.model.chain import Chain, rotation_x
+from calibration_core.model.chain import Chain
 from calibration_core.model.effects import candidates, catalogue
 from calibration_core.model.effects.absolute.approach_direction import sides
 from calibration_core.model.effects.applied import acting, with_side_torques
@@ -16,39 +17,26 @@ from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.joint_law import hysteresis
 from calibration_core.model.effects.joint_law.creep import relaxed
 from calibration_core.model.effects.joint_law.hysteresis import CHANCE, stop
-from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.state import State
 from calibration_core.model.effects.structure.gravity_compensator import Triangle, carriers, spring, spring_torque
 from calibration_core.model.equilibrium import Equilibrium, solve_equilibrium
 from calibration_core.model.statics import Load
 from calibration_core.timeseries import Float1D, Float2D
 
 N = 6
-COMPLIANCE = 1 / np.array([1.4e6, 4.0e6, 9.4e5, 3.6e5, 3.7e5, 3.8e5])
-ROWS = ((0.35, -np.pi / 2, 0.75), (1.25, 0.0, 0.0), (0.041, -np.pi / 2, 0.0),
-        (0.0, np.pi / 2, 1.1), (0.0, -np.pi / 2, 0.0), (0.0, 0.0, 0.23))  # fmt: skip
-TIP = np.array([0.15, 0.05, 0.3])
 STEPS = 5  # of a loaded configuration: up and down
 LOADED, RESTING = 6, 12  # configurations: a mixed recording
 
 
-def a_chain(gravity: Float1D) -> Chain:
-    """Return a robot of the 240 kg class with masses."""
-    rotation, translation = np.empty((N, 3, 3)), np.empty((N, 3))
-    carried_r, carried_t = np.eye(3), np.zeros(3)
-    for i, (a, alpha, d) in enumerate(ROWS):
-        rotation[i], translation[i] = carried_r, carried_t
-        carried_r, carried_t = rotation_x(alpha), np.array([a, 0.0, d])
-    return Chain(
-        joints=tuple("ABCDEF"), rotation=rotation, translation=translation, offset=np.zeros(N),
-        flange_rotation=carried_r, flange_translation=carried_t, limits=np.tile([-3.0, 3.0], (N, 1)),
-        gravity=gravity, mass=np.array([400.0, 350.0, 200.0, 90.0, 40.0, 15.0]),
-        com=np.array([[0.2, 0, 0.4], [0.6, 0, 0.1], [0.05, 0.1, 0.2], [0, 0.3, 0.0], [0, 0, 0.05], [0, 0, 0.1]]),
-    )  # fmt: skip
+def a_chain(*gravity: float) -> Chain:
+    """Return a robot with masses."""
+    com = np.array([[0.2, 0, 0.4], [0.6, 0, 0.1], [0.05, 0.1, 0.2], [0, 0.3, 0.0], [0, 0, 0.05], [0, 0, 0.1]])
+    return an_arm(gravity, mass=np.array([400.0, 350.0, 200.0, 90.0, 40.0, 15.0]), com=com)
 
 
 @pytest.fixture(scope="module")
 def chain() -> Chain:
-    return a_chain(np.array([0.0, 0.0, -9.81]))
+    return a_chain(0.0, 0.0, -9.81)
 
 
 def posture_and_load() -> tuple[Float2D, Load]:
@@ -66,12 +54,11 @@ def mixed(chain: Chain) -> State:
     q, load = posture_and_load()
     m = len(q)
     configuration = np.concatenate([np.repeat(np.arange(LOADED), STEPS), LOADED + np.arange(RESTING)])
-    return state_of(
-        chain, q, COMPLIANCE, load, np.tile(TIP[:, None], (1, m)), point_index=np.zeros(m, dtype=np.int64),
-        wrench=np.concatenate([load.force, load.torque]).T, configuration=configuration,
-        step=np.concatenate([np.tile(np.arange(STEPS), LOADED), np.zeros(RESTING, dtype=np.int64)]),
-        time=np.arange(m) * 40.0, temperature=np.full(m, 20.0), tracker=np.eye(4), rated_load=240.0,
-    )  # fmt: skip
+    step = np.concatenate([np.tile(np.arange(STEPS), LOADED), np.zeros(RESTING, dtype=np.int64)])
+    wrench = np.concatenate([load.force, load.torque]).T
+    return state_at(
+        chain, q, COMPLIANCE, load, wrench=wrench, configuration=configuration, step=step, time=np.arange(m) * 40.0
+    )
 
 
 def solved(chain: Chain, law: Callable[[Equilibrium, Float2D], Float2D]) -> Float2D:
@@ -130,7 +117,7 @@ def test_a_compensator_is_one_law_at_rest_and_under_load(chain: Chain) -> None:
 def test_a_law_feels_what_a_spring_beside_its_joint_leaves_it_to_carry(chain: Chain) -> None:
     here, shape, size, share = mixed(chain), Triangle(40.0, 0.4, 0.6), -3000.0, 1e-3
     helped = with_side_torques(here, acting([spring(here, 1, shape)], [np.array([size, 0.0])]))
-    law = chosen(helped, "nonlinear_stiffness", "total torque", "B")
+    law = chosen(helped, "nonlinear_stiffness", "total torque", "joint_2")
     reference = helped.largest_torque(1, "total torque")
 
     def extra(times: float) -> Callable[[Equilibrium, Float2D], Float2D]:
@@ -150,14 +137,14 @@ def test_a_law_feels_what_a_spring_beside_its_joint_leaves_it_to_carry(chain: Ch
 
 
 def test_a_compensator_stands_at_the_joints_that_the_weight_loads() -> None:
-    down = np.array([0.0, 0.0, -9.81])
-    assert carriers(mixed(a_chain(down))) == (1,)
-    assert carriers(mixed(a_chain(np.zeros(3)))) == ()
-    without = a_chain(down)
+    down = (0.0, 0.0, -9.81)
+    assert carriers(mixed(a_chain(*down))) == (1,)
+    assert carriers(mixed(a_chain(0.0, 0.0, 0.0))) == ()
+    without = a_chain(*down)
     bare = Chain(**{f: getattr(without, f) for f in ("joints", "rotation", "translation", "offset", "flange_rotation",
                                                     "flange_translation", "limits", "gravity")})  # fmt: skip
     assert carriers(mixed(bare)) == (1,)
-    wall = mixed(a_chain(np.array([9.81, 0.0, 0.0])))  # mounted at a wall: joint A bears the arm
+    wall = mixed(a_chain(9.81, 0.0, 0.0))  # mounted at a wall: joint A bears the arm
     assert 0 in carriers(wall)
     assert {c.location["joint"] for c in candidates(wall) if c.effect == "gravity_compensator"} == {
         wall.chain.joints[j] for j in carriers(wall)
@@ -213,12 +200,12 @@ def test_friction_begins_with_what_the_weight_strained(chain: Chain) -> None:
     torque = np.array([[5.0, 7.0, 9.0, 7.0, 5.0], [-1.0, 0.0, 1.0, 0.0, -1.0]])
     np.testing.assert_allclose(stop(torque, 2.0, None), [[2, 2, 2, 0, -2], [-1, 0, 1, 0, -1]])
     here = mixed(chain)
-    columns = chosen(here, "hysteresis", "from the weight", "B").columns(here)
+    columns = chosen(here, "hysteresis", "from the weight", "joint_2").columns(here)
     scale = here.largest_torque(1)
     at_rest = np.arange(here.m - RESTING, here.m)
     law = -np.clip(here.torque[1], -0.4 * scale, 0.4 * scale) / (0.4 * scale)
     np.testing.assert_allclose(columns[at_rest, :, 3], here.joint_column(1, law)[at_rest])
-    free = chosen(here, "hysteresis", "virgin start", "B").columns(here)
+    free = chosen(here, "hysteresis", "virgin start", "joint_2").columns(here)
     assert np.all(free[at_rest] == 0)
 
 
@@ -226,7 +213,7 @@ def test_friction_leans_to_the_side_from_which_the_joint_came(chain: Chain) -> N
     """At rest it is a direction of approach; the first load that slips everything one way wipes it out."""
     here = mixed(chain)
     side = sides(here)[:, 1]
-    lean = chosen(here, "hysteresis", "from the side of arrival, below 2 %", "B").columns(here)[:, :, 1]
+    lean = chosen(here, "hysteresis", "from the side of arrival, below 2 %", "joint_2").columns(here)[:, :, 1]
     at_rest, first = np.arange(here.m - RESTING, here.m), here.step == 0
     np.testing.assert_allclose(lean[at_rest], here.joint_column(1, side)[at_rest])
     np.testing.assert_allclose(lean[first], here.joint_column(1, side)[first])
@@ -241,15 +228,17 @@ def test_friction_of_teeth_grows_with_the_torque(chain: Chain) -> None:
     scale = here.largest_torque(1)
     pressed = (np.abs(here.torque[1]) / scale)[:, None, None]
     for form in ("virgin start", "virgin start, below 6 %"):
-        plain, growing = (chosen(here, "hysteresis", form + more, "B").columns(here) for more in ("", ", growing"))
+        plain, growing = (
+            chosen(here, "hysteresis", form + more, "joint_2").columns(here) for more in ("", ", growing")
+        )
         np.testing.assert_allclose(growing, plain * pressed)
-    several = chosen(here, "hysteresis", "virgin start", "B").columns(here)
+    several = chosen(here, "hysteresis", "virgin start", "joint_2").columns(here)
     np.testing.assert_allclose(plain[:, :, 0], several[:, :, 1])
 
 
 def test_what_friction_carries_on_arrival_fades_with_the_first_load(chain: Chain) -> None:
     here = mixed(chain)
-    forms = [c for c in candidates(here) if c.effect == "hysteresis" and c.location["joint"] == "B"]
+    forms = [c for c in candidates(here) if c.effect == "hysteresis" and c.location["joint"] == "joint_2"]
     assert len({c.chances for c in forms}) == 2
     assert forms[0].chances is not None
     moved = forms[0].chances(here)
@@ -291,11 +280,7 @@ def test_what_moves_nothing_at_rest_is_not_offered_there(chain: Chain) -> None:
     here = mixed(chain)
     rows = np.arange(here.m - RESTING, here.m)
     q, _ = posture_and_load()
-    resting = state_of(
-        chain, q[rows], COMPLIANCE, None, np.tile(TIP[:, None], (1, RESTING)), point_index=here.point_index[rows],
-        wrench=None, configuration=here.configuration[rows], step=here.step[rows], time=here.time[rows],
-        temperature=here.temperature[rows], tracker=np.eye(4), rated_load=240.0,
-    )  # fmt: skip
+    resting = state_at(chain, q[rows], COMPLIANCE, configuration=here.configuration[rows], time=here.time[rows])
     assert not resting.loaded
     for candidate in candidates(resting):
         if candidate.family in {"structure", "joint law"}:

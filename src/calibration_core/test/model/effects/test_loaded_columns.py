@@ -7,53 +7,35 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from states import COMPLIANCE, TIP, an_arm, state_at
 
 from calibration_core.model.chain import Chain, rotation_rpy, rotation_z
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.state import State
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.kinematics import posture
 from calibration_core.model.statics import Load
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
-N, M = 6, 36
+M = 36
 STEPS = 4
-ROWS = ((0.35, -np.pi / 2, 0.75), (1.25, 0.0, 0.0), (0.041, -np.pi / 2, 0.0),
-        (0.0, np.pi / 2, 1.1), (0.0, -np.pi / 2, 0.0), (0.0, 0.0, 0.23))  # fmt: skip
-COMPLIANCE = 1 / np.array([1.4e6, 4.0e6, 9.4e5, 3.6e5, 3.7e5, 3.8e5])
 SENSOR = rotation_rpy(0.1, -0.2, 0.4)
 WRENCH_POINT = np.array([0.1, -0.05, 0.25])
-TIP = np.array([0.15, 0.05, 0.3])
 SMALL = 1e-6
-
-
-def a_chain() -> Chain:
-    """Return a robot of the 240 kg class without masses."""
-    from calibration_core.model.chain import rotation_x
-
-    carried_r, carried_t = np.eye(3), np.zeros(3)
-    rotation, translation = np.empty((N, 3, 3)), np.empty((N, 3))
-    for i, (a, alpha, d) in enumerate(ROWS):
-        rotation[i], translation[i] = carried_r, carried_t
-        carried_r, carried_t = rotation_x(alpha), np.array([a, 0.0, d])
-    return Chain(
-        joints=tuple(f"joint_{i + 1}" for i in range(N)), rotation=rotation, translation=translation,
-        offset=np.zeros(N), flange_rotation=carried_r, flange_translation=carried_t,
-        limits=np.tile([-3.0, 3.0], (N, 1)), gravity=np.array([0.0, 0.0, -9.81]),
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def chain() -> Chain:
-    return a_chain()
+    """Return a robot without masses."""
+    return an_arm()
 
 
 @pytest.fixture(scope="module")
 def readings() -> tuple[Float2D, Float2D]:
     """Return angles (M, 6) and wrenches (M, 6): nine configurations of four steps."""
     rng = np.random.default_rng(3)
-    q = np.repeat(rng.uniform(-1.2, 1.2, (M // STEPS, N)), STEPS, axis=0)
+    q = np.repeat(rng.uniform(-1.2, 1.2, (M // STEPS, 6)), STEPS, axis=0)
     pull = np.repeat(rng.normal(size=(M // STEPS, 6)) * [900, 900, 900, 150, 150, 150], STEPS, axis=0)
     return q, pull * np.tile([0.0, 0.5, 1.0, 0.5], M // STEPS)[:, None]
 
@@ -63,12 +45,8 @@ def load(wrench: Float2D) -> Load:
 
 
 def state(chain: Chain, q: Float2D, wrench: Float2D, compliance: Float1D = COMPLIANCE, tip: Float1D = TIP) -> State:
-    return state_of(
-        chain, q, compliance, load(wrench), np.tile(tip[:, None], (1, M)),
-        point_index=np.zeros(M, dtype=np.int64), wrench=wrench, configuration=np.repeat(np.arange(M // STEPS), STEPS),
-        step=np.tile(np.arange(STEPS), M // STEPS), time=np.arange(M) * 5.0, temperature=np.full(M, 20.0),
-        tracker=np.eye(4), rated_load=240.0,
-    )  # fmt: skip
+    steps = {"configuration": np.repeat(np.arange(M // STEPS), STEPS), "step": np.tile(np.arange(STEPS), M // STEPS)}
+    return state_at(chain, q, compliance, load(wrench), tip, wrench=wrench, **steps)
 
 
 def chosen(state: State, effect: str, variant: str, **location: object) -> Candidate:
@@ -103,7 +81,7 @@ def spring(chain: Chain, q: Float1D, wrench: Float1D, turned: Callable[[float], 
     return torque * (both[0].point(place) - both[1].point(place))[:, 0] / (2 * SMALL)
 
 
-STIFF = np.full(N, 1e-16)  # so that the deformed and the nominal posture are the same
+STIFF = np.full(6, 1e-16)  # so that the deformed and the nominal posture are the same
 
 
 def test_principal_directions_that_are_turned_are_a_sum_of_the_three_columns(chain: Chain, readings: tuple) -> None:
@@ -213,7 +191,7 @@ def test_a_wrong_zero_changes_the_deflection_as_a_turned_joint_does(chain: Chain
     q, wrench = readings
     here = state(chain, q, wrench)
     for joint in (1, 3):
-        other = q + SMALL * np.eye(N)[joint]
+        other = q + SMALL * np.eye(6)[joint]
         moved = (sensed(chain, other, wrench) - sensed(chain, q, wrench)) / SMALL
         expected = here.since_step_zero(moved)
         seen = chosen(here, "joint_zero_offset", "zero", joint=f"joint_{joint + 1}").columns(here)[:, :, 0]

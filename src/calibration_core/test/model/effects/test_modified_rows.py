@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from states import state_at
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.model.chain import Chain, rotation_x, rotation_z, rpy_of
 from calibration_core.model.effects import candidates
 from calibration_core.model.effects.candidate import Candidate
-from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.state import State
 from calibration_core.model.robot import chain_of
 
 # a, alpha, d, theta of the rows before each joint, mass and centre of gravity in the joint's frame: a 60 kg class
@@ -74,13 +75,7 @@ def at_rest(path: Path, compliance: float = 2e-6) -> State:
 
 
 def resting(chain: Chain, compliance: float) -> State:
-    rng = np.random.default_rng(2)
-    return state_of(
-        chain, rng.uniform(-1.3, 1.3, (M, chain.n)), np.full(chain.n, compliance), None,
-        np.tile([[0.1], [0.05], [0.12]], (1, M)), point_index=np.zeros(M, dtype=np.int64), wrench=None,
-        configuration=np.arange(M), step=np.zeros(M, dtype=np.int64), time=np.arange(M) * 10.0,
-        temperature=np.linspace(20.0, 26.0, M), tracker=np.eye(4), rated_load=60.0,
-    )  # fmt: skip
+    return state_at(chain, np.random.default_rng(2).uniform(-1.3, 1.3, (M, chain.n)), compliance)
 
 
 ENDS = {"off_axis_compliance": ", other end of its axis", "link_bending": ", between the other ends of the axes"}

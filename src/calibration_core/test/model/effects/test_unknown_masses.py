@@ -5,24 +5,19 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from states import TIP, state_at
 
 from calibration_core.model.chain import Chain
 from calibration_core.model.effects import candidates, sizes_are_relative
-from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.state import State
 from calibration_core.model.equilibrium import solve_equilibrium
 
-TIP = np.array([0.15, 0.05, 0.3])
 M = 60
 SOFT = 1e-9
 
 
 def resting(chain: Chain) -> State:
-    q = np.random.default_rng(5).uniform(-1.5, 1.5, (M, chain.n))
-    return state_of(
-        chain, q, np.zeros(chain.n), None, np.tile(TIP[:, None], (1, M)), point_index=np.zeros(M, dtype=np.int64),
-        wrench=None, configuration=np.arange(M), step=np.zeros(M, dtype=np.int64), time=np.arange(M) * 60.0,
-        temperature=np.full(M, 20.0), tracker=np.eye(4), rated_load=240.0,
-    )  # fmt: skip
+    return state_at(chain, np.random.default_rng(5).uniform(-1.5, 1.5, (M, chain.n)), 0.0)
 
 
 def test_moments_carry_the_sag_of_any_masses(chain: Chain) -> None:

@@ -7,17 +7,17 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from states import TIP, state_at
 
 from calibration_core.model.chain import Chain, rotation_rpy, rotation_x, rotation_y
 from calibration_core.model.effects import candidates
-from calibration_core.model.effects.state import State, state_of
+from calibration_core.model.effects.state import State
 from calibration_core.model.equilibrium import solve_equilibrium
 from calibration_core.model.statics import Load
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 SENSOR = rotation_rpy(0.1, -0.2, 0.4)
 WRENCH_POINT = np.array([0.1, -0.05, 0.25])
-TIP = np.array([0.15, 0.05, 0.3])
 M = 20
 SOFT = 2e-6  # rad/(N*m): so soft that loads shift and K_CSM matters
 SMALL = 1e-11
@@ -36,12 +36,7 @@ def readings(chain: Chain, kind: str) -> tuple[Float2D, Float2D | None, Load | N
 
 def state(chain: Chain, kind: str) -> State:
     q, wrench, load = readings(chain, kind)
-    return state_of(
-        chain, q, np.full(chain.n, SOFT), load, np.tile(TIP[:, None], (1, M)),
-        point_index=np.zeros(M, dtype=np.int64), wrench=wrench, configuration=np.arange(M),
-        step=np.zeros(M, dtype=np.int64), time=np.arange(M) * 60.0, temperature=np.full(M, 20.0),
-        tracker=np.eye(4), rated_load=240.0,
-    )  # fmt: skip
+    return state_at(chain, q, SOFT, load, wrench=wrench)
 
 
 def columns(chain: Chain, kind: str, effect: str, variant: str, **location: str) -> Float3D:
