@@ -1,9 +1,9 @@
-"""One small measurement as twenty foreign programs would export it.
+"""One small measurement as foreign programs would export it.
 
 SpatialAnalyzer's points are as its Users Manual describes them ("Exporting ASCII Formatted Points": collection, group
 and target, then x y z, separated by blanks or commas, comments behind `//`).  Robot programs follow the makers'
-languages: KUKA KRL (E6AXIS), ABB RAPID (jointtarget), FANUC TP listings (joint positions), Universal Robots RTDE.
-The tables of PolyWorks, Verisurf, Leica and FARO software have layouts that their users can choose for text exports:
+languages: KUKA KRL (E6AXIS) and Universal Robots RTDE here, RAPID and TP listings in `test_foreign_kinds.py`.
+The tables of PolyWorks, Verisurf and FARO software have layouts that their users can choose for text exports:
 these programs let the user choose the columns, so that no layout is theirs alone.
 """
 
@@ -145,18 +145,6 @@ def _inches() -> Files:
     return {"imperial.csv": text(*lines)}
 
 
-@table("thousands marked, decimal comma")
-def _thousands() -> Files:
-    def grouped(value: float) -> str:
-        return f"{1e3 * value:,.4f}".translate(str.maketrans(",.", ".,"))
-
-    lines = ["Pose;Step;Point;X;Y;Z;" + ";".join(f"A{i + 1}" for i in range(JOINTS))]
-    for c, s, p in rows():
-        xyz = ";".join(grouped(v) for v in POSITION[c, s, p])
-        lines.append(f"{c + 1};{s};{POINTS[p]};{xyz};" + numbers(degrees(c), "{:.9f}", ";", ","))
-    return {"grouped.csv": text(*lines)}
-
-
 # --- points of tracker software beside a robot's file -----------------------------------------------------------------
 
 
@@ -203,15 +191,6 @@ def _verisurf() -> Files:
     return {"verisurf.csv": text(*lines), "robot.csv": joints_csv()}
 
 
-@table("Leica: list with standard deviations, blank separated, no header")
-def _leica() -> Files:
-    lines = []
-    for c, s, p in rows():
-        values = [*1e3 * POSITION[c, s, p]]
-        lines.append(f"C{c + 1}-S{s}-{POINTS[p]}   " + numbers(values, "{:12.4f}", " "))
-    return {"leica.txt": text(*lines), "robot.csv": joints_csv()}
-
-
 @table("FARO CAM2: semicolons, decimal commas, a group for each pose")
 def _faro() -> Files:
     lines = ["CAM2 Measure;;;;;", "Einheit: mm;;;;;", "Gruppe;Bezeichnung;X Ist;Y Ist;Z Ist;RMS"]
@@ -219,16 +198,6 @@ def _faro() -> Files:
         at = numbers(1e3 * POSITION[c, s, p], "{:.4f}", ";", ",")
         lines.append(f"Pose {c + 1} Laststufe {s};{POINTS[p]};{at};0,012")
     return {"faro.csv": "\r\n".join(lines).encode("cp1252"), "robot.csv": joints_csv()}
-
-
-@table("points in order, FANUC's positions in order")
-def _fanuc() -> Files:
-    lines = ["Point,X,Y,Z"] + [f"{POINTS[p]}," + numbers(POSITION[c, 0, p]) for c, s, p in rows(loaded=False)]
-    program = ["/PROG CALIB", "/POS"]
-    for c in range(CONFIGURATIONS):
-        axes = ",\n".join(f"\tJ{i + 1}= {v:14.9f} deg" for i, v in enumerate(degrees(c)))
-        program.append(f"P[{c + 1}]{{\n   GP1:\n\tUF : 0, UT : 1,\n{axes}\n}};")
-    return {"points.csv": text(*lines), "calib.ls": text(*program, "/END")}
 
 
 @table("points in order, KUKA's data list")
@@ -241,18 +210,6 @@ def _kuka() -> Files:
         axes = ",".join(f"A{i + 1} {v:.9f}" for i, v in enumerate(degrees(c)))
         program.append(f"DECL E6AXIS XP{c + 1}={{{axes},E1 0.0,E2 0.0}}")
     return {"points.txt": text(*lines), "calib.dat": text(*program, "ENDDAT")}
-
-
-@table("points in order, ABB's jointtargets")
-def _abb() -> Files:
-    lines = ["Name;X;Y;Z"] + [
-        f"{POINTS[p]};" + numbers(1e3 * POSITION[c, 0, p], "{:.4f}", ";") for c, _, p in rows(False)
-    ]
-    program = ["MODULE Calib"]
-    for c in range(CONFIGURATIONS):
-        axes = ",".join(f"{v:.9f}" for v in degrees(c))
-        program.append(f"CONST jointtarget jp{c + 1}:=[[{axes}],[9E9,9E9,9E9,9E9,9E9,9E9]];")
-    return {"points.csv": text(*lines), "calib.mod": text(*program, "ENDMODULE")}
 
 
 @table("points and RTDE record of Universal Robots, joined by time")
@@ -310,7 +267,5 @@ WITHOUT_WRENCH = {
     name
     for name in TABLES
     if name in WITHOUT_LOADS
-    or any(word in name for word in ("beside", "ROS", "Yaskawa", "RTDE", "own words", "pattern", "thousands"))
+    or any(word in name for word in ("beside", "ROS", "Yaskawa", "RTDE", "own words", "pattern"))
 }
-assert len(TABLES) == 20
-assert len(MAPS) == 2
