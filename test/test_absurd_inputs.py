@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from absurd_cases import absurd_inputs, displaced, made, refused, written
+from absurd_cases import absurd_inputs, made, refused, written
+from input_cases import deflections
 
 from calibration_core.input_checks.check import check_inputs
 from calibration_sim.scenarios.generate import generate
@@ -41,7 +42,7 @@ def shares(seeds: range, folder: Path) -> dict[tuple[bool, str], list[bool]]:
     for seed in seeds:
         scenario = plain(seed)
         whole = made(scenario, folder)
-        for positions, (readings, cell) in ((True, whole), (False, displaced(*whole))):
+        for positions, (readings, cell) in ((True, whole), (False, deflections(*whole))):
             assert check_inputs(readings, cell) == (), scenario
             for one in absurd_inputs(readings, cell, scenario.robot, np.random.default_rng(seed)):
                 named[positions, one.name].append(one.named_by(check_inputs(one.readings, one.cell)))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from input_cases import since_step_zero
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -296,21 +297,12 @@ def _displacements(folder: Path) -> Path:
     return path
 
 
-def _since_step_zero(readings: Readings) -> Readings:
-    position = readings.position.copy()
-    for number in np.unique(readings.configuration):
-        for point in np.unique(readings.point):
-            rows = np.flatnonzero((readings.configuration == number) & (readings.point == point))
-            position[rows] -= position[rows[0]].copy()
-    return dataclasses.replace(readings, position=position)
-
-
 def test_displacements_judge_differences_alone(
     tables: Mapping[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cell_path, plain = _displacements(tmp_path), load_cell(CELL)
     for name in ("fitted_loaded", "fitted_mixed", "other_at_rest"):
-        write_table(tmp_path / f"{name}.csv", _since_step_zero(read_table(tables[name], plain)))
+        write_table(tmp_path / f"{name}.csv", since_step_zero(read_table(tables[name], plain)))
     fitted = tmp_path / "fitted_loaded.csv"
     assert _run("diagnose", tmp_path / "out", fitted, "--test", tmp_path / "fitted_mixed.csv", cell=cell_path) == 0
     test = _result(tmp_path / "out")["test"]

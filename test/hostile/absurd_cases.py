@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from input_cases import wrench
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.files.yaml_file import yaml_text
@@ -51,17 +52,6 @@ class Absurd:
         return self.factor is None or (first.factor is not None and abs(first.factor / self.factor - 1) < 1e-6)
 
 
-def displaced(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
-    """Return the same recording as differences to the first step of every configuration and point."""
-    keys = np.column_stack([readings.configuration, readings.point])
-    _, group = np.unique(keys, axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    order = np.lexsort((readings.step, group))
-    first = order[np.r_[True, np.diff(group[order]) != 0]]
-    moved = dataclasses.replace(readings, position=readings.position - readings.position[first[group]])
-    return moved, _read(cell, points="displacement")
-
-
 def absurd_inputs(readings: Readings, cell: Cell, robot: str, rng: np.random.Generator) -> Iterator[Absurd]:
     """Yield every change of a good loaded recording of a robot of the simulation."""
     joints, n = cell.robot.joints, readings.q.shape[1]
@@ -76,10 +66,13 @@ def absurd_inputs(readings: Readings, cell: Cell, robot: str, rng: np.random.Gen
     def angled(q: np.ndarray) -> Readings:
         return dataclasses.replace(readings, q=q)
 
+    def pulled(force: float, torque: float | None = None, turn: np.ndarray | None = None) -> Readings:
+        return wrench(force, torque or force, turn)(readings, cell)[0]
+
     turns = quarter_turns()
-    yield made("sign of the wrench", _wrench(readings, -1.0), "wrench_sign", factor=-1.0)
-    yield made("forces in kN", _wrench(readings, 1e-3), "wrench_unit", factor=1e3)
-    yield made("torques in N·mm", _wrench(readings, 1.0, 1e3), "wrench_unit", factor=1e-3)
+    yield made("sign of the wrench", pulled(-1.0), "wrench_sign", factor=-1.0)
+    yield made("forces in kN", pulled(1e-3), "wrench_unit", factor=1e3)
+    yield made("torques in N·mm", pulled(1.0, 1e3), "wrench_unit", factor=1e-3)
     yield made("positions / 1000", placed(readings.position / 1e3), "position_unit", factor=1e3)
     yield made("positions in mm", placed(readings.position * 1e3), "position_unit", factor=1e-3)
     for i, j in ((1, 2), (3, 5)):
@@ -91,7 +84,7 @@ def absurd_inputs(readings: Readings, cell: Cell, robot: str, rng: np.random.Gen
     other = robot_cell(OTHERS[robot]).model_copy(update=kept)
     yield made("another robot's file", readings, "wrong_robot_file|no_relation", described=other)
     turn = turns[rng.integers(len(turns))]
-    yield made("sensor turned by quarters", _wrench(readings, 1.0, 1.0, turn), "wrench_frame")
+    yield made("sensor turned by quarters", pulled(1.0, 1.0, turn), "wrench_frame")
     yield made("wrench_at", readings, "wrench_frame", described=_read(cell, wrench_at="wrench_point"))
     yield made("wrench_axes", readings, "wrench_frame", described=_read(cell, wrench_axes="base"))
     yield made("rows shuffled", placed(readings.position[rng.permutation(len(readings))]), "no_relation")
@@ -110,13 +103,6 @@ def absurd_inputs(readings: Readings, cell: Cell, robot: str, rng: np.random.Gen
     if cell.frames.tracker is not None:
         far = cell.frames.tracker.model_copy(update={"xyz": tuple(1e3 * x for x in cell.frames.tracker.xyz)})
         yield made("tracker at 4,000 m", readings, "position_unit", factor=1e-3, described=_framed(cell, tracker=far))
-
-
-def _wrench(readings: Readings, force: float, torque: float | None = None, turn: np.ndarray | None = None) -> Readings:
-    assert readings.wrench is not None
-    axes = np.eye(3) if turn is None else turn
-    parts = [force * readings.wrench[:, :3] @ axes.T, (torque or force) * readings.wrench[:, 3:] @ axes.T]
-    return dataclasses.replace(readings, wrench=np.hstack(parts))
 
 
 def _read(cell: Cell, **how: str) -> Cell:

@@ -45,13 +45,17 @@ def left_handed(axis: int, *, stated: bool = True) -> Change:
     return change
 
 
-def deflections(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
-    """The same recording as displacements since the first step of every configuration and point."""
+def since_step_zero(readings: Readings) -> Readings:
+    """Return positions as displacements since the first step of every configuration and point."""
     keys = np.column_stack([readings.configuration, readings.point])
     _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    moved = readings.position - readings.position[first][group.reshape(-1)]
+    return dataclasses.replace(readings, position=readings.position - readings.position[first][group.reshape(-1)])
+
+
+def deflections(readings: Readings, cell: Cell) -> tuple[Readings, Cell]:
+    """Return the same recording as displacements, and a cell file that says so."""
     how = cell.measurements.model_copy(update={"points": "displacement"})
-    return dataclasses.replace(readings, position=moved), cell.model_copy(update={"measurements": how})
+    return since_step_zero(readings), cell.model_copy(update={"measurements": how})
 
 
 def in_other_axes(readings: Readings, cell: Cell, turn: np.ndarray, *, stated: bool) -> tuple[Readings, Cell]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from input_cases import since_step_zero
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.commands.evaluation import diagnose, identify
@@ -67,9 +68,7 @@ def recorded_as(name: str) -> tuple[Recorded, ...]:
         content["instruments"]["tracker"] = {"sigma": 1e-5}  # a displacement shows no range
         slipped = (readings.configuration == 3) & (readings.step >= 4)  # of which no physics says anything
         moved = readings.position + slipped[:, None] * np.array([6e-5, -4e-5, 5e-5])
-        readings = dataclasses.replace(
-            readings, position=_since_step_zero(dataclasses.replace(readings, position=moved))
-        )
+        readings = since_step_zero(dataclasses.replace(readings, position=moved))
     if name != "two recordings":
         return (Recorded(readings, content),)
     later = readings.configuration > np.median(readings.configuration)
@@ -79,15 +78,6 @@ def recorded_as(name: str) -> tuple[Recorded, ...]:
 def _of_a_day(readings: Readings, day: int) -> Readings:
     source = dataclasses.replace(readings.provenance, path=f"{day}.csv", start=f"2026-01-0{day}T08:00:00", sha256={})
     return dataclasses.replace(readings, provenance=source)
-
-
-def _since_step_zero(readings: Readings) -> np.ndarray:
-    moved = np.empty_like(readings.position)
-    for row in range(len(readings)):
-        same = (readings.configuration == readings.configuration[row]) & (readings.point == readings.point[row])
-        (first,) = np.flatnonzero(same & (readings.step == 0))
-        moved[row] = readings.position[row] - readings.position[first]
-    return moved
 
 
 # --- what is answered -------------------------------------------------------------------------------------------------

@@ -101,7 +101,6 @@ def test_what_is_missing_is_said_in_one_line(
         assert not (tmp_path / "my").exists()
 
 
-@pytest.mark.parametrize("robot", ["ur5e", str(CELL.parent.parent / "robots" / "kr240.urdf")])
 @pytest.mark.parametrize(
     ("option", "values"),
     [
@@ -116,10 +115,9 @@ def test_what_is_missing_is_said_in_one_line(
     ],
 )
 def test_a_wrong_option_is_named(
-    robot: str, option: str, values: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    option: str, values: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    load = [] if robot == "ur5e" or option == "--rated-load" else ["--rated-load", "5"]
-    assert run("init", robot, *load, option, *values, "--out", tmp_path / "my") == 2
+    assert run("init", "ur5e", option, *values, "--out", tmp_path / "my") == 2
     error = capsys.readouterr().err
     assert error.startswith(f"{option}: found ")
     assert error.count("\n") == 1
