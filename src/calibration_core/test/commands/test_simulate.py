@@ -35,14 +35,17 @@ def test_the_report_says_that_nothing_was_measured(simulated: Path) -> None:
         assert text in page
 
 
-def test_a_coupling_of_joints_is_in_what_is_written_and_not_in_what_is_read(cell_path: Path, tmp_path: Path) -> None:
+def test_a_coupling_of_joints_is_in_what_is_written_and_not_in_what_is_read(
+    planned: Path, cell_path: Path, tmp_path: Path
+) -> None:
     coupled = tmp_path / "cell.yaml"
     text = cell_path.read_text(encoding="utf-8")
     coupled.write_text(
         text.replace("robot:\n", "robot:\n  joint_coupling: {joint_3: {joint_2: 1.0}}\n", 1), encoding="utf-8"
     )
     for name, path in (("plain", cell_path), ("coupled", coupled)):
-        assert run("simulate", "--cell", path, "--out", tmp_path / name, "--no-report") == 0
+        options = ("--plan", planned / "plan.yaml", "--no-report", "--out", tmp_path / name)
+        assert run("simulate", "--cell", path, *options) == 0
     for file in ("recording", "measurements.csv"):
         plain, read = (
             observe(tmp_path / name / file, load_cell(path))
