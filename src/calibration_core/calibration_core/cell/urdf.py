@@ -8,6 +8,7 @@ with its place.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Collection, Iterator
@@ -54,6 +55,11 @@ def urdf_bytes(path: Path, limited: Collection[str] = ()) -> bytes:
         CellError: The file cannot be used; file, place, what was found and what was expected.
     """
     raw = read_regular(path, MAX_BYTES, "URDF (robot.urdf of the cell file)", CellError)
+    return _harmless(path, raw, tuple(limited))
+
+
+@functools.lru_cache(maxsize=4)
+def _harmless(path: Path, raw: bytes, limited: tuple[str, ...]) -> bytes:
     try:
         raw.decode("utf-8")
     except UnicodeDecodeError as error:
