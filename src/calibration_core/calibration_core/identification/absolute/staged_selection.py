@@ -247,8 +247,8 @@ def select_stages(
     """Add frames, geometry and elasticity, each kept only if held-out configurations gain clearly.
 
     The rule is `Improvement.clear`, for elasticity with the controls of `elasticity`; the frames are kept always,
-    because the cell file's are nominal.  Geometry that gains nothing clearly by itself is kept
-    where it does so together with elasticity, which may hide it.
+    because the cell file's are nominal.  Geometry is judged with the elasticity that the recording proves beside it and
+    without it: a wrong compliance does not become geometry, and none hides it.
 
     Args:
         case: Readings, folds.
@@ -269,23 +269,21 @@ def select_stages(
         reason = "these configurations distinguish no geometric parameter from the frames"
         stages += [_not_tried("geometry", frames, reason), _not_tried("elasticity", frames, NO_GEOMETRY)]
         return StagedSelection(tuple(stages), frames, frames, ())
+    sags, sagging, sagging_joints = _elasticity(case, frames)
     geometry = case.fit_stage(frames.fit.parameters, [*frame_terms, choice.term])
-    gain = case.improvement(frames, geometry)
+    bends, bending, bending_joints = _elasticity(case, geometry)
+    gain = case.improvement(sagging or frames, bending or geometry)
     kept = gain.clear and geometry.fit.converged
     verdict = "kept" if kept else "not kept: no clear gain on configurations left out"
-    stage, elastic, joints = _elasticity(case, geometry)
-    if not kept and elastic is not None:  # what gives way under its weight may hide the geometry
-        both = case.improvement(frames, elastic)
-        kept, verdict = both.clear, f"no clear gain by itself; with elasticity: {both.text}"
     if not kept and corrected and geometry.fit.converged:
         kept, verdict = True, "kept as asked"
     counted = f"{len(choice.chosen)} identifiable parameters, {len(choice.nominal)} stay nominal"
-    reason = f"{counted}; {gain.text}; {verdict}"
+    beside = "; with elasticity on both sides" if sagging else "; with elasticity" if bending else ""
+    reason = f"{counted}; {gain.text}{beside}; {verdict}"
     stages.append(Stage("geometry", _size(geometry), geometry.rms, geometry.held_out_rms, kept, reason))
-    if not kept:
-        stages.append(_not_tried("elasticity", frames, NO_GEOMETRY))
-        return StagedSelection(tuple(stages), frames, frames, ())
-    return StagedSelection((*stages, stage), frames, geometry if elastic is None else elastic, joints)
+    if kept:
+        return StagedSelection((*stages, bends), frames, bending or geometry, bending_joints)
+    return StagedSelection((*stages, sags), frames, sagging or frames, sagging_joints)
 
 
 def _elasticity(case: SelectionCase, geometry: FittedStage) -> tuple[Stage, FittedStage | None, tuple[int, ...]]:
