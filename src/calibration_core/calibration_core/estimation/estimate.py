@@ -46,6 +46,7 @@ from calibration_core.model.effects.state import State
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.average import position_covariance
 from calibration_core.observations.kinds import loaded_configurations
+from calibration_core.policy import FALSE_EXCLUSION, MOST_EXCLUDED
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
 
 ROUNDS = 3  # searches about what was found, at most
@@ -371,18 +372,14 @@ def _parts(field: Field, selection: Selection) -> tuple[tuple[Part, ...], dict[i
     return parts, {i: tuple(order.index(k) for k in field.offered.hypotheses[i].members) for i in selection.accepted}
 
 
-GROSS = 0.01  # probability that a clean recording has any reading beyond the limit
-MOST_SHARE = 0.05  # of the readings
-
-
 def settled(extended: Extended) -> Bool1D:
     """Return (m,) which readings are to be used, judged by what the extended model leaves of them."""
     squares = np.sum(extended.rest.reshape(-1, 3) ** 2, axis=1)
     used = extended.model.used
     scale = float(np.median(squares[used])) / chi2_limit(0.5, 3)
-    limit = max(scale, extended.variance, FINEST**2) * chi2_limit(GROSS / len(squares), 3)
+    limit = max(scale, extended.variance, FINEST**2) * chi2_limit(FALSE_EXCLUSION / len(squares), 3)
     keep = squares < limit
-    if np.mean(~keep) > MOST_SHARE:
+    if np.mean(~keep) > MOST_EXCLUDED:
         return used
     return np.asarray(keep)
 

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import betaincinv, chdtrc, chdtri, fdtrc, ndtri, stdtrit
 
+from calibration_core.policy import FALSE_EXCLUSION
 from calibration_core.timeseries import Bool1D, Bool2D, Float1D, Float2D, Float3D, Float4D, FloatND, Int1D, Int2D
 
 
@@ -198,7 +199,6 @@ def rms_length(vectors: Float2D) -> float:
 # --- generalised least squares with one free offset per configuration and measurement point ---------------------------
 
 
-FALSE_EXCLUSION = 0.01  # probability that a clean recording loses any reading
 SET_ASIDE = 1e12  # factor on the variance of a row that does not count
 
 

@@ -8,10 +8,11 @@ import numpy as np
 from absolute_cases import SIGMA, make_cell, make_problem, make_readings, random_angles, truth_of
 
 from calibration_core.cell import Cell
-from calibration_core.identification.absolute.gross_errors import MAX_SHARE, GrossErrorRejection, reject_gross_errors
+from calibration_core.identification.absolute.gross_errors import GrossErrorRejection, reject_gross_errors
 from calibration_core.identification.geometry.fit import AbsoluteProblem
 from calibration_core.identification.geometry.identifiability import candidates, select_frames, select_identifiable
 from calibration_core.model.nominal import nominal_parameters
+from calibration_core.policy import MOST_EXCLUDED_AT_REST
 from calibration_core.timeseries import Readings
 
 COUNT = 120
@@ -78,4 +79,4 @@ def test_what_fits_comes_back_and_protected_readings_stay() -> None:
 def test_never_more_than_a_small_share() -> None:
     cell = make_cell()
     screened = _run(cell, _with_errors(_readings(cell), list(range(0, COUNT, 12)), 0.1))
-    assert np.sum(~screened.used) <= max(1, int(MAX_SHARE * COUNT))
+    assert np.sum(~screened.used) <= max(1, int(MOST_EXCLUDED_AT_REST * COUNT))

@@ -20,6 +20,7 @@ from calibration_core.identification.stiffness.fit import worst_of_each
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects.state import State
 from calibration_core.observations.average import sight_axes
+from calibration_core.policy import MOST_EXCLUDED
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Int2D, Readings
 
 SHARE = 0.8  # of the steps of a configuration that smooth functions may take up
@@ -311,7 +312,6 @@ def left_over(problem: LoadedProblem, state: State, used: Bool1D) -> dict[int, F
 # --- gross errors, judged by the extended model, so that a missing effect neither makes nor hides them ----------------
 
 
-MOST_EXCLUDED = 0.05  # never more than this share of the readings
 ROUNDS = 12
 SHAPE = 3  # points, of which the shape is known
 OUT_OF_SHAPE = 0.01  # probability that noise alone changes the shape of any step of a recording more

@@ -31,12 +31,10 @@ from calibration_core.identification.geometry.terms import Term
 from calibration_core.identification.result.estimate import REPEATS, TRIANGLE, NoiseAudit, NoiseCheck
 from calibration_core.identification.statistics import chi2_limit, f_limit
 from calibration_core.model.parameters import ModelParameters
+from calibration_core.policy import FALSE_EXCLUSION, MOST_EXCLUDED_AT_REST, TAKEN_BACK
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
-FALSE_EXCLUSION = 0.01  # probability that a recording with nearly normal residuals loses any reading
 MARGIN = 1.25  # on top of the quantile: tails of a systematic rest
-MAX_SHARE = 0.02  # never more than this share of the readings
-RETURN = 0.5  # an excluded reading is taken back below this share of the threshold (of squares)
 LEVERAGE = 0.05  # readings whose own leverage leaves less than this of a direction cannot be judged
 ROUNDS = 5
 Linearised = tuple[Float3D, Float2D]
@@ -85,12 +83,12 @@ def reject_gross_errors(
         protected: (m,) readings that must be used whatever they look like.
         prior: What is known of the terms already.
     """
-    budget = max(1, int(MAX_SHARE * len(problem)))
+    budget = max(1, int(MOST_EXCLUDED_AT_REST * len(problem)))
     used = used | protected
     result, squared, threshold, linear = _judge(problem, start, terms, used, prior)
     for _ in range(ROUNDS):
         found = _exclude(linear, result, used, protected, budget)
-        back = ~used & (squared < RETURN * threshold)
+        back = ~used & (squared < TAKEN_BACK * threshold)
         if not found.any() and not back.any():
             break
         used = (used & ~found) | back

@@ -26,6 +26,7 @@ from calibration_core.identification.statistics import (
     solve_non_negative,
 )
 from calibration_core.identification.stiffness.problem import Linearised, LoadedProblem
+from calibration_core.policy import MOST_EXCLUDED, TAKEN_BACK
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Float4D, Int1D, Int2D, Readings
 
 LEAST_POINTS = 3
@@ -250,9 +251,7 @@ def held_out_compliance(fit: LoadedFit, configuration: Int1D) -> Float2D:
 # --- readings that do not belong --------------------------------------------------------------------------------------
 
 
-MAX_SHARE = 0.05  # never more than this share of the readings
 SPOILT = 0.01  # of the worst squared error: what is smaller is judged once that one spoils the fit no longer
-RETURN = 0.5  # an excluded reading is taken back below this share of the threshold
 Key = tuple[int, int, str]
 
 
@@ -304,7 +303,7 @@ def reject_outliers(
     groups = {(configuration, point) for configuration, _, point in readmit}  # a reading judges its neighbours too
     kept = np.array([(configuration, point) in groups for configuration, _, point in keys_of(problem.readings)])
     exclusions: dict[int, Exclusion] = {}
-    budget = max(1, int(MAX_SHARE * m))
+    budget = max(1, int(MOST_EXCLUDED * m))
     while len(exclusions) < budget:  # until nothing is left to set aside under the compliances of those that are left
         linear, compliance, before = problem.linearise(fitted), fitted, len(exclusions)
         index = np.flatnonzero(used)
@@ -339,7 +338,7 @@ def reject_outliers(
         near_it = np.sort(np.append(beside, row))
         trial = squared.copy()
         trial[near_it] = deleted(linear.rows.select(near_it), linear.residual[near_it])[0]
-        if trial[row] < RETURN * deletion_limit(trial, m):
+        if trial[row] < TAKEN_BACK * deletion_limit(trial, m):
             used[row] = True
             squared = trial
             del exclusions[row]
