@@ -16,12 +16,17 @@ CLEARLY = 3.0
 # witness is heard where the instruments err as they may.
 BEYOND = 4.0
 
+# Standard deviations per median absolute deviation of normally distributed numbers, 1 / quantile(3/4) (Rousseeuw and
+# Croux 1993).  Earns: a scale that one gross error in four readings leaves as it is.
+MAD = 1.4826
+
 # Readings.  Two show the six numbers of a rigid motion and nothing more; twice as many show whether it fits.  Earns: a
 # simulation with next to nothing in common is not compared, and says so.
 FEWEST_READINGS = 4
 
-# Nats of log Bayes factor, 150-fold odds.  Explanations that come so near to each other are not told apart: evidence is
-# "very strong" from there on (Kass and Raftery 1995).  Earns: a bearing and what imitates it are named together.
+# Nats of log Bayes factor, 150-fold odds.  Explanations that come so near to each other are not distinguishable:
+# evidence is "very strong" from there on (Kass and Raftery 1995).  Earns: a bearing and what imitates it are named
+# together.
 EQUIVALENT = 5.0
 
 # Typical sizes.  An explanation that must be larger to do as well is none beside one that need not.  Earns: an alias of

@@ -25,6 +25,7 @@ from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.observations.kinds import holds_single_steps, is_loaded
+from calibration_core.policy import MAD
 from calibration_core.timeseries import Bool1D, Float2D, Note, Readings
 
 NO_PHYSICS = Rest(
@@ -35,7 +36,6 @@ NO_PHYSICS = Rest(
     "is claimed before this is put right.",
 )
 NOT_NOISE = 1.25  # times the noise: a residual of this size in the middle of the readings is none
-MEDIAN = 1.4826  # standard deviation over median size, normal distribution
 EFFICIENCY = 0.37  # of that estimate: as sure as one from so large a share of the numbers (Rousseeuw and Croux 1993)
 
 
@@ -155,7 +155,7 @@ def _not_noise(found: Diagnosis) -> Diagnosis:
     """Call a residual that is more than noise unexplained; compliances are then as much more uncertain."""
     residual, freedom = _beside_offsets(found)
     residual = residual[_of_firm_targets(found)]
-    seen = MEDIAN * float(np.median(np.abs(residual))) if len(residual) else 0.0
+    seen = MAD * float(np.median(np.abs(residual))) if len(residual) else 0.0
     noise = max(found.noise, found.noise_known)
     chance = not beyond_noise(seen, EFFICIENCY * freedom, noise)[1]
     if found.verdict != "consistent" or seen <= NOT_NOISE * noise or chance:

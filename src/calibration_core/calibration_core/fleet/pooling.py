@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import gammaln, ndtr
 
 from calibration_core.identification.statistics import student_quantile
+from calibration_core.policy import MAD
 from calibration_core.timeseries import Bool1D, Float1D, Float2D
 
 LEAST = 5  # robots from which a population is stated
@@ -30,7 +31,6 @@ SPREADS, MEANS = 7, 3  # points of the grid over tau and mu
 REACH = 2.0  # standard errors that the grid reaches to either side
 BISECTIONS = 40
 TAIL = 0.025
-MAD = 1.4826  # standard deviation over median absolute deviation of normal numbers
 ROUNDS = 20
 
 

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calibration_core.fleet.recordings.rows import Row
+from calibration_core.policy import MAD
 from calibration_core.timeseries import Float1D
 
 DAYS = 365.25  # per year
-MAD = 1.4826  # standard deviation over median absolute deviation of normal numbers
 LEAST_PAIRS = 8  # differences from which repeatability is judged
 STIFFNESS = "stiffness"
 

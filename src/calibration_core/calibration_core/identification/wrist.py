@@ -141,7 +141,7 @@ def _linearised(
 
 
 def _prior(covariance: Float2D) -> Float2D:
-    """Return the information on w, c (none) and the points; directions without any doubt stay as they are."""
+    """Return the information on w, c (none) and the points; directions that are exact stay as they are."""
     known = np.linalg.pinv(covariance, rcond=1e-10, hermitian=True)
     sure = np.eye(len(covariance)) - known @ covariance
     prior = np.zeros((6 + len(covariance), 6 + len(covariance)))

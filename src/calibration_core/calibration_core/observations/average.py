@@ -23,6 +23,7 @@ import numpy as np
 
 from calibration_core.cell import Cell, Tracker
 from calibration_core.errors import CellError
+from calibration_core.policy import MAD
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings
 
 OUTLIER = 8.0  # robust standard deviations; beam breaks and glitches lie far beyond, noise never
@@ -80,7 +81,7 @@ def inliers(values: Float2D) -> Bool1D:
     if len(values) < MIN_FOR_OUTLIERS:
         return keep
     distance = np.abs(values - _median(values))
-    scale = 1.4826 * _median(distance)
+    scale = MAD * _median(distance)
     judged = scale > 0
     limit = OUTLIER * (1.0 + SMALL_SAMPLE / len(values)) * scale
     keep &= (distance[:, judged] <= limit[judged]).all(axis=1)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError
 from calibration_core.observations.plateaus import USUAL_SIGMA, Window
+from calibration_core.policy import MAD
 from calibration_core.timeseries import (
     NANOSECONDS,
     Bool1D,
@@ -129,7 +130,7 @@ def clock_offset(recording: Streams, windows: list[Window], cell: Cell) -> Clock
         start = float(np.median([delay for delay, _ in fits]))
     delays, stds = (np.array(column) for column in zip(*fits, strict=True))
     middle = float(np.median(delays))
-    spread = 1.4826 * float(np.median(np.abs(delays - middle)))
+    spread = MAD * float(np.median(np.abs(delays - middle)))
     near = np.abs(delays - middle) <= np.maximum(5.0 * spread, 5.0 * stds)
     weight = 1.0 / (stds[near] ** 2 + spread**2)
     mean = float(np.average(delays[near], weights=weight))

@@ -22,11 +22,11 @@ from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
+from calibration_core.policy import MAD
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 OTHERS = 2  # points at the same step, to which a reading must stand wrong to be the one at fault
 CLEARLY = 6.0  # times the usual change of a distance
-MEDIAN = 1.4826  # standard deviation over median size, normal distribution
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def out_of_shape(readings: Readings, noise: float) -> Bool1D:
         if seen.any():
             change[:, i, j] = np.abs(distance[:, i, j] - np.median(distance[seen, i, j]))
     known = np.isfinite(change)
-    usual = max(np.sqrt(2) * noise, MEDIAN * float(np.median(change[known]))) if known.any() else np.inf
+    usual = max(np.sqrt(2) * noise, MAD * float(np.median(change[known]))) if known.any() else np.inf
     off = (change > CLEARLY * usual).sum(axis=2)
     gross = (off == known.sum(axis=2)) & (off >= OTHERS)
     return np.asarray(gross[row.reshape(-1), readings.point])

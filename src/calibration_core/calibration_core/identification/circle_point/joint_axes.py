@@ -87,7 +87,7 @@ def wrist_sweep(q: Float2D, point: Int1D, wrist: tuple[int, ...]) -> tuple[Sweep
 
 
 SHORT_ARC = np.radians(60)  # below it a base frame to 0.1 mm is out of reach at 20 um
-STEP = 1e-6  # m and rad, of the differences by which uncertainties are carried on
+STEP = 1e-6  # m and rad, of the differences by which uncertainties are propagated
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

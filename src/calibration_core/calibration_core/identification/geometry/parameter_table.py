@@ -288,7 +288,7 @@ def model_paths(cell: Cell) -> dict[str, str]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ConsiderParameters:
-    """Parameters that readings cannot tell from others: they stay nominal, and their doubt is not forgotten.
+    """Parameters that readings cannot tell from others: they stay nominal, and their standard uncertainty still counts.
 
     Where such a parameter is wrong, others take up the difference, so that the readings are met all the same; what
     else depends on it, such as where the sensor sits, is then wrong.

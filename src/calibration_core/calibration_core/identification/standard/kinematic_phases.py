@@ -109,7 +109,7 @@ def _coordinates(point: str) -> tuple[str, ...]:
     return tuple(f"{point} {axis}" for axis in AXES)
 
 
-STEP = 1e-7  # m, of the differences by which uncertainties are carried on
+STEP = 1e-7  # m, of the differences by which uncertainties are propagated
 LEAST_HEIGHT = 1e-3  # m: distance of the third point from the line of the others
 
 

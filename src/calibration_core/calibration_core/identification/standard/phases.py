@@ -241,8 +241,8 @@ def _covariance(total: _Total, solution: Solution, known: GaussianPrior) -> Floa
     """Return the covariance of everything; infinite where a compliance is not determined.
 
     What stays nominal is in error by dh; the solution is then off by -N^-1 A dh, with A the information across
-    (consider covariance, Schmidt 1966).  That counts for the compliances; frames, points and geometry are told as they
-    belong to these nominal values.
+    (consider covariance, Schmidt 1966).  That counts for the compliances; frames, points and geometry are stated as
+    they belong to these nominal values.
     """
     matrix, n = total.matrix, len(solution.value)
     kept = np.r_[solution.determined, np.ones(len(matrix) - n, dtype=bool)]

@@ -3,7 +3,8 @@
 What is known already is taken off the readings, so that only the rest is left to be explained.
 
 The effects of a given model move the points by so much at its own compliances, geometry and frames; readings less this
-movement are those of a robot without the effects.  Their parameters are taken as they stand: fixed, without doubt.
+movement are those of a robot without the effects.  Their parameters are taken as they stand, without
+uncertainty.
 """
 
 from __future__ import annotations
