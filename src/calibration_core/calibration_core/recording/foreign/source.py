@@ -202,7 +202,7 @@ def _at_points(source: Source, seen: Seen) -> Source:
     )
     if angles is None and quaternion is not None:
         length = np.linalg.norm(quaternion, axis=1)
-        for row in np.flatnonzero(np.abs(length - 1) > UNIT_NORM):
+        for row in np.flatnonzero(~(np.abs(length - 1) <= UNIT_NORM)):
             raise source.fault(int(row), "qx qy qz qw", f"a length of {length[row]:.6g}", "a quaternion of length 1")
     turn = Rotation.from_euler("xyz", angles) if angles is not None else Rotation.from_quat(quaternion)
     places = seen(np.column_stack([source.numbers[name] for name in AXES]), turn.as_matrix())
