@@ -44,6 +44,14 @@ FALSE_ALARM = 0.01
 # Findings and explanations that are listed beside one; more are no help to a reader.
 LISTED = 5
 
+# Chance, over all places, that noise alone looks like a fault of the set-up: a target or tracker that moved, a loose
+# target, an arm that swings.  Earns: noise of any size shows none; a simulation's wild reading is no moved target.
+FAULT_CHANCE = 1e-6
+
+# Chance that errors of the geometry leave as much of a change that is certain without them.  Earns: geometric errors
+# that go up and down over the configurations are no tracker that moved.
+CONFIRMED = 1e-3
+
 # Probability that a clean recording loses any of its readings to a rule for gross errors. Earns: gross errors of 0.5 mm
 # are set aside by name, and nothing of a recording without them.
 FALSE_EXCLUSION = 0.01

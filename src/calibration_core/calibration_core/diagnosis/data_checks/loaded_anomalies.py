@@ -22,11 +22,11 @@ from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
-from calibration_core.policy import MAD
+from calibration_core.policy import CONFIRMED, FAULT_CHANCE, MAD
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 OTHERS = 2  # points at the same step, to which a reading must stand wrong to be the one at fault
-CLEARLY = 6.0  # times the usual change of a distance
+UNUSUAL = 6.0  # times the usual change of a distance
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ def out_of_shape(readings: Readings, noise: float) -> Bool1D:
             change[:, i, j] = np.abs(distance[:, i, j] - np.median(distance[seen, i, j]))
     known = np.isfinite(change)
     usual = max(np.sqrt(2) * noise, MAD * float(np.median(change[known]))) if known.any() else np.inf
-    off = (change > CLEARLY * usual).sum(axis=2)
+    off = (change > UNUSUAL * usual).sum(axis=2)
     gross = (off == known.sum(axis=2)) & (off >= OTHERS)
     return np.asarray(gross[row.reshape(-1), readings.point])
 
@@ -117,10 +117,8 @@ def out_of_shape(readings: Readings, noise: float) -> Bool1D:
 # --- A target or the tracker that moved part-way through a recording, found as a change point over the ----------------
 
 
-CERTAIN = 1e-6
 LEAST_TARGET, LEAST_TRACKER = 1e-4, 3e-4  # m: smaller steps are no event
 RANK = 1e-9  # of the largest singular value: what depends on other columns
-CONFIRMED = 1e-3  # chance that geometry leaves as much of a step that is certain without it
 NOTHING_ELSE = 3.0  # times the claimed noise of a reading, that may be left of the averages
 FEWEST = 6  # degrees of freedom that must be left to fit the geometry beside a step
 EDGE = 2  # configurations on either side of a change, at least
@@ -152,7 +150,7 @@ def target_step(shape: Shape) -> Step | None:
         good = np.isfinite(series).all(axis=1)
         for first in range(EDGE, len(series) - EDGE + 1):
             explained, chance = _step_chance(series, good, first)
-            if chance * shape.points * len(series) < CERTAIN and (best is None or explained > best[0]):
+            if chance * shape.points * len(series) < FAULT_CHANCE and (best is None or explained > best[0]):
                 best = (explained, point, first)
     if best is None:
         return None
@@ -284,7 +282,7 @@ def _tracker_step(seen: Averages, base: Float2D) -> Step | None:
     ratio = (float(target @ target) - left) / 6 / max(left / freedom, 1e-30)
     shift = _motion(seen.centre) @ values
     size = float(np.linalg.norm(shift))
-    if f_tail(ratio, 6, freedom) * k > CERTAIN or size < LEAST_TRACKER:
+    if f_tail(ratio, 6, freedom) * k > FAULT_CHANCE or size < LEAST_TRACKER:
         return None
     return Step(first, -1, shift, size)
 
@@ -445,7 +443,7 @@ def _geometry(state: State) -> Float3D:
 
 def noise_understated(seen: Scatter, claimed: float) -> tuple[Anomaly, ...]:
     """Say whether readings scatter more than the instrument claims (standard deviation `claimed`, m)."""
-    certain = seen.freedom > 0 and f_tail(seen.total**2, seen.freedom, 10**6) < CERTAIN
+    certain = seen.freedom > 0 and f_tail(seen.total**2, seen.freedom, 10**6) < FAULT_CHANCE
     if not certain or seen.least < UNDERSTATED:
         return ()
     text = (
@@ -504,7 +502,7 @@ def _loose_target(prepared: PreparedLoaded, state: State, shape: Shape) -> tuple
     others = float(np.median(np.delete(np.clip(variances, 0.0, None), worst)))
     floor = _claimed(prepared) * 0.25
     ratio = float(variances[worst]) / max(others, floor)
-    if ratio < LOOSE or f_tail(ratio / 2, freedom, freedom) > CERTAIN:
+    if ratio < LOOSE or f_tail(ratio / 2, freedom, freedom) > FAULT_CHANCE:
         return None
     size = float(np.sqrt(variances[worst]))
     kinds = np.unique(prepared.problem.readings.point)
@@ -560,7 +558,7 @@ def _beyond(power: Float1D, freedom: Float1D, quiet: float) -> Bool1D:
     """Return which configurations move more than what is quiet, by their mean squares and degrees of freedom."""
     ratio = power / quiet
     chance = np.array([f_tail(r, f, float(freedom.sum()) / 2) for r, f in zip(ratio, freedom, strict=True)])
-    return np.asarray((ratio > SWINGING) & (chance * len(power) < CERTAIN))
+    return np.asarray((ratio > SWINGING) & (chance * len(power) < FAULT_CHANCE))
 
 
 def _across_joints(common: list[Float2D], numbers: list[int], configuration: Int1D, state: State) -> Float2D:
