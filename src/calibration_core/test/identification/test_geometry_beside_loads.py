@@ -9,7 +9,7 @@ from several_cases import measured, setup
 
 from calibration_core.identification.absolute.evaluate import evaluate_absolute
 from calibration_core.identification.identify import fit_freed
-from calibration_core.identification.several.mixed import identify_mixture
+from calibration_core.identification.several.mixed import identify_mixed
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.identified.named_values import value_of
@@ -26,7 +26,7 @@ def rows(estimate: GaussianEstimate, group: str) -> list[int]:
 def test_the_geometry_follows_the_compliances_as_finite_differences_say(tmp_path: Path) -> None:
     cell = setup(tmp_path, 0)
     readings = measured(cell, 0, 7, configurations=4, rest=14)
-    found = identify_mixture(readings, cell, CORRECTED)
+    found = identify_mixed(readings, cell, CORRECTED)
     estimate = found.estimate
     geometry, compliances = rows(estimate, "geometry."), rows(estimate, "compliance.")
     shared = estimate.covariance[np.ix_(geometry, compliances)]

@@ -1,4 +1,4 @@
-"""A recording of loaded configurations and postures at rest: the same answer in one file and in two, however few."""
+"""A recording of loaded configurations and postures at rest, any number of either: one set-up."""
 
 from __future__ import annotations
 
@@ -14,15 +14,12 @@ from calibration_core.cell import Cell
 from calibration_core.commands.evaluation.diagnose import evaluate_all as diagnose_all
 from calibration_core.commands.evaluation.identify import Identified, evaluate_all
 from calibration_core.commands.shared.inputs import Refusal
-from calibration_core.commands.shared.several import prepared_from
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
-from calibration_core.identification.several.mixed import parts_of
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.observations.kinds import single_steps
-from calibration_core.outcomes.together.evaluate import identify_together
 from calibration_core.timeseries import Readings
 
 TRUE = np.array(STIFFNESS)
@@ -63,10 +60,6 @@ def answered(recordings: list[Readings], cell: Cell, options: Options | None = N
     return answer
 
 
-def _fitted_together(recordings: list[Readings], cell: Cell) -> Identification:
-    return identify_together(prepared_from(recordings, [cell] * len(recordings), Options(), None, None))
-
-
 def values(found: Identification) -> np.ndarray:
     return np.array([joint.value for joint in found.stiffness])
 
@@ -93,31 +86,20 @@ def interleaved(readings: Readings) -> Readings:
         pytest.param(12, 30, (TILT,), True, marks=pytest.mark.slow),
     ],
 )
-def test_one_file_and_two_files_give_the_same_answer(
+def test_one_file_says_what_two_files_say_and_knows_that_nothing_moved_between(
     loaded: int, rest: int, effects: tuple[AppliedEffect, ...], mix: bool, tmp_path: Path
 ) -> None:
     cell = cell_in(tmp_path)
     readings = mixed(cell, loaded, rest, effects=effects)
     readings = interleaved(readings) if mix else readings
-    one = answered([readings], cell)
-    two = answered(in_two_files(readings), cell)
-    np.testing.assert_allclose(values(one.identification), values(two.identification), rtol=SAME)
+    one, two = (answered(recordings, cell) for recordings in ([readings], in_two_files(readings)))
+    shift = (values(one.identification) - values(two.identification)) / deviations(two.identification)
+    assert np.abs(shift).max() < 0.3
     for key in ("verdict", "usable", "reason"):
         assert one.content[key] == two.content[key]
-    alone = identify(readings, cell), _fitted_together(in_two_files(readings), cell)
-    np.testing.assert_allclose(deviations(alone[0]), deviations(alone[1]), rtol=SAME)
     for first, second in zip(one.content["stiffness"], two.content["stiffness"], strict=True):
         assert first["identifiable"] == second["identifiable"]
         assert first["std"] == pytest.approx(second["std"], rel=SET_UP)
-    geometry = {one["name"]: one for one in one.content["parameters"] if one["group"] == "geometry"}
-    expected = {two["name"]: two for two in two.content["parameters"] if two["group"] == "geometry"}
-    assert geometry.keys() == expected.keys()
-    for name, parameter in geometry.items():
-        assert parameter["value"] == pytest.approx(expected[name]["value"], rel=SAME, abs=1e-15)
-        assert parameter["std"] == (None if expected[name]["std"] is None else pytest.approx(expected[name]["std"]))
-    figures = [{key: value for key, value in answer.content["fit"].items() if key != "unit"} for answer in (one, two)]
-    assert figures[0] == pytest.approx(figures[1], rel=SAME)
-    np.testing.assert_allclose(one.identification.model.tracker, two.identification.model.tracker, rtol=SAME)
     found, other = ([(f["effect"], f["evidence"]["magnitude"]) for f in x.content["findings"]] for x in (one, two))
     assert [effect for effect, _ in found] == [effect for effect, _ in other]
     assert [size for _, size in found] == pytest.approx([size for _, size in other], rel=SET_UP)
@@ -155,9 +137,6 @@ def test_few_postures_at_rest_share_the_set_up_of_the_loaded_configurations(rest
     found = answer.identification
     assert np.abs((values(found) - TRUE) / deviations(found)).max() < 3.5
     assert [one.name for one in found.parameters if one.group == "geometry" and one.fitted]
-    (note,) = [note for note in found.notes if note.kind == "one_set_up"]
-    assert f"need 12 postures at rest, and there are {rest}" in note.text
-    assert ("two files would have frames of their own each" in note.text) is (rest >= 3)  # fewer fix no frames
     assert answer.content["verdict"] == "consistent"
 
 
@@ -212,7 +191,7 @@ def test_a_reading_is_named_and_taken_back_as_in_the_recording(tmp_path: Path) -
     assert stated.magnitude == max(one.size for one in found.exclusions)
     assert set(np.flatnonzero(found.residuals.excluded)) == set(rows)
     taken = identify(wrong, cell, Options(readmit=frozenset(keys)))
-    assert not taken.exclusions
+    assert not keys & {(one.configuration, one.step, one.point) for one in taken.exclusions}
 
 
 def test_a_further_recording_is_predicted(tmp_path: Path) -> None:
@@ -222,8 +201,6 @@ def test_a_further_recording_is_predicted(tmp_path: Path) -> None:
     found = identify(readings.select(kept), cell, test=readings.select(~kept))
     assert found.test is not None
     assert found.test.rms < 1.2 * 2e-5
-    names = parts_of(readings.select(kept), cell, Options()).merged.readings.points
-    assert names == ("mp1@1", "mp2@1", "mp3@1", "mp1@2", "mp2@2", "mp3@2")
 
 
 @pytest.mark.parametrize("effects", [(), pytest.param((TILT,), marks=pytest.mark.slow), (LARGE,)])
