@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +15,6 @@ from calibration_core.report.summary import positions_lines, test_lines
 
 SHARED = 0.02  # of the squared difference: shared with other steps, and worth a word
 LEAST, NAMED = 0.001, 3  # share of the squared difference that the sentence names, and how many of them
-WIDTH, MOST_LINES = 120, 11  # of a comparison on a terminal, where the report's place follows
 TOGETHER = "several recordings at once have no steps from simulation to noise: diagnose each with its own --simulation"
 VERDICTS = {
     "consistent": "nothing is missing: the model explains the recording to its noise",
@@ -78,11 +76,7 @@ def compared_summary(diagnosis: Diagnosis, compared: Comparison, light: Sequence
     if compared.improved is not None:
         lines += improved_lines(compared.improved)
     lines += [diagnosis.rest.text] if diagnosis.rest.significant else []
-    lines += [note.line for note in diagnosis.remarks]
-    wrapped = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="    ")]
-    if len(wrapped) <= MOST_LINES:
-        return wrapped
-    return [*wrapped[: MOST_LINES - 1], f"{counted(len(wrapped) - MOST_LINES + 1, 'further line')} in the report"]
+    return lines + [note.line for note in diagnosis.remarks]
 
 
 def waterfall_lines(steps: Sequence[WaterfallStep]) -> list[str]:

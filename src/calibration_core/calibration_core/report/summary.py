@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 import math
+import textwrap
+from collections.abc import Sequence
 
 from calibration_core.identification.result.estimate import Identification, JointStiffness, Stage
 from calibration_core.identification.result.tested import PARTS, TestResult
 from calibration_core.report.extent import configurations_text
 from calibration_core.report.rounding import DASH, STIFFNESS, counted, decimals, fixed, interval_end
 from calibration_core.report.sections.together import together_lines
+
+WIDTH, MOST_LINES = 120, 11  # of an answer on a terminal, where the report's place follows
+
+
+def on_a_terminal(lines: Sequence[str], recordings: int = 1) -> list[str]:
+    """Return lines as wide as a terminal, and no more of a recording than are read at once: the report has the others.
+
+    A file's path stays whole.
+    """
+    most = recordings * MOST_LINES
+    wrap = textwrap.TextWrapper(WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+    wrapped = [part for line in lines for part in wrap.wrap(line)]
+    if len(wrapped) <= most:
+        return wrapped
+    return [*wrapped[: most - 1], f"{counted(len(wrapped) - most + 1, 'further line')} in the report"]
 
 
 def summary(found: Identification) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -13,12 +14,15 @@ from robots import loaded_readings, write_cell
 from scipy.spatial.transform import Rotation
 
 from calibration_core.cell import Cell
-from calibration_core.commands.evaluation.diagnose import evaluate
+from calibration_core.commands.evaluation.diagnose import Diagnosed, evaluate_all
+from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.diagnosis.comparison.points import rigid
 from calibration_core.diagnosis.comparison.recordings import sensor_axes
 from calibration_core.diagnosis.comparison.result import Comparison
 from calibration_core.diagnosis.simulated import compare_checked
 from calibration_core.errors import RecordingError
+from calibration_core.fleet.next_robot.population_file import TypePopulation
+from calibration_core.fleet.pooling import Population
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.nominal import nominal_parameters
@@ -137,14 +141,39 @@ def same(readings: Readings, _: Cell) -> Readings:
     return readings
 
 
-@pytest.mark.parametrize("foreign", [same, in_millimetres, without_weight, zero_wrench])
-def test_the_answer_of_each_class_fits_a_terminal(
-    foreign: Callable[[Readings, Cell], Readings], recorded: Readings, cell: Cell
-) -> None:
-    simulation = foreign(simulated(recorded, cell), cell)
-    lines = evaluate(recorded, cell, Options(), simulation=simulation).content["summary"]
-    assert len(lines) < 12  # the report's place follows
-    assert max(map(len, lines)) <= 120
+def shuffled(readings: Readings, _: Cell) -> Readings:
+    return dataclasses.replace(readings, position=readings.position[::-1])
+
+
+def every_answer(recorded: Readings, cell: Cell) -> Iterator[Diagnosed | Refusal]:
+    """Answers of every kind that a diagnosis beside simulations has."""
+    simulation = simulated(recorded, cell)
+    for foreign in (same, in_millimetres, without_weight, zero_wrench, shuffled):
+        answer = evaluate_all([recorded], [cell], Options(), simulations=[foreign(simulation, cell)])
+        yield answer
+        if isinstance(answer, Diagnosed):
+            sisters = dict.fromkeys(cell.robot.joints, Population(13.0, 0.1, 1e-4, 1e-4, 100))
+            yield dataclasses.replace(answer, population=TypePopulation("file", "abc", "kr", sisters, {}, "a plant"))
+    for wrong in (reaction, in_degrees, in_another_order, in_millimetres):
+        yield evaluate_all([wrong(recorded, cell)], [cell], Options(), simulations=[simulation])
+    second = loaded_readings(cell, 4)
+    named = dataclasses.replace(second.provenance, path="second.csv", sha256={"second.csv": "second"})
+    both = [recorded, dataclasses.replace(second, provenance=named)]
+    for change in (same, reaction):
+        changed = [change(one, cell) for one in both]
+        yield evaluate_all(changed, [cell] * 2, Options(), simulations=[simulated(one, cell) for one in both])
+
+
+def test_every_answer_fits_a_terminal(recorded: Readings, cell: Cell) -> None:
+    seen = set()
+    for answer in every_answer(recorded, cell):
+        seen.add(type(answer))
+        lines = answer.content["summary"]
+        assert answer.summary.splitlines() == lines
+        pairs = len(answer.diagnosis.comparisons) if isinstance(answer, Diagnosed) else 1
+        assert len(lines) < 12 * pairs  # the report's place follows
+        assert max(map(len, lines)) <= 120, lines
+    assert seen == set(get_args(get_type_hints(evaluate_all)["return"]))
 
 
 def rewritten(path: Path, named: dict[str, tuple[str, float]]) -> None:

@@ -32,6 +32,7 @@ from calibration_core.report.document import Items, Paragraph, Section, cleaned
 from calibration_core.report.results.diagnosis import diagnosis_dict
 from calibration_core.report.results.result import plain, result_json
 from calibration_core.report.results.traffic_light import light_of
+from calibration_core.report.summary import on_a_terminal
 from calibration_core.report.writing.output import RESULT, Content, write_files
 from calibration_core.report.writing.tables import table_files
 from calibration_core.timeseries import Readings
@@ -56,11 +57,13 @@ class Diagnosed:
     def content(self) -> dict[str, Any]:
         """The content of result.json."""
         content = diagnosis_dict(self.diagnosis, self.cell)
-        if self.population is None:
-            return content
-        odds = finding_odds(self.diagnosis.physics, self.population)
-        content["summary"] += prior_lines(self.sisters, self.population)
-        return {**content, "population": plain(prior_record(self.sisters, odds, self.population))}
+        if self.population is not None:
+            odds = finding_odds(self.diagnosis.physics, self.population)
+            content["summary"] += prior_lines(self.sisters, self.population)
+            content["population"] = plain(prior_record(self.sisters, odds, self.population))
+        if self.diagnosis.comparisons:
+            content["summary"] = on_a_terminal(content["summary"], len(self.diagnosis.comparisons))
+        return content
 
     @functools.cached_property
     def sisters(self) -> tuple[PooledJoint, ...]:

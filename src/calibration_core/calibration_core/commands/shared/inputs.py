@@ -49,7 +49,7 @@ class Refusal:
     @property
     def summary(self) -> str:
         """What is wrong and what to put right."""
-        return refused_summary(self.found)
+        return "\n".join(refused_summary(self.found))
 
     @property
     def error(self) -> IdentificationError:

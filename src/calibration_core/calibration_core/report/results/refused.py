@@ -11,6 +11,7 @@ from calibration_core.cell import Cell
 from calibration_core.input_checks.anomaly import InputAnomaly
 from calibration_core.report.results.command import command_result, input_record
 from calibration_core.report.results.traffic_light import with_light
+from calibration_core.report.summary import on_a_terminal
 from calibration_core.timeseries import Readings
 
 
@@ -49,11 +50,10 @@ def refused_result(
         notes=[vars(note) for note in readings.notes],
         input=input_record(cell, readings.provenance, inputs),
     )
-    return {**with_light(content), "summary": refused_summary(found).splitlines()}
+    return {**with_light(content), "summary": refused_summary(found)}
 
 
-def refused_summary(found: Sequence[InputAnomaly]) -> str:
-    """Return what is wrong and what to put right, a few lines."""
-    lines = [f"not usable: {found[0].remedy}"]
-    lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in found]
-    return "\n".join([*lines, "no stiffness is stated from such input"])
+def refused_summary(found: Sequence[InputAnomaly]) -> list[str]:
+    """Return what is wrong and what to put right, as a terminal shows it."""
+    lines = [f"not usable: {found[0].remedy}", "no stiffness is stated from such input"]
+    return on_a_terminal([*lines, *(f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in found)])
